@@ -1,6 +1,7 @@
 import fcntl
 import mmap
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -82,18 +83,34 @@ def test_what_no_machine_has_left_is_not_said_to_be_another_users(instance):
         folder.rmdir()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
-def test_what_another_user_has_left_is_told_and_stops_no_sweep(instance):
-    block = SHM / f"{instance}_testbed"
-    block.touch()
-    code = (
-        "import os; from im_bringup.machine import leftovers; os.setuid(65534);"
-        "print(leftovers.remove_shared_memory(), leftovers.foreign_sentence(leftovers.of_others()))"
-    )
+def test_what_another_user_has_left_is_told_and_stops_no_sweep(instance, monkeypatch):
+    """This process takes itself for another user: also root leaves alone what is not its own."""
+    block, segment, mine = SHM / f"{instance}_testbed", SHM / f"fastrtps_{os.getpid() + 3:016x}", os.geteuid()
+    for path in (block, segment):
+        path.touch()
     try:
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, "")
-        assert f"[] a machine of this ROS domain is another user's: {block} of root;" in done.stdout
+        monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+        assert leftovers.remove_shared_memory() == []
+        told = leftovers.foreign_sentence(leftovers.of_others())
+        assert re.match(rf"{block} belongs to user {mine}\b.*, not to you; remove it, or set another ROS_DOMAIN", told)
         assert block.exists()
+        assert segment.exists()
     finally:
-        block.unlink()
+        for path in (block, segment):
+            path.unlink()
+
+
+def test_a_lock_of_the_middleware_that_leads_elsewhere_is_neither_followed_nor_waited_for(tmp_path):
+    """A reader of a FIFO waits for a writer."""
+    segment, target = f"fastrtps_{os.getpid() + 4:016x}", tmp_path / "target"
+    names = (segment, f"{segment}_el", f"{segment}_sl")
+    (SHM / names[0]).touch()
+    (SHM / names[1]).symlink_to(target)
+    os.mkfifo(target)
+    os.mkfifo(SHM / names[2])
+    try:
+        assert not leftovers._unlocked(SHM / names[1])
+        assert leftovers._unlocked(SHM / names[2])
+    finally:
+        for name in names:
+            (SHM / name).unlink()

@@ -9,7 +9,7 @@ from im_bringup.machine import record as machine
 from im_bringup.machine import start
 from im_bringup.machine.record import MachineRecord
 from im_core import names
-from im_core.errors import DataError, StateError
+from im_core.errors import DataError, LinkError, StateError
 from im_core.procfs import ProcessId
 
 
@@ -47,6 +47,24 @@ def test_a_damaged_record_is_an_error_with_its_name(text):
     machine.record_path().write_text(text, encoding="utf-8")
     with pytest.raises(DataError, match="is not the record of a machine"):
         machine.read()
+
+
+def test_neither_a_link_nor_a_file_of_another_user_is_taken_for_a_record(tmp_path, monkeypatch):
+    """A link would have root write over its target, a record of another user keep every start away."""
+    target, mine = tmp_path / "target", os.geteuid()
+    target.write_text("precious")
+    machine.record_path().symlink_to(target)
+    with pytest.raises(DataError, match=r"is not the record of a machine: cannot be read: Too many levels of symbo"):
+        machine.read()
+    machine.write(record(ProcessId.current()))
+    assert target.read_text() == "precious"
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    refused = pytest.raises(LinkError, match=f"^{machine.record_path()} belongs to user {mine}.*, not to you; remove")
+    for use in (machine.read, start.require_none_runs, lambda: machine.write(record(ProcessId.current()))):
+        with refused:
+            use()
+    machine.remove()
+    assert machine.record_path().exists()
 
 
 def test_start_prints_the_address_that_the_display_has_told(tmp_path, monkeypatch, capsys):

@@ -4,10 +4,10 @@ import contextlib
 import errno
 import os
 import stat
-import threading
 from pathlib import Path
 
 from im_core.errors import DataError, StoreError, printable
+from im_core.ownership import check_owner, require_own
 
 MEBIBYTE = 2**20
 LARGEST = 64 * MEBIBYTE
@@ -36,21 +36,27 @@ class FileError(DataError):
         self.sentence, self.line, self.column = sentence, line, column
 
 
-def read_bytes(path: str | Path, largest: int = LARGEST) -> bytes:
+def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -> bytes:
     """Read a file whatever the path leads to: nothing is waited for, and no more is read than may be there.
 
     Args:
         path: The file.
         largest: What it may have at most [bytes].
+        own: Whether it must belong to this user and be no link, as where every user may make files.
 
     Raises:
         FileError: There is none, it is no regular file (a folder, a FIFO, a device), or it is larger.
+        LinkError: It must belong to this user, and does not.
     """
     try:
         # without O_NONBLOCK a FIFO would be waited for until somebody writes into it
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
+        descriptor = os.open(path, flags | (os.O_NOFOLLOW if own else 0))
         try:
-            check_regular(path, os.fstat(descriptor))
+            status = os.fstat(descriptor)
+            if own:
+                check_owner(Path(path), status)
+            check_regular(path, status)
             with os.fdopen(descriptor, "rb", closefd=False) as file:
                 data = file.read(largest + 1)
         finally:
@@ -89,12 +95,13 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
         raise FileError(path, f"is not UTF-8 text: {error.reason}", line, column) from error
 
 
-def write_whole(path: Path, content: str | bytes) -> Path:
+def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
     """Write a file in one step: whoever reads it sees the old one or the new one, which after this outlives the power.
 
     Args:
         path: The file; where it is a symbolic link, what it points to is replaced.
         content: Text, written as UTF-8, or bytes.
+        own: Whether it lies where every user may make files: no other user may read it, and a link is replaced.
 
     Returns:
         `path`.
@@ -102,17 +109,22 @@ def write_whole(path: Path, content: str | bytes) -> Path:
     Raises:
         StoreError: It cannot be written, or is a folder, a device or a pipe, and what was there before is untouched; or
             the disk failed when the new one had its name, and a loss of power decides which of them is there.
+        LinkError: It must belong to this user, and does not.
     """
-    target = path.resolve() if path.is_symlink() and path.exists() else path
-    if target.exists() and not target.is_file():
+    target = path.resolve() if path.is_symlink() and path.exists() and not own else path
+    if own:
+        require_own(path)
+    elif target.exists() and not target.is_file():
         raise StoreError(f"{path} cannot be written: it is no regular file", file=str(path), reason="no regular file")
-    beside = target.with_name(f".{target.name[:100]}.{os.getpid()}.{threading.get_native_id()}")
+    # a name that nobody can foresee, and none that is taken: through a link of that name another file were written
+    beside = target.with_name(f".{target.name[:100]}.{os.urandom(8).hex()}")
     data = content.encode() if isinstance(content, str) else content
     try:
-        with beside.open("wb") as file:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(beside, flags, 0o600 if own else 0o666), "wb") as file:
             file.write(data)
             file.flush()
-            if target.exists():
+            if target.exists() and not own:
                 os.fchmod(file.fileno(), stat.S_IMODE(target.stat().st_mode))
             os.fsync(file.fileno())
         os.replace(beside, target)
@@ -131,8 +143,12 @@ def is_same(one: str | Path, other: str | Path) -> bool:
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
-def make_folder(path: Path) -> Path:
+def make_folder(path: Path, mode: int = 0o777) -> Path:
     """Make a folder, and those it is in, where they are missing; they are there after a loss of power, too.
+
+    Args:
+        path: The folder.
+        mode: Who may do what in it, if it is made; the umask takes from that.
 
     Returns:
         `path`.
@@ -142,7 +158,7 @@ def make_folder(path: Path) -> Path:
     """
     try:
         missing = [each for each in (path, *path.parents) if not each.exists()]
-        path.mkdir(parents=True, exist_ok=True)
+        path.mkdir(mode, parents=True, exist_ok=True)
         for each in missing:
             synchronise_names(each.parent)
     except OSError as error:

@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
-from im_core.errors import require_text
+from im_core.errors import LinkError, StoreError, require_text
 from im_core.files import make_folder
+from im_core.ownership import check_owner
 
 
 def instance() -> str:
@@ -20,13 +21,18 @@ CALIBRATION, ESTOP = "calibration", "estop"
 
 
 def run_dir() -> Path:
-    """Folder for logs, databases and pid files of this machine; made if missing.
+    """Folder for logs, journals, databases and sockets of this machine; made if missing, for this user alone.
 
     Raises:
-        StoreError: It cannot be made.
+        StoreError: It cannot be made, belongs to another user, or may be written by other users.
         DataError: No message can carry its name.
     """
-    return _folder("IM_RUN_DIR", Path.cwd() / ".run" / instance())
+    folder = _folder("IM_RUN_DIR", Path.cwd() / ".run" / instance(), 0o700)
+    try:
+        check_owner(folder, folder.stat(), "set another IM_RUN_DIR")
+    except LinkError as error:
+        raise StoreError(error.message, file=str(folder), reason="not this user's alone") from None
+    return folder
 
 
 def display_file() -> Path:
@@ -59,5 +65,5 @@ def cache_dir() -> Path:
     return _folder("IM_CACHE_DIR", Path(home) / "im")
 
 
-def _folder(variable: str, default: Path) -> Path:
-    return make_folder(Path(require_text(os.environ.get(variable) or str(default), f"the folder {variable}")))
+def _folder(variable: str, default: Path, mode: int = 0o777) -> Path:
+    return make_folder(Path(require_text(os.environ.get(variable) or str(default), f"the folder {variable}")), mode)

@@ -3,20 +3,22 @@
 from contextlib import suppress
 from pathlib import Path
 
-_SHM = Path("/dev/shm")
+from im_core.ownership import is_own
+
+SHM = Path("/dev/shm")
 
 
 def remove_all(prefix: str) -> list[str]:
     """Remove every block and semaphore whose name begins with ``prefix``, as after ``kill -9`` of their owners.
 
-    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``. What may
-    not be removed, as another user's, stays (:func:`left`).
+    Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``. What
+    belongs to another user, or cannot be removed, stays (:func:`left`).
 
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
     removed = []
-    for path in left(prefix):
+    for path in filter(is_own, left(prefix)):
         with suppress(OSError):
             path.unlink()
             removed.append(path.name)
@@ -25,4 +27,4 @@ def remove_all(prefix: str) -> list[str]:
 
 def left(prefix: str) -> list[Path]:
     """Files of ``/dev/shm`` that :func:`remove_all` would remove; among them those that were being written."""
-    return sorted(path for path in _SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))
+    return sorted(path for path in SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))

@@ -2,12 +2,15 @@ import json
 import multiprocessing
 import os
 import signal
+import stat
 import subprocess
 import sys
 from collections import deque
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
+import posix_ipc
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -188,21 +191,77 @@ def test_ring_refuses_what_is_not_json_and_says_when_it_is_full():
     ring.close()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
-def test_what_belongs_to_another_user_is_refused_by_name():
-    calls = ("SharedBlock.create(n, 64)", "SharedBlock.attach(n, 0)", "Semaphore.create(n)", "Semaphore.attach(n, 0)")
-    tried = "".join(f"try: {call}\nexcept LinkError as error: print(error)\n" for call in calls)
-    code = (
-        "import os; from im_core.errors import LinkError; from im_core.shm import Semaphore, SharedBlock\n"
-        f"os.setuid(65534); n = '{PREFIX}owned'\n{tried}"
-    )
-    with closing(SharedBlock.create(PREFIX + "owned", 64)) as block, closing(Semaphore.create(PREFIX + "owned")):
+def uses(name):
+    """What may be done with a name in shared memory, and which file it is of."""
+    block, semaphore = Path(f"/dev/shm/{name}"), Path(f"/dev/shm/sem.{name}")
+    return [
+        (block, lambda: SharedBlock.create(name, 64)),
+        (block, lambda: SharedBlock.attach(name, 0.0)),
+        (semaphore, lambda: Semaphore.create(name)),
+        (semaphore, lambda: Semaphore.attach(name, 0.0)),
+    ]
+
+
+def test_what_belongs_to_another_user_is_refused_by_name_and_left_as_it_is(monkeypatch):
+    """This process takes itself for another user, to whom its files are not its own."""
+    name, mine = PREFIX + "owned", os.geteuid()
+    with closing(SharedBlock.create(name, 64)) as block, closing(Semaphore.create(name)):
         block.publish()
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0, check=True)
-        said = done.stdout.splitlines()
-        assert [line.partition(" '")[0] for line in said] == ["shared memory"] * 2 + ["semaphore"] * 2
-        assert all(f"'{PREFIX}owned' belongs to another user of this host" in line for line in said)
-        SharedBlock.attach(PREFIX + "owned", 0.0).close()
+        monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+        for path, use in uses(name):
+            inode = path.stat().st_ino
+            with pytest.raises(LinkError, match=f"^{path} belongs to user {mine}.*, not to you; remove it, or set "):
+                use()
+            assert path.stat().st_ino == inode
+        assert remove_all(PREFIX) == []
+        monkeypatch.undo()
+        for _, attach in uses(name)[1::2]:
+            attach().close()
+
+
+def test_what_others_may_write_is_refused():
+    name = PREFIX + "open"
+    with closing(SharedBlock.create(name, 64)) as block, closing(Semaphore.create(name)):
+        block.publish()
+        for path, use in uses(name):
+            assert stat.S_IMODE(path.stat().st_mode) == 0o600
+            path.chmod(0o666)
+            with pytest.raises(LinkError, match=rf"^{path} may be written by other users \(mode 666\)"):
+                use()
+            path.chmod(0o600)
+
+
+def test_a_link_is_followed_neither_to_a_block_nor_to_a_semaphore(tmp_path):
+    name, target = PREFIX + "link", tmp_path / "target"
+    target.write_bytes(bytes(4096))
+    for path, use in uses(name):
+        path.symlink_to(target)
+        try:
+            made = use()
+        except LinkError as error:
+            assert "cannot be opened: [Errno 40] Too many levels of symbolic links" in str(error)  # noqa: PT017
+            path.unlink()
+        else:
+            assert not path.is_symlink()
+            made.close()
+        assert target.read_bytes() == bytes(4096)
+
+
+def test_a_semaphore_that_changes_hands_while_it_is_opened_is_not_taken(monkeypatch):
+    name = PREFIX + "swapped"
+    path = Path(f"/dev/shm/sem.{name}")
+    real = posix_ipc.Semaphore
+
+    def swap(*arguments):
+        opened = real(*arguments)
+        path.unlink()
+        real(f"/{name}", posix_ipc.O_CREX, mode=0o600).close()
+        return opened
+
+    with closing(Semaphore.create(name)):
+        monkeypatch.setattr(posix_ipc, "Semaphore", swap)
+        with pytest.raises(LinkError, match="does not exist"):
+            Semaphore.attach(name, timeout_s=0.0)
 
 
 def test_semaphore_counts():

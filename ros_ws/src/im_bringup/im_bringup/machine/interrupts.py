@@ -1,34 +1,54 @@
-"""SIGINT and SIGTERM in commands that have something to put away before they end."""
+"""Signals that ask to end, in commands that have something to put away before they do."""
 
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-_NUMBERS = (signal.SIGINT, signal.SIGTERM)
+from im_core.end_signals import END_SIGNALS, heed_end_signals
 
 
 def interrupt_once() -> None:
-    """Let the first SIGINT or SIGTERM raise KeyboardInterrupt, and ignore those that follow.
+    """Let the first signal that asks to end raise KeyboardInterrupt, and ignore those that follow.
 
     Ctrl-C in a terminal reaches a script and its child, and the script passes it on: without this the second one
     would cut the cleaning up short. It also works where a shell started the command in the background, which ignores
     SIGINT.
     """
-    for number in _NUMBERS:
-        signal.signal(number, _raise)
+    heed_end_signals(_raise)
+
+
+@contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Put off KeyboardInterrupt to the end of the block: what it begins is then known as a whole, or not begun.
+
+    Raises:
+        KeyboardInterrupt: A signal that asks to end came within the block.
+    """
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
+    heed_end_signals(lambda number, _: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        _raise(came[0])
 
 
 def ignore_interrupts() -> None:
     """Finish, whatever comes; for commands that take a few seconds at most."""
-    for number in _NUMBERS:
+    for number in END_SIGNALS:
         signal.signal(number, _nothing)  # not SIG_IGN: Python complains of a signal that came just before
-    signal.pthread_sigmask(signal.SIG_BLOCK, _NUMBERS)  # also while the interpreter ends, when handlers are gone
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # also while the interpreter ends, when handlers are gone
 
 
 def _nothing(number: int, frame: FrameType | None) -> None:
     pass
 
 
-def _raise(number: int, frame: FrameType | None) -> NoReturn:
+def _raise(number: int, frame: FrameType | None = None) -> NoReturn:
     ignore_interrupts()
     raise KeyboardInterrupt

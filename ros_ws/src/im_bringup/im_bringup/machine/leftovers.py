@@ -10,11 +10,12 @@ from pathlib import Path
 
 from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
+from im_core.errors import LinkError
+from im_core.ownership import is_own, require_own
 from im_core.procfs import ProcessId
-from im_core.shm_names import left, remove_all
+from im_core.shm_names import SHM, left, remove_all
 from im_core.silence import Patience
 
-_SHM = Path("/dev/shm")
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
 _DYING_S = 10.0
@@ -89,27 +90,18 @@ def remove_shared_memory() -> list[str]:
 
 
 def of_others() -> list[Path]:
-    """What a machine of this ROS domain has left in shared memory that this user may not remove."""
+    """What is left in shared memory under names of this ROS domain, and is not removed by this user."""
     return left(f"{names.instance()}_")
 
 
 def foreign_sentence(others: Sequence[Path]) -> str:
-    """What is said of files in shared memory that this user may not remove, or cannot, as a folder."""
-    if is_mine(others[0]):
-        return f"{others[0]} cannot be removed; no machine has left it there: remove it, or set another ROS_DOMAIN_ID"
-    owners = sorted({_owner(path) for path in others})
-    more = f" and {len(others) - 1} more files" if len(others) > 1 else ""
-    return (
-        f"a machine of this ROS domain is another user's: {others[0]}{more} of {' and '.join(owners)}; who owns it "
-        "stops it with scripts/stop.sh; or set another ROS_DOMAIN_ID"
-    )
-
-
-def _owner(path: Path) -> str:
+    """Say of files in shared memory whose they are, or that one cannot be removed, as a folder."""
     try:
-        return path.owner()
-    except (OSError, KeyError):  # gone, or a number without a name
-        return "another user"
+        require_own(others[0])
+    except LinkError as error:
+        more = f" ({len(others) - 1} more files are left, too)" if len(others) > 1 else ""
+        return f"{error.message}{more}; scripts/stop.sh of that user stops a machine of that user"
+    return f"{others[0]} cannot be removed; no machine has left it there: remove it, or set another ROS_DOMAIN_ID"
 
 
 def _remove_dds_segments() -> tuple[list[str], bool]:
@@ -117,7 +109,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
 
     Fast DDS holds a lock on the lock file of every segment whose owner lives; the kernel gives it back when the owner
     dies. A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the
-    memory first, then the locks. For what is another user's, whose memory is hidden, nobody waits.
+    memory first, then the locks. What belongs to another user, whose memory is hidden, is left alone.
 
     Ports (``fastrtps_port7411`` and its lock and mutex, 52 kB) stay: they have the same names for all processes, and
     whoever begins takes one of the dead over, of which there are as many as ever lived at once. If its name were
@@ -127,7 +119,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
         Names of the files removed, and whether the owner of another one is dying.
     """
     files: dict[str, list[Path]] = {}
-    for path in sorted(_SHM.glob("*fastrtps_*")):
+    for path in filter(is_own, sorted(SHM.glob("*fastrtps_*"))):
         match = _DDS_FILE.match(path.name)
         if match is not None:
             files.setdefault(match.group(1), []).append(path)
@@ -139,10 +131,10 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
         if in_memory:
             continue
         if any(not _unlocked(path) for path in locks):
-            dying = dying or any(is_mine(path) for path in locks)
+            dying = True
             continue
         for path in paths:
-            with suppress(OSError):  # another user's
+            with suppress(OSError):  # gone meanwhile
                 path.unlink()
                 removed.append(path.name)
     return removed, dying
@@ -159,20 +151,18 @@ def _mapped_names() -> set[str]:
     return names
 
 
-def is_mine(path: Path) -> bool:
-    """Whether a file is there, and is this user's."""
-    try:
-        return path.stat().st_uid == os.geteuid()
-    except OSError:
-        return False
-
-
 def _unlocked(path: Path) -> bool:
+    """Whether nobody holds the lock of a file; no link is followed, no FIFO waited for."""
     try:
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         return True
     except OSError:
         return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    finally:
+        os.close(descriptor)
     return True

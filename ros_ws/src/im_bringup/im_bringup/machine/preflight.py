@@ -11,7 +11,8 @@ from pathlib import Path
 from im_bringup.tasks.deployment import Deployment
 from im_core import files, names
 from im_core.errors import ImError, StoreError
-from im_core.files import FileError, write_whole
+from im_core.files import FileError
+from im_core.shm_names import SHM
 
 # Counted on the machine of the default deployment, 11 participants, while it ran a command.
 #: Most that any process has open is 29; the page of the display has up to 150 connections more, and as they come 32.
@@ -27,7 +28,6 @@ FILES = 128
 #: Segments of Fast DDS are 17.6 MB, logs as large before they are rotated.
 FILE_BYTES = 32 * 2**20
 
-_SHM = Path("/dev/shm")
 _MIB = 2**20
 
 
@@ -40,11 +40,11 @@ def check_host() -> None:
     _check_open_files()
     _check_file_size()
     for find in (names.run_dir, names.results_dir, _ros_logs):
-        folder = _check_writable(find, ".preflight")
+        folder = _check_writable(find)
         _check_room(folder)
         _check_files(folder)
-    _check_writable(_temporary, ".preflight")
-    _check_files(_check_writable(lambda: _SHM, f"{names.instance()}_preflight"))
+    _check_writable(_temporary)
+    _check_files(_check_writable(lambda: SHM))
 
 
 def check_folder(folder: Path) -> None:
@@ -53,7 +53,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         ImError: It cannot.
     """
-    _check_writable(lambda: files.make_folder(folder), ".preflight")
+    _check_writable(lambda: files.make_folder(folder))
 
 
 def check_shared_memory(deployment: Deployment) -> None:
@@ -66,10 +66,10 @@ def check_shared_memory(deployment: Deployment) -> None:
         ImError: There is too little.
     """
     needed = shared_memory_bytes(len(deployment.on_host(deployment.local_host())))
-    free = shutil.disk_usage(_SHM).free
+    free = shutil.disk_usage(SHM).free
     if free < needed:
         there, least = f"{free / _MIB:.0f} MiB", f"{needed / _MIB:.0f} MiB"
-        sentence = f"{_SHM} has {there} free, and the machine needs {least} there (in a container: --shm-size)"
+        sentence = f"{SHM} has {there} free, and the machine needs {least} there (in a container: --shm-size)"
         raise _refused(sentence, free=free, needed=needed)
 
 
@@ -114,13 +114,18 @@ def _temporary() -> Path:
         raise StoreError("no folder for temporary files can be written", file="/tmp", reason=str(error)) from error
 
 
-def _check_writable(find: Callable[[], Path], name: str) -> Path:
-    """Write a file of that name into a folder, and remove it; the folder."""
+def _check_writable(find: Callable[[], Path]) -> Path:
+    """Write a file without a name into a folder, which is returned."""
     try:
         folder = find()  # which makes it
-        write_whole(folder / name, bytes(4096)).unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(4096))
+            file.flush()
+            os.fsync(file.fileno())
     except StoreError as error:
         raise _refused(error.message, **error.facts) from error
+    except OSError as error:
+        raise _refused(f"{folder} cannot be written: {error.strerror}", folder=str(folder)) from error
     return folder
 
 

@@ -11,10 +11,11 @@ import pydantic
 
 from im_core import clock, names
 from im_core.config import field_name
-from im_core.errors import DataError, StateError
-from im_core.files import MEBIBYTE, FileError, write_whole
-from im_core.jsontext import load_json
+from im_core.errors import DataError, LinkError, StateError
+from im_core.files import MEBIBYTE, FileError, read_bytes, write_whole
+from im_core.ownership import is_own, require_own
 from im_core.procfs import ProcessId
+from im_core.shm_names import SHM
 
 #: How long a supervisor may take to notice that its bootstrap was killed [s].
 _NOTICED_S = 2.0
@@ -71,12 +72,12 @@ class MachineRecord:
 
 _RECORD = pydantic.TypeAdapter(MachineRecord)
 _LARGEST = MEBIBYTE
-_SHM, _RECORD_SUFFIX = Path("/dev/shm"), "_machine.json"
+_RECORD_SUFFIX = "_machine.json"
 
 
 def record_path(instance: str | None = None) -> Path:
     """The record's file. It is in shared memory, so that it holds for all folders and ends with the computer's run."""
-    return _SHM / f"{instance or names.instance()}{_RECORD_SUFFIX}"
+    return SHM / f"{instance or names.instance()}{_RECORD_SUFFIX}"
 
 
 def read(path: Path | None = None) -> MachineRecord | None:
@@ -87,12 +88,13 @@ def read(path: Path | None = None) -> MachineRecord | None:
 
     Raises:
         DataError: The file is not a record.
+        LinkError: It belongs to another user.
     """
     path = path or record_path()
-    if not path.exists():
+    if require_own(path) is None:
         return None
     try:
-        return _RECORD.validate_python(load_json(path, _LARGEST))
+        return _RECORD.validate_json(read_bytes(path, _LARGEST, own=True))
     except FileError as error:
         raise DataError(f"{path} is not the record of a machine: {error.sentence}", file=str(path)) from error
     except pydantic.ValidationError as error:
@@ -107,6 +109,7 @@ def read_running() -> MachineRecord:
     Raises:
         StateError: None runs.
         DataError: The record cannot be read.
+        LinkError: It belongs to another user.
     """
     deadline = clock.monotonic() + _NOTICED_S
     while (record := read()) is not None and not record.alive and clock.monotonic() < deadline:
@@ -124,10 +127,10 @@ def neighbour(run_dir: Path) -> str:
 
     Whoever may write into ``/dev/shm`` may leave a file there that is no record: it is nobody's.
     """
-    for path in sorted(_SHM.glob(f"im*{_RECORD_SUFFIX}")):
+    for path in sorted(SHM.glob(f"im*{_RECORD_SUFFIX}")):
         if path == record_path():
             continue
-        with suppress(DataError):
+        with suppress(DataError, LinkError):
             record = read(path)
             if record is not None and record.alive and Path(record.run_dir).resolve() == run_dir.resolve():
                 return path.name.removesuffix(_RECORD_SUFFIX)
@@ -135,13 +138,19 @@ def neighbour(run_dir: Path) -> str:
 
 
 def write(record: MachineRecord) -> None:
-    """Replace the record in one step."""
-    write_whole(record_path(), json.dumps(asdict(record)))
+    """Replace the record in one step.
+
+    Raises:
+        LinkError: There is a file of another user.
+        StoreError: It cannot be written.
+    """
+    write_whole(record_path(), json.dumps(asdict(record)), own=True)
 
 
 def remove() -> None:
-    """Remove the record."""
-    record_path().unlink(missing_ok=True)
+    """Remove the record, unless it belongs to another user."""
+    if is_own(record_path()):
+        record_path().unlink(missing_ok=True)
 
 
 def domain() -> str:

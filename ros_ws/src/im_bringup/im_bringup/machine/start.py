@@ -3,17 +3,16 @@
 import argparse
 import os
 import shutil
-import socket
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
-from im_bringup.machine.interrupts import interrupt_once
+from im_bringup.machine.interrupts import ignore_interrupts, interrupt_once, interrupts_held
 from im_bringup.machine.output import complain, say
 from im_bringup.machine.record import MachineRecord
+from im_bringup.machine.start_mark import only_one
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
@@ -98,34 +97,14 @@ def main() -> int:
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
         failure = 1
-        with only_one():
-            return start(deployment, path, arguments.timeout, arguments.fresh)
+        with only_one() as mark:
+            return start(deployment, path, arguments.timeout, arguments.fresh, mark.stop_asked)
     except KeyboardInterrupt:
         complain("\nstart: interrupted")
         return INTERRUPTED
     except ImError as error:
         complain(f"start: {error.message}")
         return failure
-
-
-@contextmanager
-def only_one() -> Iterator[None]:
-    """See to it that this is the only start of this ROS domain on this host, while it is under way.
-
-    Each makes way for its own machine, and would end that of the other before its record tells of it.
-
-    Raises:
-        StateError: Another one is.
-    """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as mark:
-        try:
-            mark.bind(f"\0{names.instance()}_start")  # a name that no file has; it goes with the process
-        except OSError as error:
-            raise StateError(
-                f"another start of ROS domain {machine.domain()} is under way; wait for it, or set another "
-                "ROS_DOMAIN_ID"
-            ) from error
-        yield
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:
@@ -180,7 +159,13 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
             )
 
 
-def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = True) -> int:
+def start(
+    deployment: Deployment,
+    path: Path,
+    timeout_s: float,
+    fresh: bool = True,
+    stop_asked: Callable[[], bool] = lambda: False,
+) -> int:
     """Start the machine.
 
     Args:
@@ -188,12 +173,13 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
         path: The file it came from.
         timeout_s: Longest wait for all tasks to be ready [s].
         fresh: Begin a new mission whatever became of the one before.
+        stop_asked: Whether the machine is to be stopped, though it is not yet ready.
 
     Returns:
         0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then.
 
     Raises:
-        StateError: A machine of this ROS domain runs already.
+        StateError: A machine of this ROS domain runs already, or it was stopped while it started.
         ImError: This host has not what the machine needs; nothing was started.
         KeyboardInterrupt: It was interrupted before it began to clear the way; nothing was touched.
     """
@@ -208,9 +194,10 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
         if said := reach(os.environ, deployment):
             say(f"start: {said}")
         took = {"preflight": clock.monotonic() - began}
-        process = spawn_bootstrap(deployment, path, timeout_s)
+        with interrupts_held():  # a process that is just forked has no mark yet by which it would be found and ended
+            process = spawn_bootstrap(deployment, path, timeout_s)
         try:
-            return await_ready(process, began, timeout_s, took, goes_on)
+            return await_ready(process, began, timeout_s, took, goes_on, stop_asked)
         except ImError:
             stop.stop(say=lambda _: None)
             raise
@@ -220,7 +207,14 @@ def start(deployment: Deployment, path: Path, timeout_s: float, fresh: bool = Tr
         return INTERRUPTED
 
 
-def await_ready(process: ChildProcess, began: float, timeout_s: float, took: dict[str, float], goes_on: bool) -> int:
+def await_ready(
+    process: ChildProcess,
+    began: float,
+    timeout_s: float,
+    took: dict[str, float],
+    goes_on: bool,
+    stop_asked: Callable[[], bool] = lambda: False,
+) -> int:
     """Wait until all tasks are ready, and say what happens meanwhile.
 
     Args:
@@ -229,18 +223,22 @@ def await_ready(process: ChildProcess, began: float, timeout_s: float, took: dic
         timeout_s: Longest wait since then [s].
         took: How long its parts before have taken [s].
         goes_on: Whether a mission goes on.
+        stop_asked: Whether the machine is to be stopped.
 
     Returns:
         0 if all tasks are ready, else 1; the machine is down again then.
 
     Raises:
+        StateError: The machine was stopped.
         ImError: What the bootstrap tells cannot be read.
     """
     shown = ""
     while clock.monotonic() - began < timeout_s:
         record = machine.read()
+        if process.poll() == 0 or stop_asked():
+            raise StateError("the machine was stopped while it started")
         if process.poll() is not None:
-            complain(f"start: the bootstrap ended at once: {stop.bootstrap_words()}")
+            complain(f"start: the bootstrap has ended: {stop.bootstrap_words()}")
             stop.stop(say=lambda _: None)
             return 1
         if record is not None:
@@ -249,6 +247,7 @@ def await_ready(process: ChildProcess, began: float, timeout_s: float, took: dic
                 shown = record.phase
                 say(f"start: {shown.lower()} {record.tasks} tasks")
             if record.state == machine.READY:
+                ignore_interrupts()  # whoever asks for the end learns from the exit code that the machine runs
                 print_ready(record, clock.monotonic() - began)
                 print_parts({**took, **record.took})
                 return 0

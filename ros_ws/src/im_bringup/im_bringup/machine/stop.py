@@ -10,8 +10,9 @@ from im_bringup.machine import leftovers, mission, output
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
+from im_bringup.machine.start_mark import end_start
 from im_core import clock, names
-from im_core.errors import DataError
+from im_core.errors import DataError, LinkError
 from im_core.process import last_words
 
 #: The bootstrap's own ordered shutdown takes less than this, and its supervisor notices its end [s].
@@ -28,6 +29,8 @@ def main() -> int:
     )
     parser.parse_args()
     ignore_interrupts()
+    if end_start():
+        output.say("stop: a start was under way, and has ended")
     return stop(output.say)
 
 
@@ -43,15 +46,12 @@ def stop(say: Callable[[str], None]) -> int:
     began = clock.monotonic()
     try:
         record = machine.read()
-    except DataError:
+    except (DataError, LinkError):  # what is no record, or belongs to another user, is told of at the end
         record = None
     ran = record is not None and is_member(record.process)
     if record is not None and ran:
         signal_member(record.process, signal.SIGINT)
         leftovers.await_end(_ORDERLY_S)
-    elif record is not None and record.alive and not leftovers.is_mine(machine.record_path()):  # root could remove it
-        output.complain(f"stop: {leftovers.foreign_sentence([machine.record_path()])}")
-        return 1
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     if ran and record is not None and record.state == machine.READY:

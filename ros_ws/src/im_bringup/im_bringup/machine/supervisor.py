@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock
 from im_core import pulse as pulse_memory
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.process import ChildProcess
 from im_core.pulse import Pulse
@@ -225,8 +226,7 @@ class Hang:
 def main() -> int:
     """Run the command: a bootstrap and its arguments."""
     supervisor = BootstrapKeeper(sys.argv[1:])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, supervisor.stop)
+    heed_end_signals(supervisor.stop)
     return supervisor.run()
 
 

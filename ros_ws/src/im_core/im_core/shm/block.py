@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import LinkError
+from im_core.ownership import check_owner, require_own
 from im_core.procfs import ProcessId
-from im_core.shm.ownership import own_names
+from im_core.shm_names import SHM
 
 _MAGIC = 0x696D5F73686D3032
 _HEADER = np.dtype([("magic", "<u8"), ("pid", "<i8"), ("start", "<i8"), ("size", "<u8")])
 _HEADER_BYTES = 64
 _POLL_S = 0.01
-_KIND = "shared memory"
 
 
 class SharedBlock:
@@ -50,10 +50,13 @@ class SharedBlock:
             LinkError: Another living process, or another user, owns a block of that name, or there is no room for it.
         """
         whole = _HEADER_BYTES + size
-        with own_names(_KIND, name):
-            _refuse_if_in_use(name)
-            unlink(name)
+        require_own(SHM / name)
+        _refuse_if_in_use(name)
+        unlink(name)
+        try:
             shared = posix_ipc.SharedMemory(f"/{name}", posix_ipc.O_CREX, mode=0o600)
+        except posix_ipc.ExistentialError as error:  # since it was unlinked
+            raise LinkError(f"shared memory '{name}' is made by another process, too", name=name) from error
         try:
             os.posix_fallocate(shared.fd, 0, whole)
             memory = mmap.mmap(shared.fd, whole)
@@ -144,12 +147,16 @@ class SharedBlock:
 def _open(name: str) -> tuple[mmap.mmap | None, str]:
     """Map a published block with a living owner, or say why there is none."""
     try:
-        with own_names(_KIND, name):
-            shared = posix_ipc.SharedMemory(f"/{name}")
+        require_own(SHM / name)
+        shared = posix_ipc.SharedMemory(f"/{name}")
     except posix_ipc.ExistentialError:
         return None, "does not exist"
+    except (OSError, posix_ipc.PermissionsError) as error:  # a link, which is not followed
+        raise LinkError(f"shared memory '{name}' cannot be opened: {error}", name=name) from error
     try:
-        size = os.fstat(shared.fd).st_size
+        status = os.fstat(shared.fd)
+        check_owner(SHM / name, status)
+        size = status.st_size
         if size < _HEADER_BYTES:
             return None, "is being created"
         memory = mmap.mmap(shared.fd, size)

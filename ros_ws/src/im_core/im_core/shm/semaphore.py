@@ -1,14 +1,14 @@
 """Named semaphores (the paper's inter-processor blocking)."""
 
+from pathlib import Path
 from typing import Self
 
 import posix_ipc
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.shm.ownership import own_names
-
-_KIND = "semaphore"
+from im_core.ownership import require_own
+from im_core.shm_names import SHM
 
 _POLL_S = 0.01
 
@@ -29,9 +29,12 @@ class Semaphore:
         Raises:
             LinkError: It is another user's.
         """
-        with own_names(_KIND, name):
-            _unlink(name)
+        require_own(_path(name))
+        _unlink(name)
+        try:
             made = posix_ipc.Semaphore(f"/{name}", posix_ipc.O_CREX, mode=0o600, initial_value=0)
+        except posix_ipc.ExistentialError as error:  # since it was unlinked
+            raise LinkError(f"semaphore '{name}' is made by another process, too", name=name) from error
         return cls(name, made, owned=True)
 
     @classmethod
@@ -42,16 +45,13 @@ class Semaphore:
             LinkError: No such semaphore appeared within ``timeout_s`` [s], or it is another user's.
         """
         deadline = clock.monotonic() + timeout_s
-        while True:
-            try:
-                with own_names(_KIND, name):
-                    return cls(name, posix_ipc.Semaphore(f"/{name}"), owned=False)
-            except posix_ipc.ExistentialError:
-                if clock.monotonic() >= deadline:
-                    raise LinkError(
-                        f"semaphore '{name}' does not exist (waited {timeout_s:g} s)", name=name, seconds=timeout_s
-                    ) from None
-                clock.sleep(_POLL_S)
+        while (opened := _open(name)) is None:
+            if clock.monotonic() >= deadline:
+                raise LinkError(
+                    f"semaphore '{name}' does not exist (waited {timeout_s:g} s)", name=name, seconds=timeout_s
+                )
+            clock.sleep(_POLL_S)
+        return cls(name, opened, owned=False)
 
     def post(self) -> None:
         """Raise the counter by one."""
@@ -80,6 +80,28 @@ class Semaphore:
         if self.owned:
             self.owned = False
             _unlink(self.name)
+
+
+def _path(name: str) -> Path:
+    return SHM / f"sem.{name}"
+
+
+def _open(name: str) -> posix_ipc.Semaphore | None:
+    """Open a semaphore of this user, None if there is none.
+
+    Its owner is looked up by name before and after: the same inode, which others may not remove, was opened between.
+    """
+    before = require_own(_path(name))
+    try:
+        opened = posix_ipc.Semaphore(f"/{name}")
+    except posix_ipc.ExistentialError:
+        return None
+    except (OSError, posix_ipc.PermissionsError) as error:  # a link, which is not followed
+        raise LinkError(f"semaphore '{name}' cannot be opened: {error}", name=name) from error
+    if before is None or require_own(_path(name)) != before:
+        opened.close()
+        return None
+    return opened
 
 
 def _unlink(name: str) -> None:

@@ -1,0 +1,69 @@
+"""Ownership of files where every user of the host may make some, as in ``/dev/shm``: no user's file is used by another.
+
+Opening such a file must follow no link (``O_NOFOLLOW``), making one must fail where the name is taken (``O_EXCL``).
+"""
+
+import os
+import pwd
+import stat
+from pathlib import Path
+
+from im_core.errors import LinkError
+
+_WRITABLE = stat.S_IWGRP | stat.S_IWOTH
+
+
+def require_own(path: Path) -> int | None:
+    """Refuse a file of another user; a link is not followed.
+
+    Args:
+        path: The file, below ``/dev/shm``.
+
+    Returns:
+        Its inode, which names it for good; None if there is no such file.
+
+    Raises:
+        LinkError: As of :func:`check_owner`.
+    """
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return None
+    check_owner(path, status)
+    return status.st_ino
+
+
+def check_owner(path: Path, status: os.stat_result, way_out: str = "set another ROS_DOMAIN_ID") -> None:
+    """Refuse a file or folder that belongs to another user, or that other users may write into.
+
+    Args:
+        path: Its name, for the message.
+        status: What the kernel says of it.
+        way_out: What to do other than to remove it or to change its mode.
+
+    Raises:
+        LinkError: It is refused; the message names the owner or the mode.
+    """
+    if status.st_uid != os.geteuid():
+        reason = f"belongs to {user(status.st_uid)}, not to you; remove it"
+    elif status.st_mode & _WRITABLE and not stat.S_ISLNK(status.st_mode):  # the mode of a link means nothing
+        reason = f"may be written by other users (mode {stat.S_IMODE(status.st_mode):o}); chmod go-w it"
+    else:
+        return
+    raise LinkError(f"{path} {reason}, or {way_out}", name=path.name)
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file is there and belongs to this user; a link is not followed."""
+    try:
+        return path.lstat().st_uid == os.geteuid()
+    except OSError:
+        return False
+
+
+def user(uid: int) -> str:
+    """A user, by number and, where the host knows one, by name."""
+    try:
+        return f"user {uid} ({pwd.getpwuid(uid).pw_name})"
+    except KeyError:
+        return f"user {uid}"
