@@ -1,6 +1,10 @@
 """What holds for all tests, those of the packages and those with nodes."""
 
+import signal
+
 from hypothesis import HealthCheck, settings
+
+from im_core.end_signals import heed_end_signals
 
 # A verdict is of the code: not of how fast this computer is, nor of which cases are drawn today.
 # ``--hypothesis-profile default`` draws other cases each time.
@@ -8,3 +12,6 @@ settings.register_profile(
     "same_everywhere", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("same_everywhere")
+
+# A test that is cut short puts away what it has begun, as after Ctrl-C.
+heed_end_signals(signal.default_int_handler)

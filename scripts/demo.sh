@@ -8,7 +8,8 @@
 #   scripts/demo.sh --poses FILE        other poses
 #   scripts/demo.sh --record            and a bag of it, into bags/
 #
-# Results: results/latest (report.json, summary.txt, pictures). The machine is stopped in any case, also after Ctrl-C.
+# Results: results/latest (report.json, summary.txt, pictures). The machine is stopped in any case: after Ctrl-C, SIGTERM
+# and SIGHUP, and when the terminal is closed. After kill -9 of this script what it began goes on; scripts/stop.sh ends it.
 # Exit codes: 0 calibrated, 1 something failed (said what), 2 bad usage, 4 the computer lacks something, 130 interrupted.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
@@ -28,29 +29,33 @@ while (($#)); do
 done
 [[ -z "$poses" || -r "$poses" ]] || die 2 "there is no poses file $poses"
 
-child="" recorder="" started=0
+child="" recorder="" started=0 interrupted=0 again=0
 
+# A signal ends the command that runs, and no more: where the script is then decides what there is to put away.
+interrupt() {
+  interrupted=1 again=1
+  if [[ -n "$child" ]]; then kill -TERM "$child" 2>/dev/null || true; fi
+}
 # Commands run in the background, so that a signal is acted on at once and not after the command's end.
 run() {
   local code=0
+  if ((interrupted)); then return 130; fi
   "$@" &
   child=$!
-  wait "$child" || code=$?
+  if ((interrupted)); then interrupt; fi  # it came when there was no child to end
+  again=1
+  while ((again)); do  # a wait that a signal cut short tells nothing of the child
+    again=0 code=0
+    wait "$child" || code=$?
+  done
   child=""
   return "$code"
 }
-interrupted() {
-  trap '' INT TERM
-  if [[ -n "$child" ]]; then
-    kill -TERM "$child" 2>/dev/null || true
-    if wait "$child"; then started=1; fi
-  fi
-  exit 130
-}
 finish() {
-  local code=$?
-  trap '' INT TERM
+  trap '' INT TERM HUP
   trap - EXIT
+  local code="$1"
+  if ((interrupted)); then code=130; fi
   if [[ -n "$recorder" ]]; then
     kill -TERM "$recorder" 2>/dev/null || true
     wait "$recorder" || true
@@ -58,8 +63,8 @@ finish() {
   if ((started)); then "$IM_BRINGUP/stop" || code=1; fi
   exit "$code"
 }
-trap finish EXIT
-trap interrupted INT TERM
+trap 'finish $?' EXIT
+trap interrupt INT TERM HUP
 
 "$IM_ROOT/scripts/setup.sh"
 im_env
@@ -67,8 +72,12 @@ if ((record)); then  # before the machine: what is volatile reaches only who is 
   "$IM_BRINGUP/record" &
   recorder=$!
 fi
-run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port "$port"}
 started=1
+run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port "$port"} || {
+  code=$?
+  started=0  # it says why, and has left nothing; a machine that runs already is not of this script
+  exit "$code"
+}
 run "$IM_BRINGUP/calibrate_camera" ${poses:+--poses "$poses"}
 say ""
 say "against the truth, which only the testbed knows:"

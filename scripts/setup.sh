@@ -66,7 +66,7 @@ ticker() {
 # step NAME PROGRESS COMMAND...: runs it and says how long it took; what it printed is shown only if it fails.
 # PROGRESS is a command that prints how far it is, after a comma.
 step() {
-  local name="$1" progress="$2" began="$EPOCHREALTIME" code=0 log told tick
+  local name="$1" progress="$2" began="$EPOCHREALTIME" code=0 told tick
   shift 2
   log="$(mktemp)"
   [[ -t 1 ]] && line "$name" ""
@@ -303,7 +303,9 @@ write_stamp() {
 
 began="$EPOCHREALTIME"
 exec {errors}>&2  # a trap within a step would speak into the step's log
-trap 'echo "setup: interrupted; run it again, it goes on where it stopped" >&"$errors"; exit 130' INT TERM
+log=""  # of the step under way
+trap 'rm -f "$log"' EXIT
+trap 'echo "setup: interrupted; run it again, it goes on where it stopped" >&"$errors"; exit 130' INT TERM HUP
 mkdir -p "$IM_ROOT/.run"
 exec 9>"$IM_ROOT/.run/setup.lock"
 if ! flock -n 9; then

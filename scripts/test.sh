@@ -28,7 +28,7 @@ cd "$IM_ROOT"
   die 2 "pytest does not take these arguments"
 results="$(mktemp -d)"
 trap 'kill "${mypy:-}" 2>/dev/null || true; rm -rf "$results"' EXIT
-trap 'exit 130' INT TERM
+trap 'exit 130' INT TERM HUP
 passed=0 failed=0
 
 # check NAME COMMAND...: one check, one result.

@@ -1,10 +1,10 @@
 """``pnt draw``: draws a net. ``pnt display``: shows the nets over a recording on a web page."""
 
 import argparse
-import signal
 import threading
 from pathlib import Path
 
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, write_output
@@ -48,15 +48,14 @@ def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def run_display(options: argparse.Namespace) -> int:
-    """Shows a recording until SIGINT or SIGTERM."""
+    """Show a recording until a signal asks to end."""
     from im_pnt_analysis.timed.recording import recording_of  # the libraries of bags and of web pages take a while
     from im_pnt_display.page.recording import RecordedNets
     from im_pnt_display.page.server import DisplayServer
 
     recording = recording_of(options.bag)
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    heed_end_signals(lambda *_: ended.set())
     server = DisplayServer(options.host, options.port, recording=RecordedNets(options.bag.resolve().name, recording))
     server.start()
     try:

@@ -1,6 +1,5 @@
 """The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0 [--config cell.yaml]``."""
 
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 from im_cell.link import HostEnd
 from im_cell.robot import load_cell
 from im_core import scheduling
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.options import NumberParser
 from im_sim.laser import Laser
@@ -18,7 +18,7 @@ FIFO_PRIORITY = 70  # below the servo, which it must not delay
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Simulate until SIGTERM or SIGINT.
+    """Simulate until a signal asks to end.
 
     Returns:
         Exit code: 0 after an orderly end, 1 after an error, whose sentence is the last line written.
@@ -52,8 +52,7 @@ def simulate(instance: str, config: Path | None, period: float, factor: float, s
     with HostEnd.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
         plant = Plant(cell, seed)
         loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: loop.stop())
+        heed_end_signals(lambda *_: loop.stop())
         scheduling.prefer(FIFO_PRIORITY, paced=factor > 0.0)
         loop.run()
         plant.close()

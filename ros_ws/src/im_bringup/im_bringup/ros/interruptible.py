@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -13,7 +12,9 @@ from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.machine import record as machine
+from im_bringup.machine.output import complain
 from im_core import clock
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError, StoreError, WaitTimeoutError
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
@@ -95,9 +96,9 @@ NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 
 
 class OwnOutput:
-    """Standard output of a program, without what rclpy says there: 7.1 prints a warning for each timer beyond eight.
+    """Standard output or error of a program, without what rclpy says there: 7.1 warns of each timer beyond eight.
 
-    What cannot be written (a full disk, a reader that has gone) ends nothing: the machine is being waited for.
+    What cannot be written (a full disk, a reader or a terminal that has gone) ends nothing: the machine is waited for.
 
     Args:
         stream: Where the rest goes; None: nowhere, it was closed when the program began.
@@ -161,6 +162,7 @@ def own_output() -> Iterator[None]:
         own = OwnOutput(out)
         stack.callback(own.flush)
         stack.enter_context(contextlib.redirect_stdout(cast(TextIO, own)))
+        stack.enter_context(contextlib.redirect_stderr(cast(TextIO, OwnOutput(sys.stderr))))
         yield
         own.flush()
         own.check()
@@ -173,7 +175,7 @@ def _close(stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
-    """Within it ROS is there, and a node spins that SIGINT and SIGTERM interrupt.
+    """Within it ROS is there, and a node spins that signals which ask to end interrupt.
 
     Args:
         make: Makes the node.
@@ -182,8 +184,7 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
             node = make()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: node.interrupt())
+            heed_end_signals(lambda *_: node.interrupt())
             with Spinner([node]):
                 yield node
         finally:
@@ -202,14 +203,14 @@ def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str, goes_
     try:
         machine.read_running()
     except ImError as error:
-        print(f"{who}: {error.message}", file=sys.stderr)
+        complain(f"{who}: {error.message}")
         return NOT_RUNNING
     try:
         with spun(make) as client:
             return use(client)
     except KeyboardInterrupt:
-        print(f"{who}: no longer waiting{goes_on}", file=sys.stderr)
+        complain(f"{who}: no longer waiting{goes_on}")
         return INTERRUPTED
     except ImError as error:
-        print(f"{who}: {error.message}", file=sys.stderr)
+        complain(f"{who}: {error.message}")
         return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED

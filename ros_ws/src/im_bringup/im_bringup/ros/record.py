@@ -1,7 +1,6 @@
-"""``record``: every topic of the ROS domain into a bag, also those that appear later, until SIGINT or SIGTERM."""
+"""``record``: every topic of the ROS domain into a bag, also those that appear later, until a signal asks to end."""
 
 import argparse
-import signal
 import sys
 import threading
 from collections.abc import Iterator
@@ -17,8 +16,9 @@ from rclpy.subscription import Subscription
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from im_bringup.bag import BagWriter, Delivery, default_folder
-from im_bringup.machine.output import say
+from im_bringup.machine.output import complain, say
 from im_core import clock
+from im_core.end_signals import heed_end_signals
 from im_core.errors import DataError, ImError, StoreError
 from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
@@ -203,7 +203,7 @@ class BagRecorder:
             raise
         except ImError as error:
             self._refused.add(topic)
-            print(f"record: {topic} is left out: {error.message}", file=sys.stderr)
+            complain(f"record: {topic} is left out: {error.message}")
             return
         self._topics[topic] = recorded
         recorded.subscribe()
@@ -215,7 +215,7 @@ class BagRecorder:
         if others and not recorded.has_other_types:
             recorded.has_other_types = True
             told = f"of {recorded.type_name} is recorded; it is also published as {', '.join(sorted(others))}"
-            print(f"record: {topic}: what is {told}", file=sys.stderr)
+            complain(f"record: {topic}: what is {told}")
         before = recorded.delivery
         now = weaker(before, delivery_of(_of_type(recorded.type_name, publishers)))
         if (now.reliable, now.latched) != (before.reliable, before.latched):
@@ -293,7 +293,7 @@ def main() -> int:
     try:
         bag = BagWriter(path)
     except ImError as error:
-        print(f"record: {error.message}", file=sys.stderr)
+        complain(f"record: {error.message}")
         return 2
     contexts = [rclpy.Context() for _ in range(2)]
     nodes: list[Any] = []
@@ -301,8 +301,7 @@ def main() -> int:
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         nodes.append(GuardedNode(name, context=context, enable_rosout=False, start_parameter_services=False))
     recorder = BagRecorder(nodes[0], nodes[1], bag, arguments.topics)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: recorder.request_stop())
+    heed_end_signals(lambda *_: recorder.request_stop())
     say(f"record: into {path}; Ctrl-C ends it")
     trouble: ImError | None = None
     try:
@@ -315,9 +314,9 @@ def main() -> int:
             context.try_shutdown()
         unfinished = closed(bag)
     if missing := recorder.missing():
-        print(f"record: nobody published on {', '.join(missing)}", file=sys.stderr)
+        complain(f"record: nobody published on {', '.join(missing)}")
     if (trouble := trouble or unfinished) is not None:
-        print(f"record: {trouble.message}", file=sys.stderr)
+        complain(f"record: {trouble.message}")
         return 1
     say(f"record: {sum(bag.counts.values())} messages of {len(bag.counts)} topics in {path}")
     return 0

@@ -7,7 +7,6 @@ import os
 import re
 import select
 import shutil
-import signal
 import sys
 import termios
 import threading
@@ -27,10 +26,11 @@ from rosgraph_msgs.msg import Clock
 from im_bringup.bag import BagReader, BagWriter, chosen_topics
 from im_bringup.bag.playback import KEYS, Controls, Playback
 from im_bringup.bag.reader import changed_type
-from im_bringup.machine.output import say
+from im_bringup.machine.output import complain, say
 from im_bringup.ros.record import check_topic_name, to_profile
 from im_core import clock
 from im_core.bag.command_line import parsed
+from im_core.end_signals import heed_end_signals
 from im_core.errors import DataError, ImError, NotFoundError
 from im_core.options import NumberParser
 from im_core.ros import qos
@@ -162,7 +162,7 @@ def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str]
         except (NotFoundError, DataError) as error:
             if named:
                 raise
-            print(f"replay: {topic} is left out: {error.message}", file=sys.stderr)
+            complain(f"replay: {topic} is left out: {error.message}")
         else:
             known.append(topic)
     return known
@@ -179,9 +179,12 @@ def keys_pressed(controls: Controls) -> Iterator[None]:
     def read() -> None:
         while not done.is_set():
             if select.select([sys.stdin], [], [], _LONGEST_SLEEP_S)[0]:
-                typed = os.read(sys.stdin.fileno(), _MOST_TYPED)  # not sys.stdin, which would wait for more
-                if not typed:
+                try:
+                    typed = os.read(sys.stdin.fileno(), _MOST_TYPED)  # not sys.stdin, which would wait for more
+                except OSError:
                     return  # the terminal is gone
+                if not typed:
+                    return
                 for key in _KEY.findall(typed.decode("ascii", "replace")):
                     controls.press(_ARROWS.get(key, key))
 
@@ -193,7 +196,8 @@ def keys_pressed(controls: Controls) -> Iterator[None]:
     finally:
         done.set()
         reader.join()
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # the terminal is gone
+            termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
 
 
 def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
@@ -281,7 +285,7 @@ def _extracted(path: Path, topics: Sequence[str], folder: Path) -> int:
         with BagReader(path) as bag:
             count = extract(bag, topics, folder.resolve())
     except ImError as error:
-        print(f"replay: {error.message}", file=sys.stderr)
+        complain(f"replay: {error.message}")
         return 2
     say(f"replay: {count} messages in {folder}")
     return 0
@@ -323,14 +327,13 @@ def main() -> int:
             playback = Playback(
                 bag, topics, controls, arguments.rate, arguments.start, arguments.loop, replay.tell_time
             )
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, lambda *_: controls.end())
+            heed_end_signals(lambda *_: controls.end())
             seconds = (bag.duration_s - arguments.start) / arguments.rate
             say(f"replay: {len(topics)} topics, {seconds:.1f} s")
             with keys_pressed(controls):
                 count = replay.play(playback)
     except ImError as error:
-        print(f"replay: {error.message}", file=sys.stderr)
+        complain(f"replay: {error.message}")
         return 2
     finally:
         rclpy.try_shutdown()

@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import faulthandler
 import inspect
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
 from im_core.pulse import Pulse
@@ -180,7 +180,7 @@ def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
 def main(
     make_node: Callable[[], NodeT], args: Sequence[str] | None = None, at_end: Callable[[NodeT], None] | None = None
 ) -> int:
-    """Run one node as a process until SIGINT, SIGTERM or the SHUTDOWN phase; within :func:`gathered`, add it only.
+    """Run one node as a process until a signal asks to end, or SHUTDOWN; within :func:`gathered`, add it only.
 
     Args:
         make_node: Makes the node, after ROS is initialised.
@@ -232,8 +232,7 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
         rclpy.try_shutdown()
         return 1
     spinner = Spinner(nodes)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: spinner.request_stop())
+    heed_end_signals(lambda *_: spinner.request_stop())
     watch = _watch(spinner, Pulse.inherited())
     try:
         spinner.spin()

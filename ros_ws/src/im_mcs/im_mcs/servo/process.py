@@ -6,6 +6,7 @@ from typing import Any
 
 from im_cell.robot import load_cell
 from im_core import clock, scheduling
+from im_core.end_signals import END_SIGNALS, heed_end_signals
 from im_core.errors import LinkError
 from im_core.silence import Silence
 from im_core.startup import patience_s
@@ -217,11 +218,9 @@ class ServoProcess:
 
 
 def run(instance: str, config: McsConfig) -> int:
-    """Run the servo until SIGTERM or SIGINT; exit code."""
+    """Run the servo until a signal asks to end; exit code."""
     process = ServoProcess(instance, config)
-    numbers = (signal.SIGTERM, signal.SIGINT)
-    for number in numbers:
-        signal.signal(number, process.stop)
+    heed_end_signals(process.stop)
     process.run()
-    signal.pthread_sigmask(signal.SIG_BLOCK, numbers)  # while the interpreter ends, when handlers are gone
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # while the interpreter ends, when handlers are gone
     return 0

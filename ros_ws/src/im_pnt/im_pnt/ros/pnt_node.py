@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -18,6 +17,7 @@ from rclpy.validate_node_name import validate_node_name
 
 from im_core import plugins
 from im_core.clock import monotonic
+from im_core.end_signals import heed_end_signals
 from im_core.errors import ConfigError, ImError, StateError
 from im_core.process import ChildProcess
 from im_core.ros.calls import pause
@@ -99,8 +99,7 @@ def _run(
         spinner = Spinner([node])
         ends.callback(spinner.stop)
         node.finished = spinner.request_stop
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: node.interrupt())
+        heed_end_signals(lambda *_: node.interrupt())
         spinner.spin()
     return node.exit_code
 
