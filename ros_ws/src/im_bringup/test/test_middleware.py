@@ -37,7 +37,7 @@ def test_a_profile_of_the_users_own_is_theirs_and_it_is_said(deployment):
 def test_the_memory_that_dds_keeps_is_as_our_profiles_say_and_theirs_as_they_say():
     assert middleware({}, ONE)[QOS_FROM_PROFILE] == middleware({}, TWO)[QOS_FROM_PROFILE] == "1"
     assert QOS_FROM_PROFILE not in middleware({PROFILE: "/home/me/dds.xml"}, ONE)
-    assert loopback_profile().read_text().count("<historyMemoryPolicy>DYNAMIC<") == 2  # of writers and of readers
+    assert loopback_profile().read_text().count("<historyMemoryPolicy>DYNAMIC<") == 3  # of writers, answers, readers
 
 
 def test_a_profile_in_the_working_directory_opens_nothing():

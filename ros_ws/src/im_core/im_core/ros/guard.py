@@ -12,7 +12,8 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from action_msgs.msg import GoalStatus
+from action_msgs.msg import GoalInfo, GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
@@ -27,7 +28,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.errors import FOREIGN, ImError, LinkError, as_exception
+from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import one_reader, qos
 from im_core.ros.action_events import ActionEvents
 from im_core.ros.callers import client_of, nodes_of, process_of, sender_of
@@ -314,8 +315,6 @@ class GuardedActionServer(ActionServer):
         try:
             await ActionServer.execute(self, taken_data)
         except Exception as error:  # the other goals go on
-            words = "the answer to a cancellation is lost: DDS does not reach its client"
-            error = LinkError(words) if unreached(error) else error  # what else is answered waits for that
             self._guard.note_failure(self._what, error, self._told)
 
     def request_for(self, handle: ServerGoalHandle) -> Any:
@@ -358,9 +357,23 @@ class GuardedActionServer(ActionServer):
             goal.execute()
 
     async def _execute_cancel_request(self, request_header_and_message: Any) -> None:
-        _, request = request_header_and_message
+        header, request = request_header_and_message
         self._tell(lambda events: events.tell_cancel(request))
-        await ActionServer._execute_cancel_request(self, request_header_and_message)
+        try:
+            await ActionServer._execute_cancel_request(self, request_header_and_message)
+        except SystemError as error:
+            if not unreached(error):
+                raise
+            answer = partial(self._handle.send_cancel_response, header, self._cancelling(request))
+            self._guard.late_answers.keep(self._what, header, answer)
+
+    def _cancelling(self, request: Any) -> Any:
+        """The answer to a cancellation that was carried out; rclpy has dropped its own."""
+        asked = bytes(request.goal_info.goal_id.uuid)  # zeros stand for all goals
+        chosen = [handle for uuid, handle in self._goal_handles.items() if uuid == asked or not any(asked)]
+        cancelling = [GoalInfo(goal_id=handle.goal_id) for handle in chosen if handle.is_cancel_requested]
+        code = CancelGoal.Response.ERROR_NONE if cancelling else CancelGoal.Response.ERROR_REJECTED
+        return CancelGoal.Response(return_code=code, goals_canceling=cancelling)
 
     async def _execute_get_result_request(self, request_header_and_message: Any) -> None:
         header, _ = request_header_and_message

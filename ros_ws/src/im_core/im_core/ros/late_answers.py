@@ -1,9 +1,13 @@
 """Answers whose client DDS does not reach yet: sent again until it does.
 
 A client may have found its server before the server has found the reader of the client's answers: discovery is under
-way, which takes long on a busy computer. ``rmw_fastrtps`` waits 100 ms for that and gives up, rclpy warns, and the
-client waits for ever for what was carried out (https://github.com/ros2/rclcpp/issues/2760); the same answer can be
-sent again (https://github.com/ros2/rmw_fastrtps/pull/467).
+way, which takes long on a busy computer. ``rmw_fastrtps`` then gives up, rclpy warns, and the client waits for ever for
+what was carried out (https://github.com/ros2/rclcpp/issues/2760); the same answer can be sent again
+(https://github.com/ros2/rmw_fastrtps/pull/467).
+
+Before it gives up, ``rmw_fastrtps`` waits for the ``max_blocking_time`` of the answers' writer, and holds up the whole
+process: clients that call and are destroyed at once would stop the loop with 100 ms each, the value by default. In the
+Fast DDS profiles of the machine (``im_bringup/config``) that time is zero, so that sending in vain costs nothing.
 """
 
 import warnings
@@ -21,9 +25,9 @@ from im_core.errors import LinkError
 from im_core.ros.callers import sender_of
 
 #: How often it is looked whether an answer is due, and after how long the first is sent again, each next after twice
-#: the time: the loop stands still for 100 ms each time that it cannot be sent [s].
-LOOK_S = 0.1
-#: How long an answer is kept [s], and how many are, of one server for one client.
+#: the time [s].
+LOOK_S = 0.02
+#: How long an answer is kept [s], and how many are, of all services and clients of a node.
 KEPT_S = 15.0
 MOST_KEPT = 200
 
@@ -82,29 +86,36 @@ class LateAnswers:
 
     def keep(self, what: str, header: Any, answer: Callable[[], None]) -> None:
         """Send an answer when its client is reached; arguments as of :meth:`send`."""
-        client, now = sender_of(header), clock.monotonic()
-        waiting = self._waiting.setdefault((what, client), _Waiting(now, now + LOOK_S))
+        now = clock.monotonic()
+        waiting = self._waiting.setdefault((what, sender_of(header)), _Waiting(now, now + LOOK_S))
         waiting.answers.append(answer)
-        if len(waiting.answers) > MOST_KEPT:
-            waiting.answers.popleft()
-            self._lost(what, LinkError(f"more than {MOST_KEPT} answers wait for a client that is not reached"), client)
+        if sum(len(each.answers) for each in self._waiting.values()) > MOST_KEPT:
+            self._make_room()
         if self._timer is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self._node.create_timer(LOOK_S, self._send_due, clock=steady)
         elif self._timer.is_canceled():
             self._timer.reset()
 
+    def _make_room(self) -> None:
+        """Give up the oldest answer of the client for which most wait; of several such clients, of the first."""
+        what, client = most = max(self._waiting, key=lambda each: len(self._waiting[each].answers))
+        self._waiting[most].answers.popleft()
+        if not self._waiting[most].answers:
+            del self._waiting[most]
+        self._lost(what, LinkError(f"more than {MOST_KEPT} answers wait for clients that are not reached"), client)
+
     def _send_due(self) -> None:
-        """Send what is due, until the loop has stood still for one that could not be sent."""
+        """Send what is due."""
         assert self._timer is not None, "it has called this"
         now = clock.monotonic()
         for (what, client), waiting in tuple(self._waiting.items()):
             if waiting.due > now:
                 continue
-            if not self._reached(what, client, waiting):
+            if self._reached(what, client, waiting):
+                del self._waiting[what, client]
+            else:
                 self._put_off(what, client, waiting)
-                break
-            del self._waiting[what, client]
         if not self._waiting:
             self._timer.cancel()
 
@@ -125,12 +136,12 @@ class LateAnswers:
         waited_s = now - waiting.since
         if waited_s < KEPT_S:
             waiting.wait_s *= 2.0
-            waiting.due = now + waiting.wait_s
+            waiting.due = min(now + waiting.wait_s, waiting.since + KEPT_S)
             return
         del self._waiting[what, client]
         words = (
-            f"DDS has not reached the client for {waited_s:.0f} s: it is busy, or asks for a quality of service that "
-            "no answer has (durability must be VOLATILE)"
+            f"DDS has not reached the client for {waited_s:.0f} s: it has ended, is busy, or asks for a quality of "
+            "service that no answer has (durability must be VOLATILE)"
         )
         for _ in waiting.answers:
             self._lost(what, LinkError(words), client)
