@@ -93,10 +93,12 @@ def token(place: str) -> Message:
     return Message(MessageKind.TOKEN, "net", place)
 
 
-def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1, strangers: bool = False) -> None:
+def exchange(
+    *ends: End, keep=lambda packet: True, seconds: float = 0.1, strangers: bool = False, rest: bool = True
+) -> None:
     """Carries packets until nothing is sent any more; what is for others than the ends is dropped, if it may be."""
     by_name = {end.link.name: end for end in ends}
-    for _ in range(1000):
+    for _ in range(1000 if rest else 30):
         for end in ends:
             end.now += seconds
             end.link.tick()
@@ -108,7 +110,7 @@ def exchange(*ends: End, keep=lambda packet: True, seconds: float = 0.1, strange
                 by_name[node].link.hear(packet)
         if not flying and all(end.link.idle() for end in ends):
             return
-    raise AssertionError("the ends do not come to rest")
+    assert not rest, "the ends do not come to rest"
 
 
 def pair() -> tuple[End, End]:
@@ -523,6 +525,81 @@ def test_the_newest_journal_is_never_called_old(senders, kept, who):
     exchange(a, b)
     assert a.observer.texts == b.observer.texts == []
     assert a.resets == b.resets == []
+
+
+def test_what_only_one_process_remembers_of_another_that_lost_its_journals_end_is_noticed():
+    a, b = pair()
+    a.send("b", "1")
+    journal = list(a.entries)
+    exchange(a, b)
+    b.send("a", "2")  # a takes and acknowledges it, and forgets it with the name of b
+    exchange(a, b)
+    a = old_copy(a, journal)
+    b.send("a", "3")
+    exchange(a, b)
+    assert "it lacks 1 messages that b has sent" in a.observer.texts[0]
+    assert [reset[0] for reset in b.resets] == ["a"]
+    assert a.taken() == ["2", "3"]
+
+
+def cluster(size: int) -> dict[str, End]:
+    return {name: End(name, 1) for name in "abcdef"[:size]}
+
+
+@pytest.mark.parametrize("dies_again", [False, True])
+def test_a_journal_without_its_end_is_noticed_once_however_many_remember_more(dies_again):
+    ends = cluster(4)
+    journal: list[str] = []
+    for round_of in range(2):
+        journal = list(ends["a"].entries)
+        for other in "bcd":
+            ends[other].send("a", f"{other}{round_of}")
+            ends["a"].send(other, f"a{round_of}")
+        exchange(*ends.values())
+    ends["a"] = old_copy(ends["a"], journal)
+    exchange(ends["a"], ends["b"], strangers=True, rest=False)
+    if dies_again:
+        ends["a"] = ends["a"].reborn("a")
+    for other in "bcd":
+        ends[other].send("a", f"{other}-last")
+        ends["a"].send(other, f"a-to-{other}")
+    exchange(*ends.values())
+    assert ends["a"].taken()[6:] == ["b-last", "c-last", "d-last"]
+    assert [ends[other].taken()[-1] for other in "bcd"] == ["a-to-b", "a-to-c", "a-to-d"]
+    assert [ends[other].resets[-1][:2] for other in "bcd"] == [("a", "a came back without its journal")] * 3
+    assert len(ends["a"].observer.texts) == (0 if dies_again else 1)
+
+
+Step = st.tuples(st.sampled_from("abcdef"), st.sampled_from("abcdef"))
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data(), st.integers(2, 6), st.lists(Step, max_size=20), st.integers(0, 2**32))
+def test_whoever_lost_the_ends_of_their_journals_all_go_on_with_all(data, size, steps, seed):
+    ends, dice = cluster(size), random.Random(seed)
+    for number, (sender, receiver) in enumerate(steps):
+        if sender != receiver and {sender, receiver} <= ends.keys():
+            ends[sender].send(receiver, str(number))
+        if dice.random() < 0.5:
+            exchange(*ends.values(), keep=lambda packet: dice.random() < 0.7)
+    exchange(*ends.values())
+    for name in data.draw(st.sets(st.sampled_from(sorted(ends)), min_size=1)):
+        kept = data.draw(st.integers(0, len(ends[name].entries)))
+        ends[name] = old_copy(ends[name], ends[name].entries[:kept])
+    present = data.draw(st.lists(st.sampled_from(sorted(ends)), min_size=1, unique=True))  # the others are heard later
+    exchange(*(ends[name] for name in present), keep=lambda packet: dice.random() < 0.7, strangers=True, rest=False)
+    if data.draw(st.booleans()):
+        ends["a"] = ends["a"].reborn("a")
+    exchange(*ends.values(), keep=lambda packet: dice.random() < 0.7)
+    for end in ends.values():
+        end.got.clear()
+    pairs = [(one, other) for one in ends for other in ends if one != other]
+    for one, other in pairs:
+        ends[one].send(other, f"{one}1", f"{one}2")
+    exchange(*ends.values())
+    for name, end in ends.items():  # what is sent after all know of the loss crosses once, in order, between all
+        for other in ends.keys() - {name}:
+            assert [place for place in end.taken() if place[0] == other] == [f"{other}1", f"{other}2"]
 
 
 def test_messages_are_what_they_were_after_crossing():

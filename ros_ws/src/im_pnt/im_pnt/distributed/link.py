@@ -283,7 +283,7 @@ class Link:
         remembered = 0 if peer is None else peer.incoming.epoch
         if packet.known != self.epoch:
             if packet.ack == REMEMBERED and epoch == remembered and packet.known > self.epoch:
-                self._overtake(packet.known)
+                self._overtake(sender, packet.known)
             self._doubt(packet)
             self._answer(sender, epoch)
         elif epoch < remembered:  # a packet that was late; or its clock has gone back: let it believe, and then know
@@ -300,26 +300,28 @@ class Link:
         """Takes a packet of a process that knows the present life of this one."""
         sender, incoming, base = packet.sender, peer.incoming, packet.base
         self._stirred[sender] = peer
-        begins = packet.epoch > incoming.epoch
+        stranger = not (incoming.epoch or incoming.parted)
+        begins = packet.epoch > incoming.epoch or incoming.parted
         if begins:
             self._begin(sender, peer, packet.epoch, packet.journal)
         self._heard(sender)
         missed = base - 1 - incoming.floor
-        jumps = missed > 0 and not begins  # what is missed was taken in a time that this process does not remember
+        jumps = missed > 0 and (not begins or (stranger and self._came_back))
         why = f"it lacks {missed} messages that {sender} has sent, and that were acknowledged to it"
         if jumps and not self._came_back:
             self._observer.troubled("", f"a packet of {sender} was dropped: {self.name} has not come back, and {why}")
             return
+        life = self.epoch
         if packet.ack and packet.ack != REMEMBERED:
             self._acknowledged(sender, peer, packet.ack)
         if jumps and self._came_back:
-            if peer.outgoing.question is not None:
+            if peer.outgoing.question is not None:  # how far the other has taken is to be known before
                 return
             self._fall_back(why)
+        if self.epoch != life:  # the other sends again what it sent to the former life
+            return
         if missed > 0:
             self._happens(peer, NumbersSkipped(sender, base - 1))
-        if packet.known != self.epoch:  # it has fallen back; the rest is sent again
-            return
         incoming.told(base)
         self._take(sender, peer, packet.messages)
         self._express.keep_head(packet.head(self.name), peer)
@@ -420,7 +422,7 @@ class Link:
 
     def _begin(self, node: str, peer: Peer, epoch: int, journal: bool) -> None:
         """Another life of a process: the first that is heard of, or one that has lost its journal."""
-        lost = peer.incoming.epoch != 0
+        lost = peer.incoming.epoch != 0 and not peer.incoming.parted
         self._express.forget_heads()
         self._happens(peer, LifeBegun(node, epoch, journal))
         peer.outgoing.hurry()
@@ -436,36 +438,36 @@ class Link:
         self._reset(peer.name, why, [message for _, message in in_flight])
 
     def _fall_back(self, why: str) -> None:
-        """The others remember more than the journal did: begin another life, as if there had been none."""
+        """Begin another life: the others remember more than the journal."""
         text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
         self._observer.forgot(f"{text}; what happened since is forgotten, and what was asked is given up")
-        self._live_anew(self.epoch)
-        self.fell_back(self.epoch)
-        for peer in list(self.peers.values()):
-            if peer.incoming.epoch:
-                self._part(peer, text)
+        self._live_anew(self.epoch, text)
 
-    def _overtake(self, known: int) -> None:
-        """A process remembers a later life of this one, whose clock must have gone back: be later still."""
+    def _overtake(self, sender: str, known: int) -> None:
+        """Begin a life later than one that another process remembers of this one."""
         now = self._clock()
         if now < self._overtake_at or began_at(known) + 1 >= began_at(MOST_EPOCH):
             return
         self._overtake_at = now + OVERTAKE_EVERY_S
-        self._observer.troubled("", f"{self.name} was known in a later life than this one (clock gone back, or a twin)")
-        self._live_anew(known)
+        text = f"{self.name} was known to {sender} in a later life than this one"
+        self._observer.forgot(f"{text} (an old copy of its journal, its clock gone back, or a twin)")
+        self._live_anew(known, text)
 
-    def _live_anew(self, after: int) -> None:
-        """Begins a life later than another, and has everybody told."""
+    def _live_anew(self, after: int, why: str) -> None:
+        """Begin a life later than another, tell all processes, and give up what was asked before."""
         self._express.forget_heads()
         raised = EpochRaised(new_epoch(after))
         if self.record is not None:
             self.record(raised)
         self.replay(raised)
         self._came_back = False
-        for node, peer in self.peers.items():
+        self.fell_back(self.epoch)
+        for node, peer in list(self.peers.items()):
             peer.outgoing.question = None
             peer.outgoing.hurry()
             self._answer(node, peer.incoming.epoch)
+            if peer.incoming.epoch:
+                self._part(peer, why)
 
     # What happens to the streams, now and when a journal is replayed.
 
@@ -482,5 +484,7 @@ class Link:
         """
         if isinstance(entry, EpochRaised):
             self.epoch = entry.epoch
+            for peer in self.peers.values():
+                peer.incoming.parted = True
         else:
             self.peers.setdefault(entry.node, Peer(entry.node)).apply(entry, lambda: 0.0)

@@ -183,6 +183,8 @@ class Incoming:
         early: Messages that came before others of smaller numbers; not taken yet.
         untold: Messages taken since the last acknowledgement.
         ack_at: When an acknowledgement is due [s], None: nothing to tell.
+        parted: Whether this process has begun another life since it last heard the sender: the sender may have counted
+            further than this process remembers.
     """
 
     epoch: int = 0
@@ -191,10 +193,11 @@ class Incoming:
     early: dict[int, list[object]] = field(default_factory=dict)
     untold: int = 0
     ack_at: float | None = None
+    parted: bool = False
 
     def begin(self, epoch: int) -> None:
         """Begins anew with another epoch of the sender."""
-        self.epoch, self.floor, self.untold, self.ack_at = epoch, 0, 0, None
+        self.epoch, self.floor, self.untold, self.ack_at, self.parted = epoch, 0, 0, None, False
         self.refused.clear()
         self.early.clear()
 

@@ -333,7 +333,8 @@ def _peer(peer: Peer) -> dict[str, object]:
     refused = [[number, reason] for number, reason in incoming.refused.items()]
     waiting = [json.loads(sent.text) for sent in outgoing.waiting.values()]
     heard = [incoming.epoch, incoming.floor, refused]
-    return {"heard": heard, "last": outgoing.last, "waiting": waiting, "journal": peer.keeps_journal}
+    told = {"journal": peer.keeps_journal, "parted": incoming.parted}
+    return {"heard": heard, "last": outgoing.last, "waiting": waiting, **told}
 
 
 def _peer_of(name: str, state: Mapping[str, object]) -> Peer:
@@ -344,7 +345,7 @@ def _peer_of(name: str, state: Mapping[str, object]) -> Peer:
             peer.incoming.ack_at = 0.0 if floor else None
             peer.incoming.refused = {int(number): str(reason) for number, reason in refused}
             peer.outgoing.last = last
-            peer.keeps_journal = state.get("journal") is True
+            peer.keeps_journal, peer.incoming.parted = state.get("journal") is True, state.get("parted") is True
             for number, *fields in waiting:
                 peer.outgoing.waiting[number] = Sent(numbered(number, decode_message(fields)))
             peer.outgoing.floor = next(iter(peer.outgoing.waiting), last + 1) - 1
