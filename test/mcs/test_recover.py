@@ -2,14 +2,17 @@
 
 import errno
 import os
+import re
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from im_bringup.ros.recover import RecoverClient
 from im_cell.link import PanelEnd, ServoEnd
 from im_core import names
+from im_core.errors import WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_mcs.ros import servo_keeper
@@ -35,6 +38,28 @@ def recover(client):
 def test_a_machine_that_is_well_is_left_alone(client, recover):
     client.to_motion()
     assert recover() == ("ready: 1 tasks, MCS is motion", [])
+
+
+def test_a_machine_where_no_message_reaches_a_node_is_not_called_ready(client, recover):
+    client.to_motion()
+    publisher = client.node.create_publisher(DiagnosticArray, "/diagnostics", qos.STATUS)
+    deaf = "mcs has acknowledged nothing to dispatcher for 10 s; 3 messages wait"
+    statuses = [
+        DiagnosticStatus(level=DiagnosticStatus.WARN, name=f"dispatcher: link to {node}", message=f"{node}: {deaf}")
+        for node in ("mcs", "a_node_that_was_ended")
+    ]
+    timer = client.node.create_timer(0.5, lambda: publisher.publish(DiagnosticArray(status=statuses)))
+    told = []
+    try:
+        with (
+            spin_in_thread(node := RecoverClient(told.append)),
+            pytest.raises(WaitTimeoutError, match=re.escape(f"(mcs: {deaf})")),
+        ):
+            node.recover(8.0)
+    finally:
+        client.node.destroy_timer(timer)
+        client.node.destroy_publisher(publisher)
+    assert told == [f"mcs: {deaf}"]
 
 
 def test_after_an_emergency_stop(client, recover):

@@ -542,6 +542,19 @@ def test_what_only_one_process_remembers_of_another_that_lost_its_journals_end_i
     assert a.taken() == ["2", "3"]
 
 
+def test_a_process_that_no_message_reaches_is_told_of_until_one_does():
+    a, b = met()
+    a.send("b", "1", "2")
+    exchange(a, keep=lambda packet: False, strangers=True, rest=False, seconds=0.3)
+    assert a.observer.texts == []
+    exchange(a, keep=lambda packet: False, strangers=True, rest=False, seconds=0.3)
+    assert a.observer.texts == ["b has acknowledged nothing to a for 10 s; 2 messages wait"]
+    assert a.link.peers["b"].unreached
+    exchange(a, b)
+    assert not a.link.peers["b"].unreached
+    assert b.taken() == ["1", "2"]
+
+
 def cluster(size: int) -> dict[str, End]:
     return {name: End(name, 1) for name in "abcdef"[:size]}
 

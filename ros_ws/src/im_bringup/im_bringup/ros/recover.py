@@ -6,7 +6,7 @@ Nothing moves, and no power is switched on.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
@@ -21,6 +21,8 @@ from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.options import NumberParser, seconds
 from im_core.ros import qos
 from im_core.ros.latest import Latest
+from im_core.ros.reminders import LINK
+from im_core.ros.reminders import PERIOD_S as REMINDED_S
 from im_msgs.msg import McsState, TaskRegistry
 
 TIMEOUT_S = 60.0
@@ -29,6 +31,8 @@ SILENCE_S = 3.0
 CALL_S = 30.0
 PATIENCE_S = 6.0
 _POLL_S = 0.1
+#: How long every node has to say that no message reaches another [s]; what it has not repeated for so long is over.
+_LINKS_S = 3.0 * REMINDED_S
 _SERVO = "mcs: servo"
 
 
@@ -46,6 +50,7 @@ class RecoverClient(InterruptibleNode):
         self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, SILENCE_S)
         self._diagnosed = False
         self._faulty = False
+        self._links: dict[str, tuple[float, str]] = {}
         self.create_subscription(DiagnosticArray, "/diagnostics", self._diagnose, qos.EVENTS)
         self._lifecycle = self.create_client(ChangeState, "/mcs/change_state")
         self._reset = self.create_client(Trigger, "/mcs/reset")
@@ -73,8 +78,11 @@ class RecoverClient(InterruptibleNode):
             now = clock.monotonic()
             tasks = self._tasks()
             step = next_step(tasks, self._condition(), patient=now - settled < PATIENCE_S)
-            if step is Step.DONE:
+            unreached = self._unreached(tasks)
+            if step is Step.DONE and now - began > _LINKS_S and not unreached:
                 return self._summary(tasks)
+            for text in unreached:
+                self._say(text)
             if now - began > timeout_s:
                 raise WaitTimeoutError(what=f"the machine to be ready ({self._missing(tasks)})", seconds=timeout_s)
             if any(word != "ready" for word in tasks.values()):
@@ -132,6 +140,7 @@ class RecoverClient(InterruptibleNode):
 
     def _missing(self, tasks: dict[str, str]) -> str:
         waiting = [f"{name} is {word}" for name, word in tasks.items() if word != "ready"]
+        waiting += self._unreached(tasks)
         if waiting or not tasks:
             return ", ".join(waiting) or "the bootstrap does not answer"
         message, pid = self._mcs.message, self._mcs_pid
@@ -139,6 +148,12 @@ class RecoverClient(InterruptibleNode):
             return f"/mcs does not answer; after 'kill -9 {pid}' the machine starts it again"
         reason = self._failure or message.reason
         return f"MCS is {message.state}{': ' + reason if reason else ''}"
+
+    def _unreached(self, tasks: Container[str]) -> list[str]:
+        """What nodes say of tasks that no message of them reaches."""
+        now = clock.monotonic()
+        told = [(name.partition(LINK)[2], at, text) for name, (at, text) in [*self._links.items()]]
+        return [text for node, at, text in told if node in tasks and now - at < _LINKS_S]
 
     def _summary(self, tasks: dict[str, str]) -> str:
         state = f", MCS is {self._mcs.message.state}" if self._mcs.message is not None else ""
@@ -154,6 +169,8 @@ class RecoverClient(InterruptibleNode):
 
     def _diagnose(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if LINK in status.name:
+                self._links[status.name] = clock.monotonic(), status.message
             if status.name == _SERVO:
                 self._diagnosed, self._faulty = True, status.level == DiagnosticStatus.ERROR
 

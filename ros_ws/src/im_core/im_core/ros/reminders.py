@@ -7,6 +7,8 @@ from rclpy.publisher import Publisher
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 
+#: How the subject begins that tells of a node which no message reaches; the name of that node follows.
+LINK = "link to "
 MOST = 20
 PERIOD_S = 1.0
 
@@ -32,6 +34,11 @@ class Reminders:
         if self._publisher is None:
             self._publisher = self._node.create_publisher(DiagnosticArray, "/diagnostics", qos.STATUS)
             self._node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def end(self, subject: str) -> None:
+        """Say nothing more of a subject: its last warning is not true any more."""
+        if self._said.pop(subject, None):
+            self._node.get_logger().info(f"{subject}: over")
 
     def _publish(self) -> None:
         assert self._publisher is not None, "the timer is made with it"

@@ -58,6 +58,8 @@ MANY_UNPROVED = 20
 REPORT_EVERY_S = 5.0
 MOST_AHEAD_S = 86_400.0
 """A life that is said to begin later than this from now is told of: a clock is wrong, or somebody makes epochs up."""
+UNREACHED_S = 10.0
+"""A process that acknowledges nothing for so long, while messages to it wait, is told of."""
 MOST_TOKENS = 4096
 _NO_ACKNOWLEDGEMENT = ",0,["
 
@@ -210,9 +212,24 @@ class Link:
         self.flush()
         now = self._clock()
         for node, peer in self.peers.items():
-            texts = peer.outgoing.due(now) if peer.outgoing.waiting or peer.outgoing.question else []
+            awaits = bool(peer.outgoing.waiting or peer.outgoing.question)
+            texts = peer.outgoing.due(now) if awaits else []
+            self._watch(peer, awaits, now)
             if texts or peer.incoming.owes(now):
                 self._send_packets(node, peer, texts, now)
+
+    def _watch(self, peer: Peer, awaits: bool, now: float) -> None:
+        """Tell of a process that no message reaches, and that messages reach it again."""
+        if not awaits:
+            peer.answered_at = None
+        elif peer.answered_at is None:
+            peer.answered_at = now
+        silent_s = 0.0 if peer.answered_at is None else now - peer.answered_at
+        if peer.unreached != (silent_s >= UNREACHED_S):
+            peer.unreached = not peer.unreached
+            waiting = len(peer.outgoing.waiting)
+            text = f"{peer.name} has acknowledged nothing to {self.name} for {silent_s:.0f} s; {waiting} messages wait"
+            self._observer.unreached(peer.name, text if peer.unreached else "")
 
     def _send_packets(self, node: str, peer: Peer, texts: list[str], now: float) -> None:
         incoming = peer.incoming
@@ -253,7 +270,7 @@ class Link:
     def idle(self) -> bool:
         """Whether everything is acknowledged, here and there."""
         return not self._answers and not any(
-            peer.outgoing.waiting or peer.outgoing.question or peer.incoming.ack_at is not None
+            peer.outgoing.waiting or peer.outgoing.question or peer.incoming.ack_at is not None or peer.unreached
             for peer in self.peers.values()
         )
 
@@ -395,7 +412,7 @@ class Link:
         sent = outgoing.last if outgoing.question is None else outgoing.asked_at
         match ack:
             case [int(floor), list(refused)] if 0 <= floor <= sent:
-                outgoing.question = None
+                outgoing.question, peer.answered_at = None, None
                 for entry in refused:
                     match entry:
                         case [int(number), str(why)] if number in outgoing.waiting:

@@ -252,6 +252,8 @@ class Peer:
         incoming: The stream from it.
         fresh: Messages that were not sent yet.
         keeps_journal: Whether it has said that it keeps a journal.
+        answered_at: When it last acknowledged something, or something began to wait for that [s]; None: nothing waits.
+        unreached: Whether it was said that no message reaches it.
     """
 
     def __init__(self, name: str) -> None:
@@ -261,6 +263,8 @@ class Peer:
         self.incoming = Incoming()
         self.fresh: list[Sent] = []
         self.keeps_journal = False
+        self.answered_at: float | None = None
+        self.unreached = False
 
     def in_flight(self) -> list[tuple[int, Message]]:
         """Returns the messages not acknowledged, with their numbers."""

@@ -70,6 +70,11 @@ class Observer:
         """Called where something that happened is not remembered, here or there: a journal is gone, old or torn."""
         self.troubled("", text)
 
+    def unreached(self, node: str, text: str) -> None:
+        """Take the sentence that no message reaches another node; an empty one where messages reach the node again."""
+        if text:
+            self.troubled("", text)
+
     def chose(
         self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
     ) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from im_core.ros.node import ManagedNode
-from im_core.ros.reminders import Reminders
+from im_core.ros.reminders import LINK, Reminders
 from im_pnt.execution.jobs import Job
 from im_pnt.execution.notification import Firing, Observer
 from im_pnt.execution.operator import Mode
@@ -47,6 +47,14 @@ class NodeObserver(Observer):
         self._reminders.add("journal", text)
         if self.commands is not None:
             self.commands.forgot(text)
+
+    def unreached(self, node: str, text: str) -> None:
+        """Write a line of the log, and say on ``/diagnostics`` that no message reaches a node, as long as that is so."""
+        subject = f"{LINK}{node}"
+        if text:
+            self._reminders.add(subject, text)
+        else:
+            self._reminders.end(subject)
 
     def unproved(self, text: str) -> None:
         """Says of a net that runs without proof that it does, in the log, and from now on on ``/diagnostics``."""
