@@ -138,33 +138,6 @@ class Actions:
                     self.finish(activity, None, {})
         self.inquiry.watch(activity)
 
-    def fresh_context(self, index: int) -> ActionContext:
-        """Returns what the function of a ``t.start`` is told where there is no command or request."""
-        rule = self._rule
-        name, progress = rule.transitions[index].origin, rule.notifier.progressed
-        return ActionContext(
-            rule.net.name,
-            name,
-            progress=progress,
-            begun=lambda: rule.called(index),
-            shared=rule.shared_objects,
-            values=rule.values,
-        )
-
-    def called(self, context: ActionContext, outcome: object, error: BaseException | None) -> None:
-        """Goes on with an action whose function was called, and has raised, or goes on, or was looked at."""
-        activity = self._rule.called() or self._rule.callee
-        assert activity is not None
-        if isinstance(error, FOREIGN):  # an action is foreign code: whatever it raises is its failure
-            self.finish(activity, as_failure(activity, error), {})
-        elif error is not None:
-            raise error
-        elif inspect.isawaitable(outcome):
-            context.bind(activity)
-            self._runner.watch(self._owner, activity, outcome)
-        else:
-            self.finish(activity, None, {})
-
     def cancel(self, activity: Activity, error: ImError) -> None:
         """Asks an action to end early, and shows it in the marking while it winds down."""
         if activity.state is ActivityState.ACTIVE:

@@ -60,7 +60,6 @@ class ConflictResolution:
         ripe: Those of them that have waited long enough.
         barred: Transitions that may not fire now, whatever their tokens; another one looks after them.
         dice: What is drawn with.
-        guards: Registered guards, by name.
         clocks: Sources of guards that are clocks, with their periods [s].
     """
 
@@ -71,7 +70,7 @@ class ConflictResolution:
         self.drawn: Callable[[Sequence[str]], int] | None = None
         self.dice = random.Random()
         self._random = self.dice.random
-        self._rule, self.guards, self._seed = rule, functions.guards_of(rule.net), seed
+        self._rule, self._guards, self._seed = rule, functions.guards_of(rule.net), seed
         self._enabling, self._transitions = rule.enabling, rule.transitions
         self.delayed = frozenset(i for i, t in enumerate(self._transitions) if t.delay is not None and t.action is None)
         self._rank = [(i not in self.delayed, t.priority) for i, t in enumerate(self._transitions)]
@@ -221,11 +220,11 @@ class ConflictResolution:
     def _verdict(self, index: int, guard: str, lineage: Lineage) -> bool | None:
         """Returns what a guard says of a job; None: it does not know yet."""
         try:
-            return bool(self.guards[guard](self.context(index, lineage)))
+            return bool(self._guards[guard](self._context(index, lineage)))
         except ObjectPendingError:
             return None
         except FOREIGN as error:  # a guard is foreign code: whatever it raises must not stop the net
-            return self.guard_broke(index, lineage, error)
+            return self._guard_broke(index, lineage, error)
 
     def owner(self, index: int) -> Job | None:
         """Returns for whom a transition is to fire that the last decision has chosen."""
@@ -270,16 +269,7 @@ class ConflictResolution:
             taken.origin,
         )
 
-    def alike(self, contending: Sequence[int]) -> bool:
-        """Whether only weights tell transitions apart: no symbol, strategy or priority does, and their guard is one."""
-        transitions = [self._transitions[index] for index in contending]
-        return (
-            self._flat
-            and len({transition.guard for transition in transitions}) == 1
-            and all(transition.symbol is None and transition.strategy is None for transition in transitions)
-        )
-
-    def guard_broke(self, index: int, lineage: Lineage, error: BaseException) -> bool:
+    def _guard_broke(self, index: int, lineage: Lineage, error: BaseException) -> bool:
         """Takes note that the guard of a transition broke; returns what it counts as."""
         guard = self._transitions[index].guard
         name = guard.name if guard is not None else ""
@@ -289,7 +279,7 @@ class ConflictResolution:
         self._rule.notifier.troubled(f"guard {name} counts as false: {failure}")
         return False
 
-    def context(self, index: int, lineage: Lineage) -> ActionContext:
+    def _context(self, index: int, lineage: Lineage) -> ActionContext:
         """Returns what the guard of a transition is told."""
         rule = self._rule
         name, progress = self._transitions[index].origin, rule.notifier.progressed

@@ -3,10 +3,8 @@
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from inspect import isawaitable
-from typing import NamedTuple
 
-from im_core.errors import FOREIGN, ImError
+from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.actions import Actions
 from im_pnt.execution.conflicts import ConflictResolution, Delays
@@ -36,52 +34,14 @@ from im_pnt.execution.firing.happening import apply_entry, happens
 from im_pnt.execution.firing.rest import close_forgotten, drop_stale, expire, settle_visits
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.firing.visits import cancelled_visit
-from im_pnt.execution.functions import ActionFunction, GuardFunction
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Reply
-from im_pnt.execution.notification import Firing, Phase
+from im_pnt.execution.jobs import Activity, ActivityState, Job, Reply
 from im_pnt.execution.operator import Mode, Operator
-from im_pnt.execution.record import ActivityEnded, EndFired, NetEntry, TransitionFired, changed_data, plain_dict
+from im_pnt.execution.record import ActivityEnded, NetEntry, changed_data, plain_dict
 from im_pnt.execution.timers import Timers
-from im_pnt.expression.scope import read_objects
-from im_pnt.model.expand import active_place
-from im_pnt.model.net import RemotePlace, Role
+from im_pnt.model.net import Role
 
 _NOTHING: frozenset[int] = frozenset()
 _BY_ITSELF = (Mode.AUTOMATIC, False, ())
-
-
-_Places = tuple[tuple[int, tuple[int, ...]], ...]
-"""Places, each with the transitions that take from it."""
-
-
-class _Step(NamedTuple):
-    """A transition that needs no more than tokens, a guard and a call.
-
-    Attributes:
-        inputs: Its input places.
-        outputs: Its output places; for a ``t.start`` those of ``t.end``.
-        rivals: The other transitions that share an input place.
-        alike: Whether it and they have equal guards and priorities, and only weights tell them apart.
-        guard: Its guard, None if it has none.
-        negated: Whether that is negated.
-        entry: What a journal is told when it fires.
-        firing: What the observer is told.
-        call: Of a ``t.start``: the place ``t.active``, the name of ``t.end``, what is told of it, and the function.
-        places: Numbers of all these places, ``t.active`` aside, and of the input places of the rivals.
-        remote: Places of other nets that it marks, likewise; with the numbers of their tokens.
-    """
-
-    inputs: _Places
-    outputs: _Places
-    rivals: tuple[int, ...]
-    alike: bool
-    guard: GuardFunction | None
-    negated: bool
-    entry: TransitionFired
-    firing: Firing
-    call: tuple[int, str, Firing, ActionFunction] | None
-    places: frozenset[int]
-    remote: tuple[tuple[RemotePlace, int], ...]
 
 
 class EventLoop:
@@ -118,9 +78,6 @@ class EventLoop:
         self.operator = Operator(written, (index for index, role in enumerate(roles) if role is Role.ACCEPT))
         self._timers, self._inbox, self._clock = timers, inbox, clock
         self._delays = Delays(rule.transitions, rule.enabling, conflicts, timers, clock)
-        self._steps = [self._step(index) for index in range(len(rule.transitions))]
-        self._asked = [conflicts.context(index, NO_LINEAGE) for index in range(len(rule.transitions))]
-        self._contexts = [actions.fresh_context(index) for index in range(len(rule.transitions))]
         self.stretch = 0
         self._pumping = False
         self._guard_clocks: set[str] = set()
@@ -206,15 +163,10 @@ class EventLoop:
 
     def _pump(self, limit: int) -> bool:
         fired, inbox, enabling = 0, self._inbox, self.rule.enabling
-        operator = self.operator
         while fired < limit:
             if inbox:
                 self._take_event()
                 continue
-            if operator.free and enabling.agenda:
-                fired += self._sweep(limit - fired)
-                if inbox or fired >= limit:
-                    continue
             index = enabling.next_candidate() if enabling.agenda else None
             if index is None:
                 self._come_to_rest()
@@ -352,178 +304,6 @@ class EventLoop:
         self.actions.finish(activity, error, results)
 
     # Deciding.
-
-    def _sweep(self, limit: int) -> int:
-        """Fires transitions to whose tokens nothing belongs, and that need no more than a guard and a call.
-
-        Ends when an event waits, a transition needs more, nothing is enabled, or the limit is reached.
-
-        Args:
-            limit: Most firings.
-
-        Returns:
-            The number of firings.
-        """
-        steps, inbox, rule, conflicts = self._steps, self._inbox, self.rule, self.conflicts
-        enabling, queues, record, clock = rule.enabling, rule.tokens.queues, rule.record, self._clock
-        tokens, unmet, listed = enabling.tokens, enabling.unmet, enabling.listed
-        agenda, stalled, fired_so_far = enabling.agenda, enabling.stalled, rule.notifier.fired.append
-        asked, contexts = self._asked, self._contexts
-        conflicts.barred = _NOTHING
-        fired = 0
-        while agenda and fired < limit and not inbox:
-            index = agenda.popleft()
-            listed[index] = False
-            if unmet[index] or index in stalled:
-                continue
-            step = steps[index]
-            if step is None or (queues and not step.places.isdisjoint(queues)):
-                agenda.appendleft(index)
-                listed[index] = True
-                break
-            inputs, outputs, rivals, alike, guard, negated, entry, firing, call, _, remote = step
-            contending = [index]
-            for rival in rivals:
-                if not unmet[rival]:
-                    contending.append(rival)  # noqa: PERF401 - a comprehension is a call more
-            winner = index
-            if alike or len(contending) == 1:  # what the guard says of one, it says of all
-                if guard is not None:
-                    context = asked[index]
-                    try:
-                        held = bool(guard(context)) == negated
-                    except FOREIGN as error:  # a guard is foreign code: whatever it raises must not stop the net
-                        held = conflicts.guard_broke(index, NO_LINEAGE, error) == negated
-                    if context.used:
-                        asked[index] = conflicts.context(index, NO_LINEAGE)
-                    if held:
-                        stalled.update(contending)
-                        continue
-                if len(contending) > 1:
-                    winner = conflicts.draw(contending)
-            else:
-                chosen = conflicts.choose(index)
-                if chosen is None:
-                    continue
-                winner = chosen
-            if winner != index:
-                if index not in stalled:
-                    listed[index] = True
-                    agenda.append(index)
-                index, step = winner, steps[winner]
-                if step is None or (queues and not step.places.isdisjoint(queues)):
-                    self.fire(index, None)
-                    return fired + 1
-                inputs, outputs, _, _, _, _, entry, firing, call, _, remote = step
-            if record is not None:
-                record(entry)
-            for place, consumers in inputs:
-                left = tokens[place] - 1
-                tokens[place] = left
-                if not left:
-                    for consumer in consumers:
-                        unmet[consumer] += 1
-                    if stalled:
-                        stalled.difference_update(consumers)
-                elif stalled:
-                    enabling.consider_stalled(consumers)
-            fired += 1
-            fired_so_far(firing)
-            if call is not None:
-                active, end, ended, function = call
-                tokens[active] += 1
-                began = clock()
-                rule.call = index, began
-                context, failure = contexts[index], None
-                try:
-                    outcome = function(context)
-                except BaseException as raised:
-                    outcome, failure = None, raised
-                if context.used:
-                    contexts[index] = self.actions.fresh_context(index)
-                if failure is not None or rule.call is None or (outcome is not None and isawaitable(outcome)):
-                    try:
-                        self.actions.called(context, outcome, failure)
-                    finally:
-                        if not unmet[index]:
-                            enabling.consider(index)
-                    continue
-                if record is not None:
-                    record(EndFired(rule.notifier.sequence, end, None, None))
-                rule.call = None
-                tokens[active] -= 1
-                fired_so_far((ended, clock() - began))
-            for place, consumers in outputs:
-                before = tokens[place]
-                tokens[place] = before + 1
-                if not before:
-                    for consumer in consumers:
-                        left = unmet[consumer] - 1
-                        unmet[consumer] = left
-                        if not left and not listed[consumer]:
-                            listed[consumer] = True
-                            agenda.append(consumer)
-                elif stalled:
-                    enabling.consider_stalled(consumers)
-            for target, count in remote:
-                rule.outlet.send_token(rule.net.name, target, count)
-            if not unmet[index] and not listed[index]:
-                stalled.discard(index)
-                listed[index] = True
-                agenda.append(index)
-        return fired
-
-    def _step(self, index: int) -> _Step | None:
-        rule = self.rule
-        transition, compiled = rule.transitions[index], rule.enabling.compiled
-        last, call = index, None
-        if transition.role is Role.START:
-            last = rule.number[f"{transition.origin}.end"]
-            function = self.actions.functions.get(index)
-            if function is None or transition.timeout is not None or transition.strategy is not None:
-                return None
-            if transition.result or transition.store:
-                return None
-            ended = rule.notifier.foreseen(transition.origin, Phase.END)
-            active = rule.place[active_place(transition.origin)]
-            call = active, f"{transition.origin}.end", ended, function
-        elif transition.role is not Role.PLAIN:
-            return None
-        end = rule.transitions[last]
-        arcs = (*compiled.inputs[index], *compiled.outputs[last])
-        if (
-            transition.symbol is not None
-            or (transition.guard is not None and read_objects(transition.guard.name))
-            or end.emit
-            or transition.resets
-            or not all(weight == 1 and self._is_plain(place) for place, weight in arcs)
-            or any(rule.net.places[place].data_object for place in end.outputs if call is not None)
-        ):
-            return None
-
-        def places(pairs: tuple[tuple[int, int], ...]) -> _Places:
-            return tuple((place, tuple(t for t, _ in compiled.consumers[place])) for place, _ in pairs)
-
-        rivals = tuple(dict.fromkeys(t for sharing in rule.enabling.contended[index] for t in sharing if t != index))
-        return _Step(
-            places(compiled.inputs[index]),
-            places(compiled.outputs[last]),
-            rivals,
-            self.conflicts.alike((index, *rivals)),
-            None if transition.guard is None else self.conflicts.guards[transition.guard.name],
-            transition.guard is not None and transition.guard.negated,
-            TransitionFired(transition.name),
-            rule.notifier.foreseen(transition.origin, Phase.END if call is None else Phase.START),
-            call,
-            frozenset(place for place, _ in (*arcs, *(arc for rival in rivals for arc in compiled.inputs[rival]))),
-            tuple(end.remote_outputs.items()),
-        )
-
-    def _is_plain(self, place: int) -> bool:
-        """Whether tokens may come and go on a place without more than counting."""
-        compiled, delayed = self.rule.enabling.compiled, self.conflicts.delayed
-        consumers = compiled.consumers[place]
-        return not compiled.inhibited[place] and all(weight == 1 and t not in delayed for t, weight in consumers)
 
     def _decide(self, index: int) -> bool:
         """Decides about a candidate; returns whether a transition fired."""

@@ -153,7 +153,6 @@ class Executor:
     @property
     def activities(self) -> Activities:
         """The actions that run, in the order in which they began."""
-        self.rule.called()
         return Activities(self.rule.activities)
 
     @property
@@ -280,7 +279,6 @@ class Executor:
 
     def at_rest(self) -> Rest:
         """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on its way."""
-        self.rule.called()
         return rest_of(self.rule, len(self._inbox))
 
     def jobs(self) -> list[Job]:
@@ -305,7 +303,6 @@ class Executor:
         Raises:
             NetError: None of that number runs.
         """
-        self.rule.called()
         found = self.rule.activities.get(number)
         if found is None:
             raise NetError(f"net {self.net.name} has no action of number {number} running", number=number)

@@ -35,12 +35,10 @@ class ActionContext:
     Attributes:
         net: Name of the net.
         transition: Name of the transition.
-        used: Whether something is in it that the next call of a function must not find.
     """
 
     __slots__ = (
         "_activity",
-        "_begun",
         "_lineage",
         "_own",
         "_progress",
@@ -48,7 +46,6 @@ class ActionContext:
         "_values",
         "net",
         "transition",
-        "used",
     )
 
     def __init__(
@@ -58,16 +55,13 @@ class ActionContext:
         lineage: Lineage = NO_LINEAGE,
         activity: Activity | None = None,
         progress: ProgressSink | None = None,
-        begun: Callable[[], Activity | None] | None = None,
         shared: Iterable[str] = (),
         values: NetValues | None = None,
     ) -> None:
         self.net = net
         self.transition = transition
-        self.used = False
         self._lineage = lineage
         self._activity = activity
-        self._begun = begun
         self._progress = progress
         self._shared = shared
         self._values = values
@@ -137,8 +131,6 @@ class ActionContext:
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
         """Has a function called when this action is cancelled; at once if it already is."""
-        if self._activity is None and self._begun is not None:
-            self.bind(self._begun())
         if self._activity is not None:
             self._activity.when_cancelled(callback)
 
@@ -199,10 +191,6 @@ class ActionContext:
         """
         return self._values is None or self._values.fill_now(condition, self, answer) is True
 
-    def bind(self, activity: Activity | None) -> None:
-        """Gives it the action that it speaks of."""
-        self.used, self._activity = True, activity
-
     def apart(self, post: Post) -> "ApartContext":
         """Returns what a function is told instead that is called in a thread of its own.
 
@@ -212,7 +200,6 @@ class ActionContext:
         return ApartContext(self, self._lineage, self._activity, post)
 
     def _private(self, what: str) -> JsonObject:
-        self.used = True
         return self._own.setdefault(what, {})
 
 

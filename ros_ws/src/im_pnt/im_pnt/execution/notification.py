@@ -2,8 +2,8 @@
 
 import enum
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, Protocol, overload
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
 
 from im_core.errors import ImError
 from im_pnt.execution.events import Tiding
@@ -148,48 +148,6 @@ class Nowhere:
         """Sends nothing."""
 
 
-Fired = Firing | tuple[Firing, float]
-"""A firing that is not numbered yet: as far as it is known beforehand, and its duration where it has one [s]."""
-
-
-class Firings(Sequence[Firing]):
-    """Firings of one net in order, made when they are looked at.
-
-    Args:
-        first: Sequence number of the first.
-        fired: The firings, not numbered.
-    """
-
-    __slots__ = ("fired", "first")
-
-    def __init__(self, first: int, fired: list[Fired]) -> None:
-        self.first, self.fired = first, fired
-
-    def __len__(self) -> int:
-        return len(self.fired)
-
-    @overload
-    def __getitem__(self, index: int) -> Firing: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Firing]: ...
-    def __getitem__(self, index: int | slice) -> Firing | Sequence[Firing]:
-        if isinstance(index, slice):
-            return list(self)[index]
-        position = range(len(self.fired))[index]
-        return _numbered(self.fired[position], self.first + position)
-
-    def __iter__(self) -> Iterator[Firing]:
-        return map(_numbered, self.fired, range(self.first, self.first + len(self.fired)))
-
-
-def _numbered(fired: Fired, sequence: int) -> Firing:
-    if isinstance(fired, Firing):
-        net, transition, _, phase, symbol, command_id, message, duration, progress = fired
-    else:
-        (net, transition, _, phase, symbol, command_id, message, _, progress), duration = fired
-    return Firing(net, transition, sequence, phase, symbol, command_id, message, duration, progress)
-
-
 class Notifier:
     """Numbers the firings of a net, and tells of them in batches.
 
@@ -198,23 +156,14 @@ class Notifier:
         observer: Whom.
 
     Attributes:
-        fired: Firings that were not told yet; what is appended counts as fired.
+        sequence: Number of the last firing.
     """
 
     def __init__(self, net: str, observer: Observer) -> None:
-        self.fired: list[Fired] = []
+        self.sequence = 0
         self._net, self._observer = net, observer
-        self._told = 0
+        self._fired: list[Firing] = []
         self._thread: int | None = None
-
-    @property
-    def sequence(self) -> int:
-        """Number of the last firing."""
-        return self._told + len(self.fired)
-
-    @sequence.setter
-    def sequence(self, sequence: int) -> None:
-        self._told = sequence - len(self.fired)
 
     @property
     def observer(self) -> Observer:
@@ -232,15 +181,9 @@ class Notifier:
 
     def flush(self) -> None:
         """Tells of what has fired since the last time."""
-        if self.fired:
-            firings = Firings(self._told + 1, self.fired[:])
-            self._told += len(self.fired)
-            self.fired.clear()
+        if self._fired:
+            firings, self._fired = self._fired, []
             self._observer.fired(firings)
-
-    def foreseen(self, transition: str, phase: Phase) -> Firing:
-        """Returns a firing that nothing belongs to, as it is known beforehand."""
-        return Firing(self._net, transition, 0, phase, "", 0, "", 0.0, -1.0)
 
     def note(
         self,
@@ -264,7 +207,10 @@ class Notifier:
         """
         job = lineage.job
         command, progress = (job.command.id, job.progress) if job is not None else (0, -1.0)
-        self.fired.append(Firing(self._net, transition, 0, phase, symbol, command, message, duration, progress))
+        self.sequence += 1
+        self._fired.append(
+            Firing(self._net, transition, self.sequence, phase, symbol, command, message, duration, progress)
+        )
 
     def progressed(self, lineage: Lineage, text: str, fraction: float) -> None:
         """Takes a report of progress."""

@@ -37,7 +37,6 @@ def net_state(executor: Executor) -> dict[str, object]:
         NetError: A job holds something that JSON cannot carry.
     """
     rule, operator = executor.rule, executor.operator
-    rule.called()
     jobs = {job.number: job for job in rule.ledger.jobs()}
     for activity in rule.activities.values():
         if activity.lineage.job is not None:

@@ -77,9 +77,6 @@ class FiringRule:
         clock: Present time [s].
         record: Takes what happens, before it does; None: no journal.
         values: What its expressions are; not for what is done again when a journal is replayed.
-        call: A ``t.start`` whose function is being called, and since when [s]: its token is on ``t.active``, nothing
-            belongs to it, and it is made an activity only where one is needed.
-        callee: The activity that was made so last.
         expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
         begins: Transitions that begin a command where they read a symbol with tokens of nobody.
@@ -140,8 +137,6 @@ class FiringRule:
         ]
         emitted = {each for transition in self.transitions for each in transition.emit}
         self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
-        self.call: tuple[int, float] | None = None
-        self.callee: Activity | None = None
 
     # What comes from outside.
 
@@ -433,20 +428,6 @@ class FiringRule:
         self.notifier.note(transition.origin, Phase.START, lineage, symbol=symbol)
         activity = self.new_activity(index, self.notifier.sequence, lineage)
         self.activities[activity.number] = activity
-        return activity
-
-    def called(self, index: int | None = None) -> Activity | None:
-        """Makes an activity of the function that is being called; None if none is, or not that of ``index``."""
-        if self.call is None or (index is not None and index != self.call[0]):
-            return None
-        index, began = self.call
-        self.call = None
-        activity = self.new_activity(index, self.notifier.sequence, NO_LINEAGE)
-        activity.began = began
-        place = self.place[active_place(activity.transition)]
-        self.enabling.tokens[place] -= 1  # where it was put without what it enables
-        self.enabling.add_tokens(place, 1)
-        self.callee = self.activities[activity.number] = activity
         return activity
 
     def new_activity(self, index: int, number: int, lineage: Lineage) -> Activity:
