@@ -9,20 +9,19 @@ from bench.nets.peers import installed_peers
 from bench.part import Part, Work
 
 ROUNDS = 5
-FIRINGS = 100_000
+FIRINGS = 20_000
 TRIPS = 1000
 IDLE_S = 5.0
 SOURCES = Path(__file__).resolve().parents[2] / "ros_ws" / "src"
 ENTRIES = 100_000
 
 GROUPS = {
-    "firings": "observed firings a second of rings and dining philosophers, next to SNAKES and pm4py",
-    "actions": "the same with a Python action, a guard, a journal, in turns with libpetri and its event store",
-    "node": "firings a second of a node with guard, action and journal, told to a display",
+    "firing": "firings a second for a command, with action, guard and journal, next to libpetri, SNAKES and pm4py",
+    "node": "the same of a node with guard, action and journal, told to a display",
     "idle": "CPU time while a thousand actions run and nothing happens, in the core and in a node",
     "search": "markings a second of explicit search; time and memory of large spaces",
     "verify": "pnt prove of all shipped nets, as before a start",
-    "journal": "firings with an action, an observer and a journal; entries a second, and coming back from them",
+    "journal": "entries of a journal a second, and coming back from them",
     "remote": "round trip of a token between two processes, in turns with a bare topic",
 }
 
@@ -48,9 +47,8 @@ def work(options: argparse.Namespace, folder: Path) -> Work:
     share = 10 if options.quick else 1
     rounds = 1 if options.quick else ROUNDS
     return {
-        "firings": lambda: firings.plain_lines(installed_peers(), FIRINGS // share, rounds),
-        "actions": lambda: firings.action_lines(installed_peers(), FIRINGS // share, rounds, folder),
-        "node": lambda: firings.node_lines(FIRINGS // share // 5, rounds, folder),
+        "firing": lambda: firings.lines(installed_peers(), FIRINGS // share, rounds, folder),
+        "node": lambda: firings.node_lines(FIRINGS // share, rounds, folder),
         "idle": lambda: idle.lines(IDLE_S / share, rounds, folder),
         "search": lambda: searches.lines(rounds),
         "verify": lambda: searches.shipped_lines(shipped, folder),

@@ -1,4 +1,4 @@
-"""Figures of execution: firings a second, next to peers that fire the same nets in turns."""
+"""Figures of execution: firings a second for a command, next to peers that fire the same nets in turns."""
 
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -13,13 +13,12 @@ from im_core.errors import ImError
 from im_pnt_analysis.simulation.families import philosophers, ring
 
 SIZES = (10, 100, 1000)
+COMPARED = 100
+"""Size at which tokens alone are compared with peers."""
 NETS = {"ring": ring, "philosophers": philosophers}
-LEAST_A_SECOND = {"ring": 482_000.0, "philosophers": 138_000.0}
-"""Twice what an observed net of 100 fired a second when each firing was told by itself."""
 MOST_SPREAD = 1.5
-TIMES_SNAKES = 50.0
 _WARM_UP = 1000
-_OF_PEERS = {"libpetri": 1.0, "snakes": 0.01, "pm4py": 0.005}
+_OF_PEERS = {"libpetri": 5.0, "snakes": 0.05, "pm4py": 0.05}
 """Share of our firings that a peer is asked for, so that all take about as long."""
 
 
@@ -39,7 +38,7 @@ class Rates:
         self.missing: dict[str, str] = {}
 
     def add_own(self, name: str, family: str, places: int, work: Work = Work.NONE, folder: Path | None = None) -> None:
-        """Adds a net of ours, observed; with a journal where it is given a folder.
+        """Adds a net of ours, which works for a command and is observed; with a journal where it is given a folder.
 
         Raises:
             LinkError: The process does not start.
@@ -81,47 +80,11 @@ class Rates:
         return median(self._rates[name]) if self._rates.get(name) else None
 
 
-def plain_lines(peers: Peers, firings: int, rounds: int) -> list[Line]:
-    """Observed firings without actions: our rate, that it does not depend on the size, and its ratio to SNAKES.
+def lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
+    """Observed firings for a command: of tokens alone, with an action each, and with guard, action and journal.
 
-    Args:
-        peers: The peers.
-        firings: Firings of a turn.
-        rounds: Turns.
-
-    Raises:
-        ImError: Our own processes fail.
-    """
-    lines: list[Line] = []
-    for family, make in NETS.items():
-        with ExitStack() as stack:
-            rates = Rates(stack, firings)
-            for places in SIZES:
-                rates.add_own(f"im {places}", family, places)
-            net = plain(make(100))
-            rates.add_peer("SNAKES", peers, "snakes", net)
-            rates.add_peer("SNAKES in turn", peers, "snakes", net, "--in-turn")
-            rates.add_peer("pm4py", peers, "pm4py", net)
-            rates.run(rounds)
-            own = {places: rates.rate(f"im {places}") for places in SIZES}
-            for places, rate in own.items():
-                name = f"firings, {family} of {places} places, observed"
-                lines.append(Line(name, rate, "1/s", bar=LEAST_A_SECOND[family], at_least=True))
-            measured = [rate for rate in own.values() if rate]
-            fastest, slowest = max(measured), min(measured)
-            lines.append(Line("  fastest size over slowest", fastest, "1/s", slowest, "slowest", bar=MOST_SPREAD))
-            lines += [
-                _against(rates, own[100], "SNAKES", TIMES_SNAKES),
-                _against(rates, own[100], "SNAKES in turn", None),
-                _against(rates, own[100], "pm4py", None),
-            ]
-    return lines
-
-
-def action_lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
-    """Observed firings with a Python action each, then with a guard too, then with a journal, next to libpetri.
-
-    The peer has its in-memory event store on, and no guards; it keeps no journal.
+    SNAKES and pm4py move tokens alone. libpetri calls a Python function for each firing and has its in-memory event
+    store on; its nets know no commands, and have neither guard nor journal.
 
     Args:
         peers: The peers.
@@ -132,24 +95,36 @@ def action_lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[
     Raises:
         ImError: Our own processes fail.
     """
-    lines: list[Line] = []
+    found: list[Line] = []
     for family, make in NETS.items():
+        with ExitStack() as stack:
+            rates = Rates(stack, firings)
+            for places in SIZES:
+                for work in Work:
+                    journal = folder / f"{family}_{places}" if work is Work.ALL else None
+                    rates.add_own(f"{work} {places}", family, places, work, journal)
+                rates.add_peer(f"libpetri {places}", peers, "libpetri", plain(make(places)))
+            net = plain(make(COMPARED))
+            rates.add_peer("SNAKES", peers, "snakes", net)
+            rates.add_peer("SNAKES in turn", peers, "snakes", net, "--in-turn")
+            rates.add_peer("pm4py", peers, "pm4py", net)
+            rates.run(rounds)
+        bare = {places: rates.rate(f"{Work.NONE} {places}") for places in SIZES}
         for places in SIZES:
-            with ExitStack() as stack:
-                rates = Rates(stack, firings)
-                for work in (Work.ACTION, Work.GUARDED):
-                    rates.add_own(work, family, places, work)
-                journalled = {work: f"{work}, journal" for work in Work}
-                for work, name in journalled.items():
-                    rates.add_own(name, family, places, work, folder / f"{family}_{places}_{work.name}")
-                rates.add_peer("libpetri", peers, "libpetri", plain(make(places)))
-                rates.run(rounds)
-                for work in (Work.ACTION, Work.GUARDED):
-                    name = f"firings with {work}, {family} of {places}"
-                    lines.append(_against(rates, rates.rate(work), "libpetri", 1.0, name))
-                for work, name in journalled.items():
-                    lines.append(Line(f"  with {work}, and a journal", rates.rate(name), "1/s"))
-    return lines
+            found.append(Line(f"firings for a command, {family} of {places}", bare[places], "1/s"))
+            found += [
+                _against(f"  with {work}", rates, f"{work} {places}", f"libpetri {places}", "libpetri")
+                for work in (Work.ACTION, Work.ALL)
+            ]
+        measured = [rate for rate in bare.values() if rate]
+        found.append(
+            Line("  fastest size over slowest", max(measured), "1/s", min(measured), "slowest", bar=MOST_SPREAD)
+        )
+        found += [
+            _against(f"  {COMPARED} places, tokens alone, against {peer}", rates, f"{Work.NONE} {COMPARED}", peer, peer)
+            for peer in ("SNAKES", "SNAKES in turn", "pm4py")
+        ]
+    return found
 
 
 def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
@@ -176,10 +151,7 @@ def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
     return [*lines, Line("  share of them that the display heard", told / number(answer, "sequence"), "")]
 
 
-def _against(rates: Rates, own: float | None, peer: str, bar: float | None, name: str = "") -> Line:
-    """One line of ours against a peer's; if the peer could not be measured, a line that says why."""
-    name = name or f"  100 places, against {peer}"
-    baseline = rates.rate(peer)
-    if baseline is None:
-        return Line(name, None, "1/s", None, rates.missing.get(peer, f"{peer} was not measured"), bar, at_least=True)
-    return Line(name, own, "1/s", baseline, peer, bar, at_least=True)
+def _against(name: str, rates: Rates, own: str, peers: str, peer: str) -> Line:
+    """Compares a rate of ours with that of a peer; if the peer could not be measured, the line says why."""
+    baseline = rates.rate(peers)
+    return Line(name, rates.rate(own), "1/s", baseline, peer if baseline is not None else rates.missing[peers])

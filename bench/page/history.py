@@ -45,7 +45,7 @@ FOLLOWED = (
     Followed("memory [MiB]", "machine", "memory after"),
     Followed("lockstep, times real time", "mcs", "lockstep"),
     Followed("servo tick, median [Python loops / 1000]", "mcs", "p50", loops=True),
-    Followed("firings a second over SNAKES", "nets", "100 places, against SNAKES"),
+    Followed("firings for a command over SNAKES", "nets", "100 places, tokens alone, against SNAKES"),
     Followed("frames a second over bare pybullet", "vss", "egl: frames of one camera, an arm moves"),
     Followed("CPU of a put over a bare service's", "dom", "put, 64 on their way: CPU"),
 )

@@ -7,11 +7,13 @@ import pytest
 from bench.figures import measure
 from bench.nets import firings, searches
 from bench.nets.peers import Peers, installed_peers, plain
-from bench.nets.player import Player, Work, working
+from bench.nets.player import SYMBOL, Player, Work, working
 from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
 from im_pnt.errors import NetError
+from im_pnt.journal.journal import Journal
 from im_pnt.model.compiled import compile_net
+from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.simulation.families import by_name, catching_philosophers, kanban, philosophers, ring
 from support.fixtures import NETS
@@ -88,30 +90,36 @@ def test_a_wrong_family_is_named(name, message):
 @pytest.mark.parametrize("make", [ring, philosophers])
 @pytest.mark.parametrize("work", list(Work))
 @pytest.mark.parametrize("journal", [False, True])
-def test_a_player_fires_as_often_as_it_says_and_keeps_its_tokens(make, work, journal, tmp_path):
-    player = Player(working(make.__name__, 12, work), tmp_path if journal else None)
+def test_a_player_fires_as_often_as_it_says_for_a_command_and_keeps_its_tokens(make, work, journal, tmp_path):
+    player = Player(working(make.__name__, 12, work), Journal(tmp_path, "bench") if journal else None)
     assert player.fire(100) >= 100
-    tokens = sum(player.executor.marking().values())
-    assert tokens == 1 if make is ring else 4 <= tokens <= 8
+    marked = player.executor.marking()
+    assert sum(marked.values()) == 1 if make is ring else 4 <= sum(marked.values()) <= 8
+    rule = player.executor.rule
+    owned = {place for place in marked if not place.startswith("fork")}
+    assert owned
+    for place in owned:
+        assert [lineage.job.symbol for lineage in rule.tokens.queues[rule.place[place]]] == [SYMBOL]
+
+
+@pytest.mark.parametrize("make", [ring, philosophers])
+@pytest.mark.parametrize("work", list(Work))
+def test_what_is_measured_is_a_net_that_may_run(make, work):
+    assert verify_to_load([working(make.__name__, 12, work)]).ok
 
 
 def test_an_observed_player_tells_of_every_firing():
-    player = Player(philosophers(12))
+    player = Player(working("philosophers", 12, Work.NONE))
     assert player.fire(50) == player.observer.count == player.executor.sequence
 
 
 def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent(tmp_path):
-    lines = firings.action_lines(NO_PEERS, 50, 1, tmp_path)
-    compared = [line for line in lines if line.name.startswith("firings")]
-    assert (len(compared), len(lines)) == (12, 30)
+    lines = firings.lines(NO_PEERS, 50, 2, tmp_path)
+    assert len(lines) == 2 * (3 * 3 + 1 + 3)
+    assert [line.value > 0 for line in lines] == [True] * len(lines)
+    compared = [line for line in lines if line.against and line.against != "slowest"]
+    assert len(compared) == 2 * (3 * 2 + 3)
     assert {line.against for line in compared} == {"the peers could not be installed"}
-    assert {line.met for line in lines} == {None}
-
-
-def test_rates_are_medians_of_rounds_and_a_size_is_compared_with_the_others():
-    lines = firings.plain_lines(NO_PEERS, 200, 2)
-    own_lines = [line for line in lines if line.name.startswith("firings")]
-    assert [line.value > 0 for line in own_lines] == [True] * 6
     spread = next(line for line in lines if "slowest" in line.name)
     assert spread.measure >= 1.0
 

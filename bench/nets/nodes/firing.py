@@ -10,13 +10,14 @@ from pathlib import Path
 from rclpy.node import Node
 
 from bench.nets.nodes.loop import PATIENCE_S, alone, run, wait_until
-from bench.nets.player import GUARD, Work, working
+from bench.nets.player import GUARD, OVER, SYMBOL, Work, working
 from bench.nets.serving import Handler
 from im_core.clock import cpu
 from im_core.ros import qos
 from im_msgs.msg import Firing
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Command
 from im_pnt.netfile import yaml_text
 from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
@@ -34,14 +35,14 @@ class Firer(PntNode):
     """
 
     def __init__(self, folder: Path) -> None:
-        self._net = working("ring", PLACES, Work.GUARDED)
+        self._net = working("ring", PLACES, Work.ALL)
         file = folder / "bench_ring.yaml"
         file.write_text(yaml_text(self._net), encoding="utf-8")
         super().__init__(
             "bench_firer",
             [file],
             {ACTION: self._count},
-            {GUARD: self._more},
+            {GUARD: self._more, OVER: lambda _: False},
             verifier=verify_to_load,
             parameter_overrides=alone(journal_dir=str(folder / "journal")),
         )
@@ -70,7 +71,10 @@ class Firer(PntNode):
         began = cpu()
         self._left = firings
         executor = self.exchange.nets[self._net.name]
-        executor.post(GuardsChanged())
+        if executor.busy():
+            executor.post(GuardsChanged())
+        else:
+            executor.command(Command(1, SYMBOL))
         finished = self._done.wait(PATIENCE_S)
         return {"finished": finished, "firings": firings, "cpu_s": cpu() - began, "sequence": executor.sequence}
 
