@@ -138,6 +138,46 @@ def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
     return path
 
 
+def make_mark(path: Path, content: str) -> None:
+    """Make a file whose presence is a statement: the death of the process that made it cannot take it back.
+
+    Nothing waits for the disk: :func:`synchronise_mark` does. On a full disk the file may lack its content.
+
+    Args:
+        path: The file; one that is there stays as it is.
+        content: Text, written as UTF-8.
+
+    Raises:
+        StoreError: The file cannot be made.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    except FileExistsError:
+        return
+    except OSError as error:
+        raise StoreError.of("made", path, error) from error
+    with contextlib.suppress(OSError):
+        os.write(descriptor, content.encode())
+    os.close(descriptor)
+
+
+def synchronise_mark(path: Path) -> None:
+    """Return when a file of :func:`make_mark` outlives a loss of power.
+
+    Raises:
+        StoreError: The file is not there, or the disk has failed.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        synchronise_names(path.parent)
+    except OSError as error:
+        raise StoreError.of("synchronised", path, error) from error
+
+
 def is_same(one: str | Path, other: str | Path) -> bool:
     """Whether two paths are of one file that is there, by whatever names and links."""
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)

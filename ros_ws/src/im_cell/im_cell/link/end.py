@@ -139,7 +139,7 @@ class StopEnd(ClockEnd):
     """The emergency stop circuit: a way to the power that does not lead through the servo.
 
     While it is cut, motors have no power and brakes are on, whatever the servo commands; it stays cut until it is
-    restored, whoever is gone meanwhile.
+    restored, whoever is gone meanwhile. A servo that does not answer then is waited for a tenth as long as else.
     """
 
     def cut(self) -> None:
@@ -155,3 +155,8 @@ class StopEnd(ClockEnd):
     def is_cut(self) -> bool:
         """Whether there can be no power."""
         return bool(self._shared.view["stop"])
+
+    def reading(self) -> tuple[bool, bool]:
+        """Read whether the motors have power, and whether every brake is engaged, in the newest tick."""
+        view = self._shared.view
+        return bool(view["power"]), bool(view["brakes"].all())

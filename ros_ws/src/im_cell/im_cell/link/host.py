@@ -26,6 +26,8 @@ DEFAULT_LIGHTS = ("left_led", "right_led")
 #: How long time waits for an image that is due, at clock factor 0 [s]: less than a servo waits for a tick.
 IMAGE_PATIENCE_S = 1.0
 _SLICE_S = 0.05
+#: Share of the usual time for which a servo is waited for while the emergency stop circuit is cut.
+_CUT_SHARE = 0.1
 
 
 class HostEnd(LinkEnd):
@@ -117,7 +119,7 @@ class HostEnd(LinkEnd):
 
         Args:
             timeout_s: After this time [s], in which it had a processor or wanted none, the servo is declared gone and
-                counted as lost.
+                counted as lost; after a tenth of it while the emergency stop circuit is cut.
 
         Returns:
             The command, without power while the emergency stop circuit is cut; None if there is no servo, or none any
@@ -132,7 +134,8 @@ class HostEnd(LinkEnd):
             silence = silence or Silence(pid, longest_look_s=2.0 * _SLICE_S)
             if int(view["servo_pid"]) != pid:
                 return None
-            if silence.look() > timeout_s or not ProcessId(pid, int(view["servo_start"])).alive():
+            patience_s = timeout_s * (_CUT_SHARE if bool(view["stop"]) else 1.0)
+            if silence.look() > patience_s or not ProcessId(pid, int(view["servo_start"])).alive():
                 self._declare_gone()
                 return None
         if int(view["servo_pid"]) != pid:

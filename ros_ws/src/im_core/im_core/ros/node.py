@@ -55,15 +55,16 @@ class ManagedNode(GuardedNode):
     Attributes:
         declared: Declares parameters; with a wrong one the node fails to be configured.
         detail: What is told of the task with the phases that it has passed.
+        introspection: What its services publish of what they are asked and answer.
     """
 
-    _introspection = ServiceIntrospectionState.OFF
+    introspection = ServiceIntrospectionState.OFF
 
     def __init__(self, name: str, *, parameter_overrides: list[Parameter] | None = None) -> None:
         super().__init__(name, parameter_overrides=parameter_overrides)
         self.declared = DeclaredParameters(self)
         published = "what services and actions publish of what they carry, on <service>/_service_event"
-        self._introspection = INTROSPECTION[
+        self.introspection = INTROSPECTION[
             self.declared.declare("introspection", "off", published, known=INTROSPECTION)
         ]
         self.task_name = name
@@ -92,7 +93,7 @@ class ManagedNode(GuardedNode):
     ) -> Service:
         """As of :class:`.GuardedNode`, with introspection as the node's parameter says."""
         service = super().create_service(srv_type, srv_name, callback, **options)
-        service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, self._introspection)
+        service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, self.introspection)
         return service
 
     def phase_configure(self) -> None:
@@ -115,7 +116,7 @@ class ManagedNode(GuardedNode):
     @property
     def tells_contents(self) -> bool:
         """Whether services and actions publish all that they carry."""
-        return bool(self._introspection == ServiceIntrospectionState.CONTENTS)
+        return bool(self.introspection == ServiceIntrospectionState.CONTENTS)
 
     @property
     def ready(self) -> bool:

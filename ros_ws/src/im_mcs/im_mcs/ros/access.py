@@ -16,17 +16,19 @@ from im_core import clock, names
 from im_core.errors import ImError, StateError
 from im_core.ros.callers import nodes_of
 from im_core.ros.calls import pause, run_in_thread
+from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
-from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.model import CellModel
+from im_mcs.protocol.evidence import KEPT
 from im_mcs.ros.bounds import check_bounds
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.ros.servo_keeper import FINALIZED_MESSAGE, POLL_S, ServoKeeper
+from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.state import POWERED, Event, State, next_state
 
 Started = Callable[[int], None]
@@ -124,7 +126,8 @@ class McsAccess:
         self.kinematics = Kinematics(config, CellModel(self.cell))
         self.refusals = Refusals(node.get_logger())
         self.take_overs = TakeOvers(node.get_logger())
-        self._changed = changed
+        self._changed, self._shown_tick = changed, -1
+        self._evidence: dict[tuple[ServoClient, int, str], Promise] = {}
         self.lifecycle = Lifecycle(
             node,
             {
@@ -223,7 +226,9 @@ class McsAccess:
         reply = await promise
         assert isinstance(reply, ServoReply)
         self.keeper.follow()
-        self._changed()
+        if (tick := int(client.snapshot()["tick"])) != self._shown_tick:  # answers of one tick tell of one state
+            self._shown_tick = tick
+            self._changed()
         if reply.error is not None:
             raise await self._with_evidence(client, reply.error, reply.results)
         return reply.results
@@ -247,13 +252,11 @@ class McsAccess:
         return f"MCS is {self.state.value}"
 
     async def stop(self, event: Event) -> str:
-        """Stop by ``estop`` or ``protective_stop``, or ``reset`` an emergency stop; where that led, as a sentence.
+        """Stop by ``protective_stop``, or ``reset`` an emergency stop; where that led, as a sentence.
 
         Raises:
             ImError: It is refused, or ended badly.
         """
-        if event is Event.ESTOP:
-            return await self.keeper.estop(f"request on /mcs/{event.value}")
         if event is Event.RESET:
             await self.keeper.reset(self.request)
             return f"MCS is {self.state.value}"
@@ -322,15 +325,33 @@ class McsAccess:
         self.node.alarms.after(_ANSWERED_S, lambda: self.node.fail(StateError(FINALIZED_MESSAGE)))
 
     async def _with_evidence(self, client: ServoClient, error: ImError, results: dict[str, Any]) -> ImError:
-        """An error; where it has evidence, that is written and its file named in message and facts."""
-        record = client.evidence(int(results.get("evidence", 0)))
-        if record is None:
+        """An error; where it has evidence, that is written and its file named in message and facts.
+
+        Goals that end in one tick for one reason share the evidence: it is written once.
+        """
+        key = client, int(results.get("evidence", 0)), error.message
+        written = self._evidence.get(key)
+        if written is None:
+            record = client.evidence(key[1])
+            if record is None:
+                return error
+            written = self._evidence[key] = self.node.promise()
+            if len(self._evidence) > KEPT:
+                del self._evidence[next(iter(self._evidence))]
+            self.node.spawn(self._write_evidence(record, error, written))
+        path = await written
+        if not path:
             return error
-        folder, joints = names.results_dir() / _EVIDENCE, tuple(self.model.names)
+        facts = {**error.facts, "evidence": path}
+        return ImError.restored(error.code, f"{error.message}; the last seconds are in {path}", facts)
+
+    async def _write_evidence(self, record: dict[str, Any], error: ImError, written: Promise) -> None:
+        """Write the evidence of an error in a thread; its path, or an empty text, is the result of a promise."""
+        path = ""
         try:
-            path = await run_in_thread(self.node, write_evidence, folder, record, error, joints)
+            folder, joints = names.results_dir() / _EVIDENCE, tuple(self.model.names)
+            path = str(await run_in_thread(self.node, write_evidence, folder, record, error, joints))
         except ImError as trouble:
             self.node.get_logger().warning(trouble.message)
-            return error
-        facts = {**error.facts, "evidence": str(path)}
-        return ImError.restored(error.code, f"{error.message}; the last seconds are in {path}", facts)
+        finally:
+            written.set_result(path)

@@ -17,6 +17,7 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
 from im_mcs.state import State
 from im_mcs.state.table import STATES
+from im_mcs.testbed.driver import PowerReading
 from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
 
@@ -92,7 +93,7 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
 
 
 def mcs_state(
-    config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, measured: bool
+    config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
 ) -> McsState:
     """``im_msgs/McsState``.
 
@@ -101,22 +102,24 @@ def mcs_state(
         state: State of MCS.
         reason: Why it is there, or empty.
         snapshot: What the servo told last, None if there is none.
-        measured: Whether that is so now: else power and brakes are told as they are without a servo.
+        past: Power and brakes, read past a servo that says nothing of them now; None where the snapshot measures them.
     """
     message = McsState(
         state=state.value, reason=reason, brakes=True, preset=config.preset, period=config.servo.period_s
     )
+    if past is not None:
+        message.power, message.brakes = past
     if snapshot is None or state is State.UNCONFIGURED:
         return message
     stopped = state is State.ESTOPPED
     groups = [
-        group_status(config, row, snapshot, stopped, measured)
+        group_status(config, row, snapshot, stopped, past)
         for row in snapshot["groups"]
         if text(row["name"]) in config.groups
     ]
     held = snapshot["brakes"][snapshot["reserved"]]
     message.stamp = time(int(snapshot["stamp_ns"]))
-    if measured:  # else what stands there is old, or only commanded, and the reason says so
+    if past is None:
         message.power = bool(snapshot["power"])
         message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())
     message.groups = groups
@@ -134,7 +137,7 @@ def mcs_state(
 
 
 def group_status(
-    config: McsConfig, row: np.void, snapshot: NDArray[np.void], stopped: bool, measured: bool
+    config: McsConfig, row: np.void, snapshot: NDArray[np.void], stopped: bool, past: PowerReading | None
 ) -> GroupStatus:
     """``im_msgs/GroupStatus`` of a row of the snapshot's groups.
 
@@ -143,7 +146,7 @@ def group_status(
         row: What the servo told last of the group.
         snapshot: What it told last of everything.
         stopped: Whether MCS is estopped, which the servo may not have told yet.
-        measured: As of :func:`mcs_state`.
+        past: As of :func:`mcs_state`.
     """
     name = text(row["name"])
     slots = [slot.name for slot in config.joint_slots]
@@ -151,7 +154,7 @@ def group_status(
     return GroupStatus(
         group=name,
         state=(State.ESTOPPED if stopped else STATES[int(row["state"])]).value,
-        brakes=not measured or bool(snapshot["brakes"][index].all()),
+        brakes=bool(snapshot["brakes"][index].all()) if past is None else past.braked,
         reserved=bool(row["reserved"]),
         owner=text(row["owner"]),
         lease=float(row["lease_left_s"]),

@@ -18,6 +18,7 @@ from im_mcs.ros.actions.gripper_server import GripperServer
 from im_mcs.ros.actions.motions import Motions
 from im_mcs.ros.actions.move_server import MoveServer
 from im_mcs.ros.actions.trajectory_server import TrajectoryServer
+from im_mcs.ros.estop_server import EstopServer
 from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices
 from im_mcs.ros.servo_keeper import POLL_S
 from im_mcs.ros.topics.command_topics import CommandTopics
@@ -61,6 +62,7 @@ class McsNode(ManagedNode):
             TrajectoryServer(self._mcs, motions),
             CommandTopics(self._mcs),
         )
+        self._estop = EstopServer(self._mcs)
         self._publish_state()
 
     def phase_configure(self) -> None:
@@ -78,6 +80,7 @@ class McsNode(ManagedNode):
     def phase_shutdown(self) -> None:
         """End the servo process; the testbed brakes by itself."""
         self._mcs.keeper.close()
+        self._estop.close()
 
     def destroy_node(self) -> None:
         """Leaves the graph, which the state machine of rcl keeps every node in that it was made for."""
@@ -102,7 +105,7 @@ class McsNode(ManagedNode):
     def _publish_state(self) -> None:
         snapshot = self._mcs.client().snapshot() if self._mcs.keeper.running else None
         keeper = self._mcs.keeper
-        self._topics.state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.measures)
+        self._topics.state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.read_past)
 
     def _publish_diagnostics(self) -> None:
         mcs = self._mcs

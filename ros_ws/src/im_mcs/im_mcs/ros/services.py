@@ -32,7 +32,7 @@ from im_msgs.srv import (
 )
 
 _TRANSITIONS = (Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION)
-_STOPS = (Event.PROTECTIVE_STOP, Event.ESTOP, Event.RESET)
+_STOPS = (Event.PROTECTIVE_STOP, Event.RESET)
 Work = Callable[[Any, Any, str], Awaitable[str]]
 """What a service does: given request, response and client, it returns what to say."""
 

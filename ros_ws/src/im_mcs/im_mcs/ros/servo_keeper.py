@@ -1,6 +1,5 @@
 """The servo process in the life of the node: start, signs of life, end, and what changes there."""
 
-import threading
 from collections import deque
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -10,19 +9,20 @@ from im_cell.link import ClockEnd
 from im_core import clock, names
 from im_core.errors import ImError, LinkError, StateError
 from im_core.process import ChildProcess
-from im_core.ros.calls import run_in_thread, wait
-from im_core.ros.coroutines import Promise
+from im_core.ros.calls import run_in_thread
+from im_core.ros.coroutines import Promise, calling
 from im_core.ros.node import ManagedNode
 from im_core.startup import patience_s
+from im_mcs.client.emergency_stop import EmergencyStop
 from im_mcs.client.servo_client import OnState, ServoClient
-from im_mcs.client.stop_circuits import StopCircuits
-from im_mcs.client.stop_mark import StopMark
 from im_mcs.client.time_source import FlowingTime, TestbedTime
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.ros.lifecycle import Lifecycle
+from im_mcs.safety.stop_circuits import StopCircuits
+from im_mcs.safety.stop_mark import StopLatch, StopMark
 from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
-from im_mcs.testbed.driver import asks_for_time
+from im_mcs.testbed.driver import PowerReading, asks_for_time
 
 FINALIZED_MESSAGE = (
     "/mcs is finalized by the lifecycle transition shutdown; the machine starts it again within seconds, "
@@ -33,14 +33,15 @@ POLL_S = 0.02
 """How often the node looks after it [s]."""
 _LONGER = 1.1
 """The servo process says itself for what it waited in vain; only if it does not, the node says so."""
-_ESTOP_ANSWER_S = 0.2
 _TELL_AGAIN_S = 0.5
 """How soon a servo that is not stopped, and should be, is told again [s]."""
 _UNHEARD_S = 30.0
 """For how long the servo may let requests lie [s]. Where its testbed is silent it refuses them itself, and sooner, but
 for the time in which a busy computer gives that no processor."""
-_MARK_S = 30.0
-"""How long it may take to keep a stop on the disk [s]."""
+_DISK_S = 30.0
+"""How long the disk may take to have the mark of a stop [s]."""
+_FRESH_S = 0.1
+"""Power and brakes of a servo that has been silent for longer are read past it [s]."""
 
 
 class ServoOwner:
@@ -126,9 +127,8 @@ class ServoKeeper:
         changed: Callable[[], None],
     ) -> None:
         self._node, self._lifecycle = node, lifecycle
-        self._circuits = circuits
-        self._mark, self._marking = StopMark(), threading.Lock()
-        self._stop_cause, self._stops = self._mark.read(), 0
+        self._circuits, self._latch = circuits, StopLatch(StopMark(), circuits)
+        self._stop = EmergencyStop(circuits, self._latch)
         self._told_again, self._resets = 0.0, 0
         self._testbed_lost = self._servo_lost = False
         self._silence_s = silence_s
@@ -150,16 +150,16 @@ class ServoKeeper:
         """Why MCS is in its state, e.g. what caused an emergency stop; who does not answer, if so; or empty."""
         if self._owner is not None and self._hang is None:
             linked = self._owner.client.snapshot()["linked"]
-            return self._reason or self._stop_cause or ("" if linked else "the testbed does not answer")
+            return self._reason or self._stop.cause or ("" if linked else "the testbed does not answer")
         what = self._reason if self._hang is None else self._hang.message
-        latched = f"an emergency stop is latched ({self._stop_cause}); reset it (/mcs/reset)"
-        return "; ".join(filter(None, (what, latched if self._stop_cause else "")))
+        latched = f"an emergency stop is latched ({self._stop.cause}); reset it (/mcs/reset)"
+        return "; ".join(filter(None, (what, latched if self._stop.cause else "")))
 
     @property
     def lost(self) -> bool:
         """Whether MCS would be cold but for a loss: its servo died, or the testbed left it; nobody has stopped it."""
         if self._owner is None:
-            stopped = bool(self._stop_cause) and not self._testbed_lost
+            stopped = bool(self._stop.cause) and not self._testbed_lost
             return self._servo_lost and not stopped and self._lifecycle.state == "unconfigured"
         return self._testbed_lost and self.state is State.ESTOPPED
 
@@ -169,21 +169,28 @@ class ServoKeeper:
         return self._starting is not None or self._resets > 0
 
     @property
-    def measures(self) -> bool:
-        """Whether what the servo told last is measured: it gives signs of life, and the testbed answers it."""
-        return self._owner is not None and self._hang is None and bool(self._owner.client.snapshot()["linked"])
+    def read_past(self) -> PowerReading | None:
+        """Power and brakes, read past a servo that says nothing of them now; None where it measures them.
+
+        Hardware that cannot be asked is told as it is without a servo.
+        """
+        if self._owner is not None and self._hang is None:
+            client = self._owner.client
+            if client.silence_s() < _FRESH_S and client.snapshot()["linked"]:
+                return None
+        return self._circuits.reading() or PowerReading(power=False, braked=True)
 
     @property
     def stop_cause(self) -> str:
         """Why an emergency stop is latched, or empty; it outlives the servo process."""
-        return self._stop_cause
+        return self._stop.cause
 
     @property
     def state(self) -> State:
         """Present state of MCS; after an emergency stop estopped, whatever a servo that hangs has said last."""
         if self._owner is None:
             return State.UNCONFIGURED
-        return State.ESTOPPED if self._stop_cause else self._owner.client.state()
+        return State.ESTOPPED if self._stop.cause else self._owner.client.state()
 
     def client(self) -> ServoClient:
         """The way to the servo.
@@ -233,34 +240,19 @@ class ServoKeeper:
             self._starting = None
         self._take_owner(owner)
 
-    async def estop(self, reason: str) -> str:
-        """Stop at once, whatever state MCS is in, and latch it; what has been done, as a sentence.
+    def estop(self, reason: str) -> str:
+        """Stop at once, whatever state MCS is in, and latch it; return what is so, as a sentence. From any thread."""
+        owner = self._owner
+        said = self._stop.stop(reason, None if owner is None else owner.client)
+        self._node.spawn(calling(self._follow_stop))
+        return f"MCS is {self.state.value}; {said}" if owner is not None else f"{self.reason}; {said}"
 
-        The servo stops in its next tick. If it does not say so soon, power goes by the stop circuits.
-        """
-        self._stops += 1
+    def _follow_stop(self) -> None:
+        """Let the node follow a stop that was asked for; in the loop."""
         self._testbed_lost = False
-        self._stop_cause = self._stop_cause or reason  # told below: nothing comes before the stop itself
-        if self._owner is None:
-            done = self._circuits.cut()
-            self._changed()
-            await self._keep_mark()
-            return f"{self.reason}; {done}"
-        promise = self._node.promise()
-        try:
-            self._owner.client.send(Event.ESTOP, {"reason": reason}, promise.set_result)
-            reply = await wait(self._node, promise, _ESTOP_ANSWER_S, "the servo process to stop")
-            error = reply.error
-        except ImError as trouble:
-            error = trouble
-        done = "" if error is None else self._circuits.cut()
         self.follow()
         self._changed()
-        await self._keep_mark()
-        if error is None:
-            return f"MCS is {self.state.value}"
-        self._node.get_logger().error(f"emergency stop without the servo: {error.message}; {done}")
-        return f"MCS is {self.state.value}; the servo did not answer: {error.message}; {done}"
+        self._node.spawn(self._synchronise())
 
     async def reset(self, request: Callable[[Event, dict[str, Any]], Awaitable[object]]) -> None:
         """End an emergency stop, if its cause is gone; nothing moves.
@@ -271,58 +263,43 @@ class ServoKeeper:
         Raises:
             ImError: The cause is not gone, there is nothing to reset, or it was stopped again meanwhile.
         """
-        stops = self._stops
+        count, unserved = self._stop.count, self._owner is None
         if self._owner is None:
-            if not self._stop_cause:
+            if not self._stop.cause:
                 self.client()
         else:
             self._resets += 1
             try:
-                if self._stop_cause and self._owner.client.state() is not State.ESTOPPED:
-                    await request(Event.ESTOP, {"reason": self._stop_cause})  # it has not heard of it, and shall
+                if self._stop.cause and self._owner.client.state() is not State.ESTOPPED:
+                    await request(Event.ESTOP, {"reason": self._stop.cause})  # it has not heard of it, and shall
                 await request(Event.RESET, {})
             finally:
                 self._resets -= 1
-            if self._stops != stops:
-                raise StateError("reset was overtaken by another emergency stop", request=Event.RESET.value)
-        self._circuits.restore()
-        self._stop_cause, self._testbed_lost = "", False
-        await self._keep_mark()
+        self._stop.end(count, forget=unserved)
+        self._testbed_lost = False
         self._changed()
 
-    async def _keep_mark(self) -> None:
-        """Keeps in the run folder that somebody has asked for a stop, or that it is reset.
-
-        Where that cannot be, the stop circuits are cut: they outlive this process, too.
-        """
-
-        def keep() -> None:
-            with self._marking:
-                cause = self._stop_cause
-                if cause:
-                    self._mark.set(cause)
-                else:
-                    self._mark.clear()
-
+    async def _synchronise(self) -> None:
+        """Let the mark of a stop outlive a loss of power, too."""
         try:
-            await run_in_thread(self._node, keep, timeout_s=_MARK_S)
-        except (ImError, OSError) as error:
-            done = f"; {self._circuits.cut()}" if self._stop_cause else ""
-            self._node.get_logger().error(f"the death of /mcs would change whether it is stopped: {error}{done}")
+            await run_in_thread(self._node, self._latch.synchronise, timeout_s=_DISK_S)
+        except ImError as error:
+            self._node.get_logger().error(f"a loss of power would end the emergency stop: {error.message}")
 
-    def _latch(self, cause: str) -> None:
+    def _hold(self, cause: str) -> None:
         """Remember an emergency stop; the first cause stays."""
-        if not self._stop_cause:
-            self._stop_cause = cause
+        if not self._stop.cause:
+            self._stop.cause = cause
             self._changed()
+            self._node.spawn(self._synchronise())
 
     def _take_owner(self, owner: ServoOwner) -> None:
         """A servo process is there; it is told of an emergency stop that was latched meanwhile, or found."""
         self._owner = owner
-        if not self._stop_cause and self._circuits.is_cut():
-            self._latch("the emergency stop circuit was found cut")
-        if self._stop_cause:
-            owner.client.send(Event.ESTOP, {"reason": self._stop_cause})
+        if not self._stop.cause and self._circuits.is_cut():
+            self._hold("the emergency stop circuit was found cut")
+        if self._stop.cause:
+            owner.client.send(Event.ESTOP, {"reason": self._stop.cause})
 
     def close(self) -> None:
         """End the servo process; the testbed brakes by itself. What it told of itself is forgotten."""
@@ -360,11 +337,11 @@ class ServoKeeper:
 
     def _tell_again(self, client: ServoClient) -> None:
         """Has a servo stop that has not heard of an emergency stop: it hung then, or its testbed was away."""
-        if not self._stop_cause or self._resets or self._hang is not None or client.state() is State.ESTOPPED:
+        if not self._stop.cause or self._resets or self._hang is not None or client.state() is State.ESTOPPED:
             return
         if clock.monotonic() > self._told_again:
             self._told_again = clock.monotonic() + _TELL_AGAIN_S
-            client.send(Event.ESTOP, {"reason": self._stop_cause})
+            client.send(Event.ESTOP, {"reason": self._stop.cause})
 
     def follow(self) -> None:
         """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
@@ -380,8 +357,8 @@ class ServoKeeper:
             state, groups, self._reason, lost = self._changes.popleft()
             if state is State.ESTOPPED:
                 # told again with each change of a group; a stop that somebody asked for before it is no loss
-                self._testbed_lost = lost and (self._testbed_lost or not self._stop_cause)
-                self._latch(self._reason)
+                self._testbed_lost = lost and (self._testbed_lost or not self._stop.cause)
+                self._hold(self._reason)
             each = ", ".join(f"{group} {its}" for group, its in groups.items())
             text = f"MCS is {state.value}" + (f" ({each})" if each else "")
             text += f": {self._reason}" if self._reason else ""

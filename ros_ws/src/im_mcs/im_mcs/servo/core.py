@@ -14,9 +14,11 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
 from im_mcs.model import CellModel, ControlledModel
+from im_mcs.planning.goals import Goal
 from im_mcs.protocol.evidence import Recorder
 from im_mcs.protocol.requests import request_id
 from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
+from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.servo.answers import Answers, Emit
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.control_loop import ControlLoop
@@ -55,6 +57,7 @@ class Mcs:
         emit: Takes replies, results and progress.
         recorder: Keeps the last seconds.
         awaited: For whom simulated time stands while others want it; None: for nobody.
+        latch: Keeps an emergency stop beyond the life of this process; MCS begins estopped where one is kept.
 
     Raises:
         LinkError: The testbed does not answer.
@@ -69,6 +72,7 @@ class Mcs:
         emit: Emit,
         recorder: Recorder,
         awaited: AwaitedOwners | None = None,
+        latch: StopLatch | None = None,
     ) -> None:
         self.config, self.model, self.recorder = config, model, recorder
         self._testbed = GuardedTestbed(testbed)
@@ -76,6 +80,8 @@ class Mcs:
         self.v = np.zeros(model.n)
         self.wants_time = self.held = False
         self._awaited = awaited
+        self._latch, self._kept = latch, False
+        self._untold: list[tuple[Goal, ImError]] = []
         self.limits = JointLimits(model.cell, config.limits, config.slots)
         self.saturations = Saturations(model.n)
         self.control_model = ControlledModel(model.cell, config.model_error)
@@ -102,6 +108,8 @@ class Mcs:
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
         self._dispatch = Dispatch(self)
+        if latch is not None and (cause := latch.read()):
+            self.manager.estop(cause)
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
@@ -138,6 +146,7 @@ class Mcs:
         tau, setpoint = loop.tau, loop.setpoint
         try:
             self._write()
+            self._complete_stop()
             self._follow_up()
             for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
                 self._react(finding)
@@ -158,6 +167,7 @@ class Mcs:
         """Answer a request that cannot be carried out; an emergency stop can always."""
         if message.get("request") == Event.ESTOP.value:
             self._dispatch.run(message)
+            self._complete_stop()
         else:
             self.answers.reply(request_id(message), error)
 
@@ -191,6 +201,7 @@ class Mcs:
         if self._testbed.several:  # the other hardware stops now, not when all answer again
             with suppress(LinkError):
                 self._write()
+        self._complete_stop()
         self._velocity.reset()
         for group in self.groups.values():
             group.monitor.restart()
@@ -238,14 +249,23 @@ class Mcs:
         self.loop.disengage(groups)
 
     def drop_goals(self, reason: ImError) -> None:
-        """End every goal with ``reason``, at once."""
+        """End every goal with ``reason``, at once; senders are told when the power is gone."""
         self.answers.accuse(reason)
         driven = self.loop.torque_streams.end_streams(reason)
         goals = [goal for group in self.groups.values() for goal in group.drop_goals()]
-        for goal in [*goals, *(goal for _, goal, _ in driven)]:
-            self.answers.drop_goal(goal, reason, self.measured.tick)
+        self._untold += [(goal, reason) for goal in (*goals, *(goal for _, goal, _ in driven))]
         self.grippers.drop_goals(reason, self.measured.gripper)
         self.disengage(tuple(self.groups))
+
+    def forget_stop(self) -> None:
+        """Let no later process begin with the emergency stop that is reset.
+
+        Raises:
+            StoreError: The mark cannot be removed.
+        """
+        if self._latch is not None:
+            self._latch.clear()
+        self._kept = False
 
     def moving(self, groups: Sequence[str]) -> str | None:
         """One of the groups that has a goal."""
@@ -266,6 +286,20 @@ class Mcs:
             return said + self._testbed.faults()
         except LinkError as error:
             return [*said, error.message]
+
+    def _complete_stop(self) -> None:
+        """Keep an emergency stop whose power is gone, then tell ended goals: nothing comes before power and mark.
+
+        A loss of the testbed needs no mark: nobody has stopped the machine, and the next reservation resets it.
+        """
+        manager = self.manager
+        if manager.state is State.ESTOPPED and not manager.lost and not self._kept:
+            self._kept = True
+            if self._latch is not None and (failed := self._latch.keep(manager.cause)):
+                manager.cause = f"{manager.cause}; {failed}"
+        untold, self._untold = self._untold, []
+        for goal, reason in untold:
+            self.answers.drop_goal(goal, reason, self.measured.tick)
 
     def _watch(self) -> bool:
         """Let the watches look; whether the owner gives no sign of life, so that power must go."""

@@ -14,6 +14,8 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.protocol.evidence import Recorder
+from im_mcs.safety.stop_circuits import StopCircuits
+from im_mcs.safety.stop_mark import StopLatch, StopMark
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.hardware import GuardedTestbed
@@ -58,7 +60,8 @@ class ServoProcess:
         recorder = Recorder(self._channel.layout, self._channel.evidence)
         self._on_demand = self._testbed.wall_period_s == 0.0
         awaited = AwaitedOwners(config.servo.owner_patience_s) if self._on_demand else None
-        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited)
+        latch = StopLatch(StopMark(), StopCircuits(config.testbed.drivers, instance))
+        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited, latch)
         self._pacer = Pacer(self._testbed.wall_period_s)
         self._reporter = Reporter(self._channel, self._mcs, self._pacer)
         self._powered = False

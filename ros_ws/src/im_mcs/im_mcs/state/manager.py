@@ -39,7 +39,15 @@ class Arms(Protocol):
         ...
 
     def drop_goals(self, reason: ImError) -> None:
-        """End every goal with ``reason`` and :meth:`disengage` all groups."""
+        """End every goal with ``reason`` and :meth:`disengage` all groups; senders are told when the power is gone."""
+        ...
+
+    def forget_stop(self) -> None:
+        """Let no later process begin with the emergency stop that is reset.
+
+        Raises:
+            StoreError: The mark of the stop cannot be removed.
+        """
         ...
 
     def moving(self, groups: Sequence[str]) -> str | None:
@@ -512,6 +520,7 @@ class StateManager:
         if broken := ", ".join(self._arms.broken()):
             sentence = f"reset is refused while there is {broken}; the cause of the stop: {self.cause}"
             raise StateError(sentence, request=Event.RESET.value, broken=broken)
+        self._arms.forget_stop()
         self.reservations.release_all()
         self._states.clear()
         self.cause, self.lost = "", False

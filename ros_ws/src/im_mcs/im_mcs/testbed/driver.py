@@ -151,6 +151,23 @@ class SelfReporting(Protocol):
         ...
 
 
+class PowerReading(NamedTuple):
+    """What hardware says of power and brakes, past the servo.
+
+    Attributes:
+        power: Whether the motors have power.
+        braked: Whether every brake is engaged.
+    """
+
+    power: bool
+    braked: bool
+
+    @property
+    def secured(self) -> bool:
+        """Whether nothing is driven and everything is held."""
+        return self.braked and not self.power
+
+
 class StopCircuit(Protocol):
     """A way to the power that does not lead through the servo: it works while that hangs, or is not there.
 
@@ -175,6 +192,14 @@ class StopCircuit(Protocol):
 
     def is_cut(self) -> bool:
         """Whether it is cut, perhaps since before this process.
+
+        Raises:
+            LinkError: There is no hardware.
+        """
+        ...
+
+    def reading(self) -> PowerReading:
+        """Read power and brakes as the hardware reports them.
 
         Raises:
             LinkError: There is no hardware.

@@ -7,7 +7,7 @@ import numpy as np
 from im_cell.link import ServoEnd, StopEnd, TickCommand
 from im_core import clock
 from im_core.errors import LinkError
-from im_mcs.testbed.driver import Drive, Measured, ReportedFault
+from im_mcs.testbed.driver import Drive, Measured, PowerReading, ReportedFault
 
 _POLL_S = 20e-6
 _LOOK_S = 0.1
@@ -144,3 +144,12 @@ class SimulatedStop:
         """
         with StopEnd.attach(self._instance, 0.0) as end:
             return end.is_cut
+
+    def reading(self) -> PowerReading:
+        """Read power and brakes of the newest tick.
+
+        Raises:
+            LinkError: There is no testbed.
+        """
+        with StopEnd.attach(self._instance, 0.0) as end:
+            return PowerReading(*end.reading())

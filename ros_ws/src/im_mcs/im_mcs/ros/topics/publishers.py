@@ -21,6 +21,7 @@ from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.state import State
+from im_mcs.testbed.driver import PowerReading
 from im_msgs.msg import McsState
 
 
@@ -46,10 +47,10 @@ class Publishers:
         self._description.publish(String(data=urdf(model.cell, limits=limits.enforced())))
 
     def state(
-        self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, measured: bool
+        self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
     ) -> None:
         """``/mcs/state``; arguments as of :func:`im_mcs.ros.messages.mcs_state`."""
-        self._state.publish(messages.mcs_state(config, state, reason, snapshot, measured))
+        self._state.publish(messages.mcs_state(config, state, reason, snapshot, past))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
         """``/joint_states`` and ``/tf`` of every sample of the servo; what nobody listens to is not made."""

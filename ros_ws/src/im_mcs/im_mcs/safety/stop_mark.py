@@ -1,0 +1,101 @@
+"""The mark of an emergency stop: a file of the run folder that outlives the processes of MCS, until the reset."""
+
+from pathlib import Path
+
+from im_core import names
+from im_core.errors import StoreError
+from im_core.files import FileError, make_mark, read_text, synchronise_mark
+from im_mcs.safety.stop_circuits import StopCircuits
+
+
+class StopMark:
+    """Keep an emergency stop beyond the life of the process that took the power.
+
+    The presence of the file is the statement, its content is the cause. Node and servo process both make it.
+    """
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return names.run_dir() / names.ESTOP
+
+    def read(self) -> str:
+        """Read the cause of the emergency stop; empty where there is no mark."""
+        if not self.path.exists():
+            return ""
+        try:
+            return read_text(self.path).strip() or "an emergency stop"
+        except FileError as error:
+            return f"an emergency stop whose cause cannot be read: {error.sentence}"
+
+    def keep(self, cause: str) -> None:
+        """Make the mark, without a wait for the disk; a mark that is there stays.
+
+        Raises:
+            StoreError: The file cannot be made.
+        """
+        make_mark(self.path, f"{cause}\n")
+
+    def synchronise(self) -> None:
+        """Wait until the mark outlives a loss of power; a mark that was cleared meanwhile needs nothing.
+
+        Raises:
+            StoreError: The disk has failed.
+        """
+        if self.path.exists():
+            synchronise_mark(self.path)
+
+    def clear(self) -> None:
+        """Remove the mark.
+
+        Raises:
+            StoreError: The file cannot be removed.
+        """
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise StoreError.of("removed", self.path, error) from error
+
+
+class StopLatch:
+    """Keep an emergency stop by the mark, or by the stop circuits where there can be no mark.
+
+    Args:
+        mark: The file.
+        circuits: The second way to the power; they outlive this process, too.
+    """
+
+    def __init__(self, mark: StopMark, circuits: StopCircuits) -> None:
+        self._mark, self._circuits = mark, circuits
+
+    def read(self) -> str:
+        """Read the cause of the emergency stop that is kept; empty where there is none."""
+        return self._mark.read()
+
+    def keep(self, cause: str) -> str:
+        """Keep an emergency stop; return the failure as a sentence, empty where the mark is made.
+
+        Args:
+            cause: Cause of the stop; the first one stays.
+        """
+        try:
+            self._mark.keep(cause)
+        except StoreError as error:
+            return f"the emergency stop cannot be kept in the run folder: {error.message}; {self._circuits.cut()}"
+        return ""
+
+    def synchronise(self) -> None:
+        """Wait until the mark, if there is one, outlives a loss of power.
+
+        Raises:
+            StoreError: The disk has failed.
+        """
+        self._mark.synchronise()
+
+    def clear(self) -> None:
+        """Forget the emergency stop.
+
+        Raises:
+            StoreError: The mark cannot be removed.
+        """
+        self._mark.clear()
