@@ -12,6 +12,7 @@
 #                                            the command then finds with what it finds undisturbed
 #   scripts/chaos.sh --everything --power disk --injections 20    the power goes, too: what was not synchronised is there
 #                                            by chance only; with journal_sync: disk, or os
+#   scripts/chaos.sh --demo --injections 20  signals to scripts/demo.sh instead, and the end of its terminal
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
 #   scripts/chaos.sh --out results/chaos.jsonl --docs docs/reliability.md    injects nothing, writes the table there

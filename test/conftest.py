@@ -30,7 +30,7 @@ def pytest_configure(config):
     os.environ[START_TIMEOUT] = "300"  # a slow or busy computer makes a start late, and fails no test
     folder = Path(tempfile.mkdtemp(prefix="im_test_"))
     for name in ("run", "results", "ros", "cache"):
-        (folder / name).mkdir()
+        (folder / name).mkdir(mode=0o700)
     os.environ["IM_RUN_DIR"] = str(folder / "run")
     os.environ["IM_RESULTS_DIR"] = str(folder / "results")
     os.environ["IM_CACHE_DIR"] = str(folder / "cache")
@@ -44,13 +44,15 @@ FOLDER, DOMAIN = pytest.StashKey(), pytest.StashKey()
 def own_domain():
     """The lock of a ROS domain that no other session on this host tests in, and its number; its ports are free."""
     for domain in range(100, 39, -1):
-        lock = (Path(tempfile.gettempdir()) / f"im_test_domain_{domain}.lock").open("a")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-        else:
-            return lock, domain
+        path = Path(tempfile.gettempdir()) / f"im_test_domain_{domain}.lock"
+        with contextlib.suppress(OSError):  # another session, or another user, has it
+            lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "w")
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                lock.close()
+            else:
+                return lock, domain
     raise pytest.UsageError("60 sessions test on this host; each needs a ROS domain of its own")
 
 

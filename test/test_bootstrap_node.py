@@ -15,7 +15,8 @@ from std_msgs.msg import Empty, UInt8
 
 from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
-from im_core.names import run_dir
+from im_core.end_signals import END_SIGNALS
+from im_core.names import instance, run_dir
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_msgs.msg import TaskRegistry, TaskStatus
@@ -259,7 +260,9 @@ def run(*arguments):
     return ["bash", Path(__file__).resolve().parent.parent / "scripts" / "run.sh", *arguments]
 
 
-def test_ctrl_c_while_starting_leaves_nothing(process, wait_until, tmp_path):
+@pytest.fixture
+def endless_deployment(tmp_path):
+    """A deployment that waits for a host that never comes."""
     path = tmp_path / "waits.yaml"
     path.write_text(
         """\
@@ -272,14 +275,36 @@ hosts:
       gripper_coordinator: {package: im_coordinators, executable: gripper_coordinator, node: /gripper_coordinator}
 """
     )
-    child = process(*run("im_bringup", "start", path))
+    return path
+
+
+@pytest.mark.parametrize("number", END_SIGNALS)
+def test_a_signal_while_starting_leaves_nothing(process, wait_until, endless_deployment, number):
+    child = process(*run("im_bringup", "start", endless_deployment))
     wait_until(lambda: machine.read(), "the bootstrap")
-    os.kill(child.pid, signal.SIGINT)
+    os.kill(child.pid, number)
     wait_until(lambda: child.poll() is not None, "the end of start")
     assert child.returncode == 130, child.out.read_text()
     assert "interrupted" in child.out.read_text()
     assert leftovers.processes() == []
     assert machine.read() is None
+
+
+@pytest.mark.parametrize("when", ["at once", "with a bootstrap"])
+def test_stop_while_starting_ends_the_start_and_both_say_so(process, script, wait_until, endless_deployment, when):
+    child = process(*run("im_bringup", "start", endless_deployment))
+    wait_until(_is_starting if when == "at once" else machine.read, "the start")
+    done = script("stop")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("stop: a start was under way, and has ended\n")
+    wait_until(lambda: child.poll() is not None, "the end of start")
+    assert (child.returncode, leftovers.processes(), machine.read()) == (1, [], None)
+    assert child.out.read_text().endswith("start: the machine was stopped while it started\n")
+
+
+def _is_starting():
+    """Whether a start of this ROS domain holds its mark."""
+    return any(line.endswith(f"@{instance()}_start") for line in Path("/proc/net/unix").read_text().splitlines())
 
 
 def test_the_record_is_for_scripts(small_machine):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from bench.chaos import everything, machine, records, trial
+from bench.chaos import demo, everything, machine, records, trial
 from bench.chaos.command import Command
 from bench.chaos.faults import JOURNALS, KINDS, ROLES
 from bench.chaos.records import Result, Verdict
@@ -64,6 +64,11 @@ def main() -> int:
         help="with --everything: the power goes, too, and what was not synchronised; journals are kept with this "
         "journal_sync",
     )
+    parser.add_argument(
+        "--demo",
+        action="store_true",
+        help="signals to scripts/demo.sh instead, and the end of its terminal: is anything left behind?",
+    )
     parser.add_argument("--port", type=int, default=8080, help="of the display")
     parser.add_argument("--out", type=Path, metavar="FILE", help="add a line for each injection; the table is of all")
     parser.add_argument("--docs", type=Path, metavar="PAGE", help="write the table of --out there, and inject nothing")
@@ -74,6 +79,8 @@ def main() -> int:
         parser.error("--docs needs --out, the file that it sums up")
     interrupt_once()
     results: list[Result] = []
+    if arguments.demo:
+        return _demo(arguments)
     try:
         if arguments.out is not None and arguments.out.exists():
             results = records.read(arguments.out)
@@ -114,6 +121,26 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
                     return
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    """Send signals to demos until there are enough or time is up; the exit code."""
+    failures = 0
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            poses = _few_poses(Path(folder))
+            for seed in _seeds(arguments, []):
+                trial = demo.DemoTrial.of(seed)
+                end = demo.carry_out(trial, poses, arguments.port)
+                failures += bool(end.left)
+                print(f"{trial}: {end}", flush=True)
+    except KeyboardInterrupt:
+        print("chaos: interrupted", file=sys.stderr)
+        return 130
+    except ImError as error:
+        print(f"chaos: {error.message}", file=sys.stderr)
+        return 1
+    return 1 if failures else 0
 
 
 def _synchronising(folder: Path, sync: str) -> Path:

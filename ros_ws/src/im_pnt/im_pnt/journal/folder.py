@@ -124,7 +124,7 @@ class Folder:
             JournalError: Another process has it; names its id.
         """
         try:
-            lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+            lock = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o600)  # any user who may read it could hold it
         except OSError as error:
             raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
         try:
