@@ -12,7 +12,7 @@ from support.computer import Computer
 from support.whole_machine import free_port, write_few_poses
 
 ROOT = Path(__file__).resolve().parent.parent
-SEEDS = (1, 5, 12, 23, 24)
+SEEDS = (5, 6, 12, 13, 39)
 """Of signals to the demo; each kind is among them, and moments of the start and of the command are."""
 SCRIPTS = sorted(path.stem for path in (ROOT / "scripts").glob("*.sh") if path.stem != "lib")
 

@@ -21,7 +21,7 @@ from im_core.shm_names import left
 _ROOT = Path(__file__).resolve().parents[2]
 #: In the environment of all that a trial starts, with the folder of the trial as its value.
 _MARK = "IM_TRIAL"
-#: What the demo has said last when the signal comes, at the latest so long after that [s]; most of it is of the start.
+#: What the demo has said when the signal comes, at the latest so long after that [s]; most is of the start.
 STAGES = (
     "", "setup: ready", "are kept, for", "start: load", "start: load", "start: configure", "start: configure",
     "start: start", "start: ready", "init_calib", "pose 1 of", "pose 2 of", "calibrate_camera: done", "true error",
@@ -111,14 +111,13 @@ def carry_out(trial: DemoTrial, poses: Path, port: int) -> DemoEnd:
         try:
             demo.await_words(trial.stage)
             demo.listen(trial.delay_s)
-            ended = demo.ended()
             began = clock.monotonic()
             demo.strike(trial)
             remaining = demo.await_end()
             seconds = clock.monotonic() - began
             found = [*remaining, *_left_in_memory(), *(f"temporary file {name}" for name in os.listdir(demo.temporary))]
             code = demo.ended()
-            if code not in (None, 130) and ended is None and trial.stage != STAGES[-1]:
+            if code not in (None, 130) and not (code == 0 and STAGES[-1] in demo.said):
                 found.append(f"exit code {code}")
             return DemoEnd(code, seconds, tuple(found), demo.said)
         finally:
