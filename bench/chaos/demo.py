@@ -15,6 +15,7 @@ from pathlib import Path
 
 from im_bringup.machine import leftovers
 from im_core import clock, names
+from im_core.end_signals import END_SIGNALS
 from im_core.errors import WaitTimeoutError
 from im_core.shm_names import left
 
@@ -151,7 +152,7 @@ class _Demo:
             stdout=slave,
             stderr=slave,
             start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            preexec_fn=_own_terminal,
             env={**os.environ, _MARK: str(folder), "TMPDIR": str(self.temporary)},
         )
         os.close(slave)
@@ -223,6 +224,13 @@ class _Demo:
                 if f"{_MARK}={self._folder}".encode() in (folder / "environ").read_bytes().split(b"\0"):
                     found[int(folder.name)] = (folder / "comm").read_text().strip()
         return found
+
+
+def _own_terminal() -> None:
+    """Take standard input for the terminal of this session, and heed signals which ``nohup`` or a shell had ignored."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
 
 
 def _left_in_memory() -> list[str]:
