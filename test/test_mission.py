@@ -1,4 +1,4 @@
-"""A command outlives its machine: everything is killed in the middle of it, and the next start goes on with it."""
+"""A command outlives its machine: everything is killed in the middle of it, and whoever starts it again resumes it."""
 
 import json
 import subprocess
@@ -11,7 +11,9 @@ from bench.chaos.everything import DEVIATIONS, distance
 from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
 from im_bringup.tasks import deployment as deployments
-from im_core import names, open_commands
+from im_core import clock, names, open_commands
+from im_core.ros import qos
+from im_msgs.msg import Firing, McsState
 from im_msgs.srv import ControlCommand, LoadNet
 from support.mcs_config import write_mcs_config
 from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_script, write_few_poses
@@ -19,6 +21,8 @@ from support.whole_machine import COMMAND_S, SEED, Machine, free_port, run_scrip
 pytestmark = pytest.mark.end_to_end
 
 CONTROL = "/dispatcher/control_command"
+#: After so long a command that went on by itself would have moved an arm: it took 2 s after "ready" [s].
+STILL_S = 6.0
 #: Two arms under way, whoever waits for one of them, and one that is paused as it waits.
 LINE = {
     "demo": {},
@@ -83,7 +87,7 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     for seconds in (1.0, 4.0):
         die_starting(0.0, SEED, free_port(), seconds)
         assert open_commands.noted(names.run_dir()) == [unfinished]
-    assert "and go on: calibrate_camera" in machines()
+    assert "calibrate_camera (number 2 of dispatcher) goes on" in machines("--resume")
     ended = client("run_command", "--attach", unfinished.number, "--json")
     resumed, said = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, said
@@ -100,9 +104,36 @@ def line_up(machine):
     return given, {symbol: command.told[0].command_id for symbol, command in given.items()}
 
 
-@pytest.mark.parametrize("end", [leftovers.end_all, lambda: stop.stop(lambda _: None)], ids=["kill -9", "stop"])
-def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
-    """Those that wait begin by themselves, the paused one when it is told to; all come to their end."""
+def stopped():
+    """Stops the machine, which says what that interrupts, and how far it was."""
+    said = []
+    assert stop.stop(said.append) == 0
+    assert "interrupted: demo (number" in said[0], said
+    assert "the next start brings them back paused" in said[0]
+
+
+def require_stillness():
+    """Looks for longer than a command would have taken that went on: no action begins, no arm gets power."""
+    machine, told = Machine(), []
+    try:
+        machine.node.create_subscription(McsState, "/mcs/state", told.append, qos.LATCHED)
+        machine.wait_for(lambda: told, "the state of MCS")
+        clock.sleep(STILL_S)
+        assert {(state.state, state.power) for state in told} == {("cold", False)}
+        assert not [firing for firing in machine.firings if firing.phase == Firing.START]
+    finally:
+        machine.close()
+
+
+def under_way():
+    """What im run lists of the commands that have not ended, by number."""
+    printed = client("run_command").communicate(timeout=COMMAND_S)[0]
+    return {int(line.split()[1].rstrip(":")): line for line in printed.splitlines() if line.startswith("number ")}
+
+
+@pytest.mark.parametrize("end", [leftovers.end_all, stopped], ids=["kill -9", "stop"])
+def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_to(machines, end):
+    """Nothing moves because the machine was started, also once more; each goes on, or ends, as somebody says."""
     machines("--fresh", "--factor", 1)
     machine = Machine()
     try:
@@ -115,10 +146,18 @@ def test_what_waits_and_what_is_paused_goes_on_with_what_ran(machines, end):
         machine.close()
     unfinished = {note.symbol for note in open_commands.noted(names.run_dir())}
     assert "close_gripper" in unfinished
-    said = machines()
-    assert all(f"{symbol} (number {numbers[symbol]} of dispatcher)" in said for symbol in unfinished)
-    listed = client("run_command").communicate(timeout=COMMAND_S)[0]
-    assert any(line.startswith(f"number {paused}: close_gripper") and "paused" in line for line in listed.splitlines())
+    for _ in range(2):
+        said = machines()
+        for symbol in unfinished:
+            assert f"start: {symbol} (number {numbers[symbol]} of dispatcher) had not ended and is paused" in said
+            assert f"im run --resume {numbers[symbol]} goes on with it, --cancel {numbers[symbol]} ends it" in said
+        require_stillness()
+        listed = under_way()
+        assert all(" paused" in listed[numbers[symbol]] for symbol in unfinished), listed
+        leftovers.end_all()
+    machines()
+    for symbol in ("demo", "home", "move"):
+        client("run_command", "--resume", numbers[symbol]).communicate(timeout=COMMAND_S)
     for symbol in ("demo", "home", "move"):
         ended = client("run_command", "--attach", numbers[symbol])
         printed, complaint = ended.communicate(timeout=COMMAND_S)

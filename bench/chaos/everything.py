@@ -35,9 +35,9 @@ def run(
     Args:
         seed: Of the moment.
         setting: As for other faults.
-        start: Starts the machine, which goes on with what it had not ended.
-        die_starting: Begins to do so, and kills all of it after a time [s]; so it goes in every second injection, once
-            or several times, before the machine starts.
+        start: Starts the machine, which resumes what it had not ended.
+        die_starting: Begins to start it, paused, and kills all of it after a time [s]; so it goes in every second
+            injection, once or several times, before the machine starts.
         reference: Report of the undisturbed command.
         plug: Is pulled, too: what the machine had not synchronised is gone.
     """

@@ -46,7 +46,7 @@ def begin(factor: float, seed: int, port: int, fresh: bool, file: Path | None = 
         factor: Clock factor.
         seed: Of the testbed.
         port: Of the display.
-        fresh: Whether it does not go on with what the one before had not ended.
+        fresh: Whether it does not go on at once with what the one before had not ended.
         file: Its deployment; None: the default.
 
     Raises:
@@ -55,7 +55,7 @@ def begin(factor: float, seed: int, port: int, fresh: bool, file: Path | None = 
     path = file or deployments.default_path()
     deployment = deployments.load(path).with_values(factor, seed, port)
     try:
-        code = start(deployment, path, START_S, fresh)
+        code = start(deployment, path, START_S, fresh, resume=not fresh)
     except KeyboardInterrupt:
         stop.stop(say=lambda _: None)
         raise
@@ -64,7 +64,7 @@ def begin(factor: float, seed: int, port: int, fresh: bool, file: Path | None = 
 
 
 def die_starting(factor: float, seed: int, port: int, seconds: float, file: Path | None = None) -> None:
-    """Begin to start a machine that goes on with what the one before had not ended, and kill all of it.
+    """Begin to start a machine that takes up what the one before had not ended, and kill all of it.
 
     Args:
         factor: Clock factor.

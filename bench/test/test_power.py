@@ -37,7 +37,7 @@ def test_a_mission_that_was_set_aside_is_not_taken_for_one_that_is_being_so(tmp_
     disk.lose_power(Random(seed))
     said = []
     assert mission.prepare(folder, False, said.append), said
-    assert said[0].startswith("commands had not ended when the machine was, and go on: move (number 4 of dispatcher)")
+    assert said[0].startswith("commands had not ended when the machine was: move (number 4 of dispatcher);")
     assert (folder / "journal" / "dispatcher" / "1.journal").read_bytes() == b"two"
     (aside,) = (folder / "missions").iterdir()
     assert (aside / "journal" / "dispatcher" / "1.journal").read_bytes() == b"one"

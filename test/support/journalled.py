@@ -33,6 +33,8 @@ class JournalledProcess:
         compact_bytes: Size of the journal above which a new file is begun [bytes].
         sync: When a record counts as written.
         others: What carries out actions of further kinds.
+        run: Name of the run of the machine; what comes back from another one is paused.
+        resumes: What comes back from another run goes on instead.
     """
 
     def __init__(
@@ -51,10 +53,12 @@ class JournalledProcess:
         sync: Sync = Sync.OS,
         others: Mapping[type, Perform] | None = None,
         return_timeout_s: float = RETURN_TIMEOUT_S,
+        run: str = "",
+        resumes: bool = False,
     ) -> None:
         observer = observer or Observer()
         self._nodes = dict(nodes or {})
-        self.journal = Journal(files, name, sync=sync, compact_bytes=compact_bytes, observer=observer)
+        self.journal = Journal(files, name, sync=sync, compact_bytes=compact_bytes, observer=observer, run=run)
         self.link = Link(
             name,
             self.journal.epoch,
@@ -74,7 +78,8 @@ class JournalledProcess:
         for net in nets:
             record = self.journal.recorder(net.name)
             self.exchange.add(Executor(net, functions, runner, self.exchange, observer, clock=clock, record=record))
-        self.recovered = self.journal.start(self.exchange, self.link)
+        held = None if self.journal.of_this_run else not resumes
+        self.recovered = self.journal.start(self.exchange, self.link, held)
 
     def node_of(self, net: str) -> str:
         """Returns the process that runs a net."""

@@ -70,14 +70,14 @@ def test_a_mission_that_was_set_aside_whole_and_lost_its_name_does_not_hinder_th
     assert contents == {one: b"one", (two[0] if fresh else tmp_path): b"two"}
 
 
-def test_an_unfinished_mission_is_gone_on_with_unless_told_otherwise(tmp_path):
+def test_an_unfinished_mission_is_taken_up_unless_told_otherwise(tmp_path):
     leave(tmp_path, b"one", [OpenCommandNote("dispatcher", 3, "calibrate_camera")])
     said = []
     for _ in range(2):
         assert mission.prepare(tmp_path, False, said.append)
     assert (tmp_path / "journal" / "dispatcher" / "000001.journal").read_bytes() == b"one"
     assert not (tmp_path / "missions").exists()
-    assert said[0].startswith("commands had not ended when the machine was, and go on: calibrate_camera (number 3 of")
+    assert said[0].startswith("commands had not ended when the machine was: calibrate_camera (number 3 of dispatcher);")
 
 
 def test_a_finished_mission_is_kept_where_it_is_said_and_only_the_newest_are(tmp_path):
@@ -113,6 +113,10 @@ def test_what_a_machine_knew_that_died_is_there_again_and_not_that_of_one_that_w
 def test_a_note_that_is_none_says_nothing(tmp_path):
     open_commands.note(tmp_path, "dispatcher", [])
     assert open_commands.noted(tmp_path) == []
+    (tmp_path / "commands" / "dispatcher.json").write_text('[[3, "home"]]')  # of a former version
+    assert list(map(str, open_commands.noted(tmp_path))) == ["home (number 3 of dispatcher)"]
+    open_commands.note(tmp_path, "dispatcher", [OpenCommandNote("dispatcher", 4, "move", 0.416)])
+    assert list(map(str, open_commands.noted(tmp_path))) == ["move (number 4 of dispatcher, 42 %)"]
     for text in ("{", '{"a": 1}', '[["x", 1]]', "[" * 100_000):
         (tmp_path / "commands" / "dispatcher.json").write_text(text)
         assert open_commands.noted(tmp_path) == []

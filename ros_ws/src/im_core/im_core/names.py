@@ -7,6 +7,10 @@ from im_core.errors import LinkError, StoreError, require_text
 from im_core.files import make_folder
 from im_core.ownership import check_owner
 
+#: Environment variables: the name of this run of the machine, which a start gives it and restarts within it keep; and,
+#: where it is not empty, that whoever started it wants its unfinished commands to go on.
+RUN, RESUMES = "IM_RUN", "IM_RESUMES"
+
 
 def instance() -> str:
     """Prefix of every shared memory and semaphore name.

@@ -23,11 +23,17 @@ class OpenCommandNote:
         task: That runs it.
         number: Its number there.
         symbol: What it is called.
+        progress: Its progress 0..1 when its task was stopped, negative where unknown.
     """
 
     task: str
     number: int
     symbol: str
+    progress: float = -1.0
+
+    def __str__(self) -> str:
+        share = f", {100 * self.progress:.0f} %" if self.progress >= 0 else ""
+        return f"{self.symbol} (number {self.number} of {self.task}{share})"
 
 
 def note(run_dir: Path, task: str, commands: Sequence[OpenCommandNote]) -> None:
@@ -36,7 +42,7 @@ def note(run_dir: Path, task: str, commands: Sequence[OpenCommandNote]) -> None:
     Raises:
         StoreError: It cannot be written.
     """
-    content = [[command.number, command.symbol] for command in commands]
+    content = [[command.number, command.symbol, command.progress] for command in commands]
     write_whole(make_folder(run_dir / _FOLDER) / f"{task}.json", json.dumps(content))
 
 
@@ -45,10 +51,10 @@ def noted(run_dir: Path) -> list[OpenCommandNote]:
     found = []
     for file in sorted((run_dir / _FOLDER).glob("*.json")):
         try:
-            entries = read_json(list[tuple[int, str]], read_text(file, MEBIBYTE), str(file))
+            entries = read_json(list[tuple[int, str, float] | tuple[int, str]], read_text(file, MEBIBYTE), str(file))
         except DataError:
             continue
-        found += [OpenCommandNote(file.stem, number, symbol) for number, symbol in entries]
+        found += [OpenCommandNote(file.stem, *entry) for entry in entries]
     return found
 
 

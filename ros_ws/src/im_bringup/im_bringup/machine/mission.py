@@ -24,9 +24,9 @@ _NUMBERED = re.compile(r"\d{8}-\d{6}-\d{1,9}")
 
 
 def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
-    """Have the machine go on with the mission before, or begin a new one.
+    """Have the machine take up the mission before, or begin a new one.
 
-    It goes on if commands of it had not ended, or if its machine was not stopped but died: what others had it keep,
+    It is taken up if commands of it had not ended, or if its machine was not stopped but died: what others had it keep,
     loaded nets and data objects, is there again.
 
     What a mission has left that is not gone on with is kept beside; of such the newest few are.
@@ -37,7 +37,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
         say: Takes a sentence about what had not ended, and about what is not there any more.
 
     Returns:
-        Whether it goes on.
+        Whether it is taken up.
 
     Raises:
         StoreError: Something cannot be moved.
@@ -47,10 +47,10 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
         _give_name(moving)  # it was whole when the mission that is here began
     unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
     died = (run_dir / _ALIVE).exists()
-    known = ", ".join(f"{command.symbol} (number {command.number} of {command.task})" for command in unfinished)
+    known = ", ".join(map(str, unfinished))
     if (unfinished or died) and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
         if unfinished:
-            say(f"commands had not ended when the machine was, and go on: {known}; start.sh --fresh sets them aside")
+            say(f"commands had not ended when the machine was: {known}; start.sh --fresh sets them aside")
         else:
             say(
                 "the machine before was not stopped but died: its loaded nets and data objects are there again; "

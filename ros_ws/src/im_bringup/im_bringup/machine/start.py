@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from uuid import uuid4
 
 from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
@@ -19,7 +20,7 @@ from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
-from im_core import clock, config, names
+from im_core import clock, config, names, open_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds
@@ -69,7 +70,14 @@ def parser() -> argparse.ArgumentParser:
         help="start with the calibrations in this folder: results of calibrate_camera, or what /vss kept in "
         "results/vss (default: cameras and laser scanner as drawn)",
     )
-    parser.add_argument(
+    unfinished = parser.add_mutually_exclusive_group()
+    unfinished.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on at once with all commands that had not ended, also with those that were paused (default: they come "
+        "back paused; im run --resume NUMBER goes on with one); not after an emergency stop",
+    )
+    unfinished.add_argument(
         "--fresh",
         action="store_true",
         help="begin a new mission even where commands of the one before have not ended, or its machine died; that is "
@@ -98,7 +106,7 @@ def main() -> int:
         check_calibration(deployment, path)
         failure = 1
         with only_one() as mark:
-            return start(deployment, path, arguments.timeout, arguments.fresh, mark.stop_asked)
+            return start(deployment, path, arguments.timeout, arguments.fresh, arguments.resume, mark.stop_asked)
     except KeyboardInterrupt:
         complain("\nstart: interrupted")
         return INTERRUPTED
@@ -164,6 +172,7 @@ def start(
     path: Path,
     timeout_s: float,
     fresh: bool = True,
+    resume: bool = False,
     stop_asked: Callable[[], bool] = lambda: False,
 ) -> int:
     """Start the machine.
@@ -173,6 +182,7 @@ def start(
         path: The file it came from.
         timeout_s: Longest wait for all tasks to be ready [s].
         fresh: Begin a new mission whatever became of the one before.
+        resume: Go on at once with commands that had not ended; otherwise they come back paused.
         stop_asked: Whether the machine is to be stopped, though it is not yet ready.
 
     Returns:
@@ -195,9 +205,12 @@ def start(
             say(f"start: {said}")
         took = {"preflight": clock.monotonic() - began}
         with interrupts_held():  # a process that is just forked has no mark yet by which it would be found and ended
-            process = spawn_bootstrap(deployment, path, timeout_s)
+            process = spawn_bootstrap(deployment, path, timeout_s, resume)
         try:
-            return await_ready(process, began, timeout_s, took, goes_on, stop_asked)
+            code = await_ready(process, began, timeout_s, took, goes_on, stop_asked)
+            if code == 0 and goes_on:
+                print_unfinished(resume)
+            return code
         except ImError:
             stop.stop(say=lambda _: None)
             raise
@@ -320,8 +333,12 @@ def tidy(deployment: Deployment) -> None:
     say(f"start: {keep.sentence(results)}{gone}")
 
 
-def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> ChildProcess:
-    """Start the bootstrap under its supervisor, detached from this terminal; all know how long a start may take [s]."""
+def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float, resume: bool) -> ChildProcess:
+    """Start the bootstrap under its supervisor, detached from this terminal; all know how long a start may take [s].
+
+    All know which run this is, too, also those that are started again in it: a task whose journal is of another run
+    pauses what comes back with it.
+    """
     run_dir = names.run_dir().resolve()
     argv = [
         *(sys.executable, "-P", "-m", "im_bringup.machine.supervisor"),  # what is in the user's folder is none of ours
@@ -338,7 +355,12 @@ def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float) -> Chi
     return ChildProcess(
         argv,
         log=run_dir / "log" / "bootstrap.log",
-        environment={**environment(os.environ, run_dir, deployment), START_TIMEOUT: repr(timeout_s)},
+        environment={
+            **environment(os.environ, run_dir, deployment),
+            START_TIMEOUT: repr(timeout_s),
+            names.RUN: uuid4().hex,
+            names.RESUMES: "1" if resume else "",
+        },
         death_signal=None,
     )
 
@@ -369,6 +391,17 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
     shown = names.display_file()
     nets = f"nets at {read_text(shown).strip()}, " if shown.exists() else ""
     say(f"start: {nets}logs in {record.run_dir}/log")
+
+
+def print_unfinished(resume: bool) -> None:
+    """Say of each command that had not ended how it is now, and of one that is paused what to do with it."""
+    unfinished = open_commands.noted(names.run_dir())
+    goes_on = resume and not (names.run_dir() / names.ESTOP).exists()
+    for command in unfinished:
+        ways = f"scripts/im run --resume {command.number} goes on with it, --cancel {command.number} ends it"
+        say(f"start: {command} {'goes on' if goes_on else f'had not ended and is paused: {ways}'}")
+    if unfinished and not goes_on:
+        say("start: nothing of them moves until then; at a start --resume goes on with all, --fresh sets them aside")
 
 
 def print_parts(took: Mapping[str, float]) -> None:

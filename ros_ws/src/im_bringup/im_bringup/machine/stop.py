@@ -11,7 +11,7 @@ from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
 from im_bringup.machine.start_mark import end_start
-from im_core import clock, names
+from im_core import clock, names, open_commands
 from im_core.errors import DataError, LinkError
 from im_core.process import last_words
 
@@ -56,6 +56,8 @@ def stop(say: Callable[[str], None]) -> int:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     if ran and record is not None and record.state == machine.READY:
         mission.end(Path(record.run_dir))
+    if ran and record is not None and (interrupted := open_commands.noted(Path(record.run_dir))):
+        say(f"stop: interrupted: {', '.join(map(str, interrupted))}; the next start brings them back paused")
     found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()
     if others := leftovers.of_others():

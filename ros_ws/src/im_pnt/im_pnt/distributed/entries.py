@@ -2,10 +2,18 @@
 
 from typing import NamedTuple
 
-from im_pnt.execution.events import NodeForgotten, RequestArrived, RequestCancelled, TidingArrived, TokenArrived
+from im_pnt.execution.events import (
+    CommandHeld,
+    NodeForgotten,
+    RequestArrived,
+    RequestCancelled,
+    RequestHeld,
+    TidingArrived,
+    TokenArrived,
+)
 from im_pnt.execution.record import ActivityEnded
 
-Arrival = TokenArrived | TidingArrived | NodeForgotten | RequestArrived | RequestCancelled
+Arrival = TokenArrived | TidingArrived | NodeForgotten | RequestArrived | RequestCancelled | RequestHeld | CommandHeld
 Delivery = Arrival | ActivityEnded
 """An event for a net, as the net that takes it records it: so it is known when it was."""
 

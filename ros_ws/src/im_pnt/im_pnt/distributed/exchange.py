@@ -24,6 +24,7 @@ from im_pnt.distributed.inboxes import Inboxes
 from im_pnt.distributed.messages import (
     cancel_message,
     carried_by,
+    hold_message,
     request_message,
     request_of,
     tiding_message,
@@ -33,7 +34,7 @@ from im_pnt.distributed.messages import (
 from im_pnt.distributed.packets import VOID, Message, MessageKind, began_at, token_message
 from im_pnt.distributed.requests import RequestBook, Waiting
 from im_pnt.errors import NetError
-from im_pnt.execution.events import ActionEnded, NodeForgotten, RequestArrived, Tiding, TidingArrived
+from im_pnt.execution.events import ActionEnded, CommandHeld, NodeForgotten, RequestArrived, Tiding, TidingArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Carried, Command, Job, JobKey, Owner, Request, scope_of
 from im_pnt.execution.notification import Leaving, Observer
@@ -197,19 +198,26 @@ class Exchange:
         request = Request(
             request_id, action.net, action.service, "", activity.net, activity.transition, command, arguments
         )
+        held = self.nets[activity.net].rule.is_paused(activity)
         self._happens(RequestAsked(request_id, activity.net, activity.number, action.net, node))
         try:
             if local:
-                refusal = self.inboxes.request(request)
+                refusal = self._take_request(request, held)
                 if refusal:
                     self._answer(request_id, NetError(refusal), {})
             elif self._transport is None or not node:
                 error = LinkError(f"there is no net {action.net}{nearest(action.net, self.nets)}")
                 self._answer(request_id, error, {})
             else:
-                self._transport.send(node, request_message(request))
+                self._transport.send(node, request_message(request, held))
         except NetError as error:
             self._answer(request_id, error, {})
+
+    def _take_request(self, request: Request, held: bool) -> str:
+        refusal = self.inboxes.request(request)
+        if held:
+            self.inboxes.hold(request.id, True)
+        return refusal
 
     def awaits_reply(self, activity: Activity) -> bool:
         """Whether a request has been sent for an activity, and its reply is still to come."""
@@ -243,6 +251,21 @@ class Exchange:
             self.inboxes.cancel(self.inboxes.in_work[request_id], cancelled_by(activity.net))
         elif self._transport is not None:
             self._transport.send(waiting.node, cancel_message(request_id, waiting.net, activity.net))
+
+    def _release_request(self, activity: Activity) -> None:
+        found = self.book.of_activity(activity)
+        if found is None:
+            return
+        request_id, waiting = found
+        if request_id in self.inboxes.in_work:
+            self.inboxes.hold(request_id, False)
+        elif self._transport is not None:
+            self._transport.send(waiting.node, hold_message(request_id, waiting.net, activity.net, False))
+
+    def hold_all(self, held: bool) -> None:
+        """Have nothing begun for all that the nets work for, and all that has come to them; or have it go on."""
+        for executor in self.nets.values():
+            self.inboxes.post(executor, CommandHeld(None, held))
 
     # What arrives from other processes.
 
@@ -279,9 +302,15 @@ class Exchange:
             if request is not None and request.caller_node == sender:
                 self.inboxes.cancel(request, cancelled_by(message.caller_net))
             return ""
+        held = message.payload.get("held")
+        if held is not None and not message.place:
+            request = self.inboxes.in_work.get(message.request_id)
+            if request is not None and request.caller_node == sender:
+                self.inboxes.hold(request.id, held is True)
+            return ""
         if message.request_id in self.inboxes.in_work:
             return f"request {message.request_id} is in work already"
-        return self.inboxes.request(request_of(sender, message))
+        return self._take_request(request_of(sender, message), held is True)
 
     def _token_from(self, sender: str, message: Message) -> str:
         carried = carried_by(sender, message)
@@ -390,6 +419,7 @@ class Exchange:
         activity = executor.activity(asked.number)
         self.book.open(asked.request_id, Waiting(executor, activity, asked.asked, asked.node))
         activity.on_cancel.append(lambda: self._cancel_request(activity))
+        activity.on_release.append(lambda: self._release_request(activity))
 
     def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
         """Ends a request with its reply; returns whether anybody waited for it."""

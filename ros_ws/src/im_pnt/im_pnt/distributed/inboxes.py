@@ -9,9 +9,11 @@ from im_core.errors import DataError, ImError, nearest
 from im_pnt.distributed.entries import Arrival, Delivery, EventPosted, ExchangeEntry, RequestClosed
 from im_pnt.execution.events import (
     ActionEnded,
+    CommandHeld,
     NodeForgotten,
     RequestArrived,
     RequestCancelled,
+    RequestHeld,
     TidingArrived,
     TokenArrived,
 )
@@ -65,6 +67,10 @@ def _name_of(event: Delivery) -> tuple[type, object]:
             return RequestArrived, request.id
         case RequestCancelled(request_id, _):
             return RequestCancelled, request_id
+        case RequestHeld(request_id, held):
+            return RequestHeld, (request_id, held)
+        case CommandHeld(command_id, held):
+            return CommandHeld, (command_id, held)
         case ActivityEnded(number):
             return ActivityEnded, number
 
@@ -158,6 +164,11 @@ class Inboxes:
         self.post(executor, RequestArrived(request))
         self.in_work[request.id] = request
         return ""
+
+    def hold(self, request_id: str, held: bool) -> None:
+        """Have nothing begun for a request in work, or have it go on."""
+        if (request := self.in_work.get(request_id)) is not None:
+            self.post(self.nets[request.net], RequestHeld(request_id, held))
 
     def cancel(self, request: Request, why: ImError) -> None:
         """Has a request in work ended early."""

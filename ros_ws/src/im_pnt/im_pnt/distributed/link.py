@@ -18,6 +18,7 @@ import json
 from collections.abc import Callable
 
 from im_core.clock import monotonic, wall
+from im_pnt.distributed.messages import with_hold
 from im_pnt.distributed.packets import (
     MOST_EPOCH,
     REMEMBERED,
@@ -186,6 +187,12 @@ class Link:
         """Sends nothing more about a request."""
         for peer in self.peers.values():
             self._void(peer, [n for n, message in peer.in_flight() if message.request_id == request_id])
+
+    def hold_all(self, held: bool) -> None:
+        """Have what was not acknowledged say that its jobs are paused, or released; before anything leaves."""
+        for peer in self.peers.values():
+            for number, message in peer.in_flight():
+                peer.outgoing.waiting[number].text = numbered(number, with_hold(message, held))
 
     def flush(self) -> None:
         """Sends what is new, and the acknowledgements that are due."""

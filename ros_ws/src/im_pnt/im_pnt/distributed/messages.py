@@ -10,8 +10,8 @@ from im_pnt.model.expand import input_place
 from im_pnt.model.net import RemotePlace
 
 
-def request_message(request: Request) -> Message:
-    """Returns the message that carries a request to another process."""
+def request_message(request: Request, held: bool = False) -> Message:
+    """Returns the message that carries a request to another process, and whether nothing is begun for it there."""
     payload: dict[str, object] = {
         "arguments": request.arguments,
         "symbol": request.command.symbol,
@@ -19,6 +19,8 @@ def request_message(request: Request) -> Message:
     }
     if request.command.scope:
         payload["scope"] = request.command.scope
+    if held:
+        payload["held"] = True
     return Message(
         MessageKind.REQUEST,
         request.net,
@@ -59,6 +61,25 @@ def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
     """Returns the message that tells a process that a request is not wanted any more."""
     payload: Mapping[str, object] = {"cancel": True}
     return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
+
+
+def hold_message(request_id: str, net: str, caller_net: str, held: bool) -> Message:
+    """Return the message that tells a process that nothing is begun for a request, or that it goes on."""
+    return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload={"held": held})
+
+
+def with_hold(message: Message, held: bool) -> Message:
+    """Return a message that was not taken yet as it is to be after its job was paused, or released.
+
+    What is done for nobody is as it was: nobody could resume it.
+    """
+    payload = message.payload
+    if message.kind is MessageKind.TIDING and payload.get("tiding") in (Tiding.HELD, Tiding.RELEASED):
+        return message._replace(payload={**payload, "tiding": (Tiding.HELD if held else Tiding.RELEASED).value})
+    of_somebody = message.kind in (MessageKind.REQUEST, MessageKind.TOKEN) and message.command_id != 0
+    if of_somebody or "held" in payload:
+        return message._replace(payload={**payload, "held": held})
+    return message
 
 
 def token_of_job(target: RemotePlace, carried: Carried) -> Message:

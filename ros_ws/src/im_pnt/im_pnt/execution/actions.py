@@ -108,6 +108,7 @@ class Actions:
         self._owner, self._rule, self._conflicts, self._runner = owner, rule, conflicts, runner
         self._timers, self._clock, self._check_objects = timers, clock, check_objects
         self.functions: dict[int, ActionFunction] = {}
+        self._deferred: dict[int, Callable[[], None]] = {}
         for index, transition in enumerate(rule.transitions):
             if transition.role is Role.START and transition.action is not None:
                 function = runner.direct(transition.action)
@@ -167,6 +168,7 @@ class Actions:
             self._check_objects(activity.objects, lambda invalid: self._owner.ended(activity, invalid, results))
             return
         self._timers.cancel(activity.timer)
+        self._deferred.pop(activity.number, None)
         counts = activity.state is ActivityState.ACTIVE
         failure = self._rule.end_action(activity, error, results)
         if counts:
@@ -205,8 +207,26 @@ class Actions:
             else:
                 self._begin_soon(index, activity)
 
+    def when_released(self, activity: Activity, do: Callable[[], None]) -> None:
+        """Do something for an action now, or once its job is not held any more."""
+        if self._rule.is_paused(activity):
+            self._deferred[activity.number] = do
+        else:
+            do()
+
+    def release(self, activity: Activity) -> None:
+        """Go on with an action whose job was held, and with what it has asked of another net."""
+        if (do := self._deferred.pop(activity.number, None)) is not None:
+            do()
+        self.inquiry.renew(activity)
+        for tell in activity.on_release:
+            tell()
+
     def _begin_soon(self, index: int, activity: Activity) -> None:
-        activity.timer = self._timers.at(self._clock(), lambda: self.begin(index, activity))
+        def begin() -> None:
+            self.when_released(activity, lambda: self.begin(index, activity))
+
+        activity.timer = self._timers.at(self._clock(), begin)
 
     def _learn(self, activity: Activity, success: bool) -> None:
         strategy = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].strategy

@@ -8,6 +8,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule
 from im_pnt.execution.jobs import Activity, ActivityState, as_failure
 from im_pnt.execution.timers import Timers
+from im_pnt.model.action import RequestAction
 
 FIRST_PERIOD_S, LAST_PERIOD_S = 0.1, 10.0
 """An action that still runs is asked about again after as long as it is in doubt already, within these limits [s]."""
@@ -26,6 +27,9 @@ class Asker(Protocol):
 
     def call_off(self, activity: Activity) -> None:
         """Asks an action to end early."""
+
+    def when_released(self, activity: Activity, do: Callable[[], None]) -> None:
+        """Do something for an action now, or once its job is not held any more."""
 
 
 class Inquiry:
@@ -53,6 +57,15 @@ class Inquiry:
         """Has an action come in doubt when its deadline strikes."""
         if activity.deadline is not None and self._runs(activity) and activity.state is not ActivityState.IN_DOUBT:
             activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
+
+    def renew(self, activity: Activity) -> None:
+        """Give a request its whole time again: what it has asked for was held with its job."""
+        timeout = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].timeout
+        asks = isinstance(activity.action, RequestAction) and activity.state is not ActivityState.IN_DOUBT
+        if timeout is not None and asks:
+            self._timers.cancel(activity.timer)
+            activity.deadline = self._clock() + timeout
+            self.watch(activity)
 
     def doubt(self, activity: Activity, why: ImError) -> None:
         """Brings an action in doubt, and asks about it as soon as time may strike: once its node fires."""
@@ -87,11 +100,16 @@ class Inquiry:
         return late and activity.state is ActivityState.IN_DOUBT and not (job is not None and job.cancelled)
 
     def _strike(self, activity: Activity) -> None:
+        if isinstance(activity.action, RequestAction) and self._rule.is_paused(activity):
+            return  # the time begins again when the job is released
         what = f"{activity.action} of transition {activity.transition}"
         self._asker.call_off(activity)
         self.doubt(activity, WaitTimeoutError(what=what, seconds=round(self._clock() - activity.began, 3)))
 
     def _ask(self, activity: Activity) -> None:
+        self._asker.when_released(activity, lambda: self._ask_now(activity))  # to ask may do it again
+
+    def _ask_now(self, activity: Activity) -> None:
         if not self._runs(activity):
             return
         silent = Answer(Outcome.UNKNOWN, asked=f"no answer came in {ANSWER_LIMIT_S:g} s")

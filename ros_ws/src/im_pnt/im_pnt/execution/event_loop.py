@@ -25,6 +25,7 @@ from im_pnt.execution.events import (
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    RequestHeld,
     StepAsked,
     Tiding,
     TidingArrived,
@@ -88,6 +89,11 @@ class EventLoop:
     def due(self) -> bool:
         """Whether an event or a decision waits; not while they are being dealt with."""
         return not self._pumping and bool(self._inbox or self.rule.enabling.agenda)
+
+    @property
+    def paused(self) -> bool:
+        """Whether nothing new is started, for nobody or for one of the jobs that are here."""
+        return self.operator.paused or any(map(self.rule.is_held, self.rule.ledger.jobs() if self.rule.held else ()))
 
     def proposed(self) -> tuple[str, ...]:
         """Returns the transitions that wait to be confirmed."""
@@ -178,7 +184,12 @@ class EventLoop:
 
     def _take_event(self) -> None:
         self.stretch = 0
+        rule = self.rule
+        paused = [each for each in rule.activities.values() if rule.is_paused(each)] if rule.held else ()
         self._dispatch(self._inbox.popleft())
+        for activity in paused:
+            if rule.activities.get(activity.number) is activity and not rule.is_paused(activity):
+                self.actions.release(activity)
         enabling = self.rule.enabling
         if enabling.stalled or enabling.crossed or not self.operator.free:
             self._after_event()
@@ -242,7 +253,7 @@ class EventLoop:
                 jobs = rule.ledger.of_command(command_id)
                 happens(rule, event)
                 self._cancel(jobs, error, everything=command_id is None)
-            case CommandHeld():
+            case CommandHeld() | RequestHeld():
                 happens(rule, event)
                 self.conflicts.wake("")
             case RequestCancelled(request_id, error):
@@ -346,10 +357,10 @@ class EventLoop:
         if self.rule.ledger.count and self.operator.free:
             drop_stale(self.rule)
             close_forgotten(self.rule)
-        if self.operator.free and self._told == _BY_ITSELF:
+        if self.operator.free and self._told == _BY_ITSELF and not self.rule.held:
             return
         self.operator.spent()
-        told = (self.operator.mode, self.operator.paused, self.proposed())
+        told = (self.operator.mode, self.paused, self.proposed())
         if told != self._told:
             self._told = told
             self.rule.notifier.operated(*told)

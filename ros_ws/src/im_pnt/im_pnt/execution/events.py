@@ -54,13 +54,13 @@ class CommandHeld:
     """Nothing more is begun for a command (what runs ends), or it goes on.
 
     Attributes:
-        command_id: Its number.
+        command_id: Its number; None: all commands, requests and tokens of jobs that are here.
         held: Whether nothing is begun.
         scope: Its scope: commands of other nodes have their own numbers. Empty, as in journals of before: whichever
             has the number.
     """
 
-    command_id: int
+    command_id: int | None
     held: bool
     scope: str = ""
 
@@ -78,6 +78,14 @@ class RequestCancelled:
 
     request_id: str
     error: ImError
+
+
+@dataclass(frozen=True, slots=True)
+class RequestHeld:
+    """Nothing is begun for a request, as its caller is paused; or it goes on."""
+
+    request_id: str
+    held: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,6 +213,7 @@ Event = (
     | CommandHeld
     | RequestArrived
     | RequestCancelled
+    | RequestHeld
     | TokenArrived
     | TidingArrived
     | NodeForgotten

@@ -162,8 +162,8 @@ class Executor:
 
     @property
     def paused(self) -> bool:
-        """Whether nothing new is started."""
-        return self._loop.operator.paused
+        """Whether nothing new is started, for nobody or for one of the jobs that are here."""
+        return self._loop.paused
 
     @property
     def proposed(self) -> tuple[str, ...]:

@@ -306,6 +306,7 @@ class Activity:
         doubted: When it came in doubt (monotonic) [s].
         timer: What strikes next: its deadline, or the next question about it.
         on_cancel: Called when it is asked to end early.
+        on_release: Called when its job is not held any more.
         life: As requests were named when it began, if they are named otherwise since; empty: they are not.
     """
 
@@ -326,6 +327,7 @@ class Activity:
     doubted: float = 0.0
     timer: Timer | None = None
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
+    on_release: list[Callable[[], None]] = field(default_factory=list)
     life: str = ""
 
     def when_cancelled(self, callback: Callable[[], None]) -> None:

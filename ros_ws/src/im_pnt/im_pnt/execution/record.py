@@ -29,6 +29,7 @@ from im_pnt.execution.events import (
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    RequestHeld,
     TidingArrived,
     TokenArrived,
 )
@@ -140,6 +141,7 @@ NetEntry = (
     | CommandHeld
     | RequestArrived
     | RequestCancelled
+    | RequestHeld
     | TokenArrived
     | TidingArrived
     | NodeForgotten

@@ -11,9 +11,10 @@ Of a net, ``["net", name, entry]``::
     ["node_forgotten", node, nets, error]              a node is gone for good
     ["settled", job]                                   nothing is left of a job of another net
     ["cancel", id | null, error]                       a command, or everything, should end early
-    ["hold", id, bool, scope]                          nothing more is begun for a command, or it goes on; scope
-                                                       where it is known
+    ["hold", id | null, bool, scope]                   nothing more is begun for a command, or for all that is here, or
+                                                       it goes on; scope where it is known
     ["request_cancelled", request, error]              so should a request
+    ["request_held", request, bool]                    nothing is begun for a request, or it goes on
     ["ended", number, error | null, results]  ["ended", number, error | null, results, data]    an action has ended
     ["built", number, data]                            what an action sends is made, and leaves after that
     ["mode", name]  ["pause", bool]                    how the net is operated
@@ -81,6 +82,7 @@ from im_pnt.execution.events import (
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    RequestHeld,
     Tiding,
     TidingArrived,
     TokenArrived,
@@ -169,8 +171,6 @@ def encode_net_entry(entry: NetEntry) -> list[object]:
             return ["command", *encode_command(job.command)]
         case CommandCancelled(command_id, error):
             return ["cancel", command_id, encode_error(error)]
-        case CommandHeld(command_id, held, scope):
-            return ["hold", command_id, held, *([scope] if scope else [])]
         case ModeSet(mode):
             return ["mode", mode.value]
         case PauseSet(paused):
@@ -208,8 +208,6 @@ def decode_net_entry(content: object) -> NetEntry:
                 return CommandWritten(Job(command, command.arguments))
             case ["cancel", None | int() as number, error]:
                 return CommandCancelled(number, _reason(error))
-            case ["hold", int(number), bool(held), *scope]:
-                return CommandHeld(number, held, *map(str, scope[:1]))
             case ["mode", str(mode)]:
                 return ModeSet(Mode(mode))
             case ["pause", bool(paused)]:
@@ -243,6 +241,10 @@ def encode_delivery(event: Delivery) -> list[object]:
             return ["request", encode_request(request)]
         case RequestCancelled(request_id, error):
             return ["request_cancelled", request_id, encode_error(error)]
+        case RequestHeld(request_id, held):
+            return ["request_held", request_id, held]
+        case CommandHeld(command_id, held, scope):
+            return ["hold", command_id, held, *([scope] if scope else [])]
         case ActivityEnded(number, failure, results, data):
             return ["ended", number, encode_error(failure), results, *([] if data is None else [_data_fields(data)])]
 
@@ -267,6 +269,10 @@ def decode_delivery(content: object) -> Delivery:
             return RequestArrived(decode_request(request))
         case ["request_cancelled", str(request_id), error]:
             return RequestCancelled(request_id, _reason(error))
+        case ["request_held", str(request_id), bool(held)]:
+            return RequestHeld(request_id, held)
+        case ["hold", None | int() as number, bool(held), *scope]:
+            return CommandHeld(number, held, *map(str, scope[:1]))
         case ["ended", int(number), error, dict(results), *data] if len(data) <= 1:
             return ActivityEnded(number, decode_error(error), results, _data_of(data[0] if data else None))
     raise ValueError(f"{str(content)[:200]} is no event")

@@ -55,8 +55,10 @@ class Journal:
         sync: When a record counts as written.
         compact_bytes: Size of the file above which a new one is begun with a snapshot, however young it is [bytes].
         observer: Is told of what was not written whole at the end, and of a journal that was set aside.
+        run: Name of the run of the machine; with another name somebody has started it anew.
 
     Attributes:
+        of_this_run: Whether the journal that was found, if any, was written in this run of the machine.
         found: Nets in the journal that was found, with the files they came from; empty if there was none.
         epoch: Incarnation of the process, for its exchange and its link.
         lost: Why what was journalled is forgotten, a clause; empty if it is not.
@@ -73,7 +75,9 @@ class Journal:
         sync: Sync = Sync.OS,
         compact_bytes: int = COMPACT_BYTES,
         observer: Observer | None = None,
+        run: str = "",
     ) -> None:
+        self._run, self.of_this_run = run, True
         self._files = Folder(files) if isinstance(files, Path) else files
         self._node, self._compact_bytes, self._observer = node, compact_bytes, observer or Observer()
         self._sync = sync
@@ -123,12 +127,13 @@ class Journal:
 
     # Beginning.
 
-    def start(self, exchange: Exchange, link: Link) -> bool:
+    def start(self, exchange: Exchange, link: Link, held: bool | None = None) -> bool:
         """Brings everything back as it was, or begins a journal.
 
         Args:
             exchange: With its nets, whose executors have their recorders; nothing has happened yet.
             link: To other processes.
+            held: Whether all work that comes back is paused, or released; None: it is as it was.
 
         Returns:
             Whether there was a journal.
@@ -148,7 +153,9 @@ class Journal:
         link.fell_back = exchange.begin_life
         if recovered is not None:
             link.come_back()
-        if recovered is not None:
+            if held is not None:
+                exchange.hold_all(held)
+                link.hold_all(held)
             for executor in exchange.nets.values():
                 executor.resume()
         self.compact()
@@ -179,6 +186,7 @@ class Journal:
                     text = f"{recovered.file}: this is the journal of {node}, not of {self._node}"
                     raise JournalError(text, file=recovered.file, node=node)
                 self.found = {str(net): str(known.get("source", "")) for net, known in nets.items()}
+                self.of_this_run = header.get("run", "") == self._run
             case _:
                 raise JournalError(f"{recovered.file}: its header names no node and nets", file=recovered.file)
         if recovered.torn:
@@ -314,7 +322,8 @@ class Journal:
             net = executor.written
             if name not in self._described or self._described[name][0] is not net:
                 self._described[name] = net, {"fingerprint": fingerprint(net), "source": net.source}
-        return {"node": self._node, "nets": {name: self._described[name][1] for name in self._exchange.nets}}
+        nets = {name: self._described[name][1] for name in self._exchange.nets}
+        return {"node": self._node, "nets": nets, **({"run": self._run} if self._run else {})}
 
     def _record_exchange(self, entry: ExchangeEntry) -> None:
         self._entries.append(encode_exchange_entry(entry))

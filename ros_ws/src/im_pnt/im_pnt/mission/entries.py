@@ -18,6 +18,7 @@ INPUTS = frozenset(
         "hold",
         "request",
         "request_cancelled",
+        "request_held",
         "token",
         "tiding",
         "node_forgotten",

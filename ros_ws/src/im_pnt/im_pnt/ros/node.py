@@ -3,6 +3,7 @@
 import gc
 import inspect
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -12,7 +13,7 @@ from rclpy.parameter import Parameter
 
 from im_core.clock import monotonic
 from im_core.errors import FOREIGN, ImError, StateError, as_exception
-from im_core.names import results_dir, run_dir
+from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
 from im_core.open_commands import set_aside
 from im_core.ros import qos
 from im_core.ros.calls import LONGEST_S, pause, run_in_thread
@@ -142,7 +143,7 @@ class PntNode(ManagedNode):
         )
         self._scopes = CommandScopes(self, self.dom, self.commands.scopes)
         noted = Path(self._journal_dir).parent if self._journal_dir else None
-        self._notes = CommandNotes(self, noted, self.commands.numbered)
+        self._notes = CommandNotes(self, noted, self.commands.noted)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats, self.log, self._keep)
@@ -177,21 +178,28 @@ class PntNode(ManagedNode):
         self._book = StrategyBook(results_dir() / f"strategies-{self.task_name}.json")
         if self._journal_dir:
             folder = Path(self._journal_dir) / self.task_name
-            self._journal = Journal(folder, self.task_name, sync=self._journal_sync, observer=self._observer)
+            run = os.environ.get(RUN, "")
+            self._journal = Journal(folder, self.task_name, sync=self._journal_sync, observer=self._observer, run=run)
             self.commands.lost = self._journal.lost
             self._library.keep_in(folder / "nets")
         for net in self.completed(self._library.nets(self._journal.found if self._journal else {})):
             self._take_in(net, self._library.verify([net]))
         self._prepare_partners()
         self.detail = nets_sentence(self.exchange.nets)
-        goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link)
+        stopped = bool(self._journal_dir) and (Path(self._journal_dir).parent / ESTOP).exists()
+        held = None if self._journal is None or self._journal.of_this_run else stopped or not os.environ.get(RESUMES)
+        goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link, held)
         if self._journal is not None:
             beside, name = Path(self._journal_dir).parent, self.task_name
             self.commands.ended.keep_in(beside / "ended" / f"{name}.jsonl", sync=self._journal_sync is Sync.DISK)
             self.commands.give_up([each for each in set_aside(beside) if each[0].task == name])
         self.commands.take_up()
+        if stopped:
+            for command in self.commands.open():
+                self.hold(command.job.command.id, True)
         if goes_on:
-            self.get_logger().info(f"{self.task_name} goes on where its journal ends")
+            how = "is paused" if held or stopped else "goes on"
+            self.get_logger().info(f"{self.task_name} {how} where its journal ends")
             for executor in self.exchange.nets.values():
                 self._publisher.marked(executor)
         self._transport.listen(self.exchange, self._loop)
@@ -224,6 +232,7 @@ class PntNode(ManagedNode):
 
     def phase_shutdown(self) -> None:
         """Ends what is open."""
+        self._notes.write_last()
         error = ImError(f"{self.task_name} is shutting down", code="cancelled")
         for executor in self.exchange.nets.values():
             executor.post(CommandCancelled(None, error))

@@ -9,6 +9,7 @@ from im_pnt.execution.events import (
     PauseSet,
     RequestArrived,
     RequestCancelled,
+    RequestHeld,
     TidingArrived,
     TokenArrived,
 )
@@ -85,8 +86,17 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.cancel(rule.ledger.of_command(command_id), error)
         case RequestCancelled(request_id, error):
             rule.cancel(rule.ledger.of_request(request_id), error)
-        case CommandHeld(command_id, held, scope):
+        case CommandHeld(None, held):
+            for job in rule.ledger.jobs():
+                if job.command.id != 0:  # what is done for nobody could be resumed by nobody
+                    rule.hold(rule.hold_number(job), held, [job], job.command.scope if job.is_command else "")
+            if not held:
+                rule.held.clear()
+        case CommandHeld(int(command_id), held, scope):
             rule.hold(command_id, held, rule.ledger.of_command(command_id), scope)
+        case RequestHeld(request_id, held):
+            for job in rule.ledger.of_request(request_id):
+                rule.hold(-job.number, held, [job])
         case GuardBroke(number, error):
             _open_job(rule, number).last_failure = error
         case JobForgotten(number, error):

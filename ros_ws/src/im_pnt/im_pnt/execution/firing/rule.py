@@ -81,7 +81,7 @@ class FiringRule:
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
         begins: Transitions that begin a command where they read a symbol with tokens of nobody.
         held: Numbers of the commands for which nothing is begun, with their scopes as far as these are known; of a
-            visit its number here, negative.
+            visit, and of a request that was paused with its caller, the number here, negative.
         replaying: Whether what an entry of a journal tells is done again.
         shared_objects: Data objects that places declare to be global.
     """
@@ -211,9 +211,21 @@ class FiringRule:
         for job in jobs:
             self.pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
 
+    @staticmethod
+    def hold_number(job: Job) -> int:
+        """Return the number by which a job is held as what it is here: a command by that of the command."""
+        return job.command.id if job.is_command else -job.number
+
     def is_held(self, job: Job) -> bool:
-        """Whether nothing is begun for a job."""
-        return self.held.get(job.command.id if job.visit is None else -job.number) in ("", job.command.scope)
+        """Whether nothing is begun for a job; one that is to end is not kept from that."""
+        return not job.cancelled and (-job.number in self.held or self._is_held_by_command(job))
+
+    def is_paused(self, activity: Activity) -> bool:
+        """Whether nothing is begun for the job of an action."""
+        return activity.lineage.job is not None and self.is_held(activity.lineage.job)
+
+    def _is_held_by_command(self, job: Job) -> bool:
+        return job.visit is None and self.held.get(job.command.id) in ("", job.command.scope)
 
     @property
     def keeps(self) -> bool:
@@ -226,11 +238,8 @@ class FiringRule:
         self.notifier.flush()
         self.ledger.close(job, error)
         self.tokens.disown(job)
-        if job.visit is not None:
-            self.held.pop(-job.number, None)
-        elif self.is_held(job) and not any(
-            each.command.id == job.command.id and self.is_held(each) for each in self.ledger.jobs()
-        ):
+        self.held.pop(-job.number, None)
+        if self._is_held_by_command(job) and not any(map(self._is_held_by_command, self._of_number(job.command.id))):
             del self.held[job.command.id]
         if was_open:
             self.pass_on(job, Tiding.ENDED, None)
@@ -242,6 +251,9 @@ class FiringRule:
                 self.close(word, NetError(text, symbol=word.symbol, command=address))
         if was_open and job.request is not None:
             self.outlet.send_reply(job.request, error, job.results)
+
+    def _of_number(self, number: int) -> list[Job]:
+        return [job for job in self.ledger.jobs() if job.command.id == number]
 
     def _under_way(self, number: object) -> bool:
         return any(job.command.id == number and job.symbol not in self._words for job in self.ledger.jobs())

@@ -121,9 +121,10 @@ class Commands:
         """Returns the commands that have not ended, in the order of their numbers."""
         return [self._open[number] for number in sorted(self._open)]
 
-    def numbered(self) -> list[tuple[int, str]]:
-        """Returns number and symbol of the commands that have not ended, in the order of their numbers."""
-        return [(each.job.command.id, each.job.command.symbol) for each in self.open()]
+    def noted(self) -> list[OpenCommandNote]:
+        """Return what is noted of the commands that have not ended, in the order of their numbers."""
+        task = self._node.task_name
+        return [OpenCommandNote(task, each.job.command.id, each.job.symbol, each.progress) for each in self.open()]
 
     def get(self, number: int) -> OpenCommand:
         """Returns a command that has not ended.

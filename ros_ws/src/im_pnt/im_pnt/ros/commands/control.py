@@ -65,11 +65,14 @@ def _event(executor: Executor, request: str, argument: str) -> Event:
     match request:
         case "step" if executor.mode is Mode.STEP:
             if not executor.operator.may_step:
-                why = "it is paused" if executor.paused else "nothing is enabled that waits for one"
+                why = "it is paused" if executor.operator.paused else "nothing is enabled that waits for one"
                 raise StateError(f"net {executor.net.name} takes no step: {why}", net=executor.net.name)
             return StepAsked()
         case "automatic" | "supervised" | "step":
             return ModeSet(Mode(request))
+        case "resume" if executor.paused and not executor.operator.paused:
+            held = ", ".join(str(job.command.id) for job in executor.jobs() if executor.rule.is_held(job))
+            raise StateError(f"net {executor.net.name} is not paused, but its commands {held} are; resume these")
         case "pause" | "resume":
             return PauseSet(request == "pause")
         case "confirm":

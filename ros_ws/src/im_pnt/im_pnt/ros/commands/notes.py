@@ -1,6 +1,7 @@
 """The commands of a node that have not ended, in a file for whoever finds what a killed machine has left."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from im_core.errors import ImError
@@ -16,11 +17,11 @@ class CommandNotes:
     Args:
         node: The node.
         run_dir: Folder of the machine; None: nothing is written.
-        commands: Returns number and symbol of the commands that have not ended.
+        commands: Returns the commands that have not ended.
     """
 
     def __init__(
-        self, node: ManagedNode, run_dir: Path | None, commands: Callable[[], Sequence[tuple[int, str]]]
+        self, node: ManagedNode, run_dir: Path | None, commands: Callable[[], Sequence[OpenCommandNote]]
     ) -> None:
         self._node, self._run_dir, self._commands = node, run_dir, commands
         self._wanted = self._running = False
@@ -32,6 +33,12 @@ class CommandNotes:
         if not self._running and self._run_dir is not None:
             self._running = True
             self._node.spawn(self._write(self._run_dir))
+
+    def write_last(self) -> None:
+        """Write them at once, as their node ends: whoever has stopped it is told how far they were."""
+        if self._run_dir is not None:
+            with suppress(ImError):  # it is known which they are
+                note(self._run_dir, self._node.task_name, self._commands())
 
     async def written(self) -> None:
         """Waits until the commands that are open now are written down, or cannot be."""
@@ -47,9 +54,8 @@ class CommandNotes:
             while self._wanted:
                 self._wanted = False
                 waiting, self._waiting = self._waiting, []
-                notes = [OpenCommandNote(task, number, symbol) for number, symbol in self._commands()]
                 try:
-                    await run_in_thread(self._node, note, run_dir, task, notes)
+                    await run_in_thread(self._node, note, run_dir, task, self._commands())
                 except ImError as error:
                     self._node.get_logger().warning(f"which commands are open is not written down: {error.message}")
                 finally:

@@ -61,7 +61,7 @@ class NetLoop:
             Whether there is more to do at once.
         """
         more = executor.pump()
-        if more and not executor.paused and executor.stretch >= MOST_AT_A_STRETCH:
+        if more and not executor.operator.paused and executor.stretch >= MOST_AT_A_STRETCH:
             executor.post(PauseSet(True))
             self._node.get_logger().error(
                 f"net {executor.net.name} has fired {executor.stretch} times without coming to rest, waits for nothing "
