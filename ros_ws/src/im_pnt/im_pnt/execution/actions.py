@@ -107,6 +107,7 @@ class Actions:
         self.inquiry = Inquiry(rule, timers, clock, self, owner.answered)
         self._owner, self._rule, self._conflicts, self._runner = owner, rule, conflicts, runner
         self._timers, self._clock, self._check_objects = timers, clock, check_objects
+        self._strategies = {t.origin: t.strategy for t in rule.transitions if t.action is not None and t.strategy}
         self.functions: dict[int, ActionFunction] = {}
         self._deferred: dict[int, Callable[[], None]] = {}
         for index, transition in enumerate(rule.transitions):
@@ -123,13 +124,13 @@ class Actions:
         job = activity.lineage.job
         if job is not None and job.unwanted and job.last_failure is not None:
             self.cancel(activity, job.last_failure)
-        context = self._context(activity)
-        if index not in self.functions:
+        context, function = self._context(activity), self.functions.get(index)
+        if function is None:
             self._rule.notifier.flush()
             self._runner.start(self._owner, activity, context)
         else:
             try:
-                outcome = self.functions[index](context)
+                outcome = function(context)
             except FOREIGN as error:  # an action is foreign code: whatever it raises is its failure
                 self.finish(activity, as_failure(activity, error), {})
             else:
@@ -137,7 +138,8 @@ class Actions:
                     self._runner.watch(self._owner, activity, outcome)
                 else:
                     self.finish(activity, None, {})
-        self.inquiry.watch(activity)
+        if timeout is not None:
+            self.inquiry.watch(activity)
 
     def cancel(self, activity: Activity, error: ImError) -> None:
         """Asks an action to end early, and shows it in the marking while it winds down."""
@@ -159,7 +161,7 @@ class Actions:
         self._rule.values.stale()
         if error is not None and error.code == "cancelled" and self.inquiry.called_off(activity):
             error = activity.doubt
-        if error is None and not activity.concluded and self._rule.values.has_effects(activity.transition):
+        if error is None and not activity.concluded and activity.transition in self._rule.values.effective:
             activity.concluded = True
             self._conclude(activity, results)
             return
@@ -169,9 +171,9 @@ class Actions:
             return
         self._timers.cancel(activity.timer)
         self._deferred.pop(activity.number, None)
-        counts = activity.state is ActivityState.ACTIVE
+        learns = activity.state is ActivityState.ACTIVE and activity.transition in self._strategies
         failure = self._rule.end_action(activity, error, results)
-        if counts:
+        if learns:
             self._learn(activity, failure is None)
         if activity.lineage.job is not None:
             self._conflicts.wake_job(activity.lineage.job)
@@ -229,9 +231,7 @@ class Actions:
         activity.timer = self._timers.at(self._clock(), begin)
 
     def _learn(self, activity: Activity, success: bool) -> None:
-        strategy = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].strategy
-        if strategy is None:
-            return
+        strategy = self._strategies[activity.transition]
         try:
             self._conflicts.book.outcome(activity.net, activity.transition, strategy, success)
         except (OSError, ImError) as error:

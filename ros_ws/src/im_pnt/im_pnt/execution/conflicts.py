@@ -13,7 +13,6 @@ formulation [nats].
 import math
 import random
 from collections.abc import Callable, Sequence
-from weakref import WeakKeyDictionary
 
 from im_core.errors import FOREIGN, ImError
 from im_pnt.errors import NetError
@@ -95,7 +94,6 @@ class ConflictResolution:
         self._strategies = any(t.strategy is not None for t in self._transitions)
         self._even = all(t.weight == 1.0 and t.strategy is None for t in self._transitions)
         self._verdicts: dict[tuple[str, int], bool | None] = {}
-        self._stalled_for: WeakKeyDictionary[Job, set[int]] = WeakKeyDictionary()
         self._sources: dict[str, list[int]] = {}
         self._undeclared: set[int] = set()
         for index, transition in enumerate(self._transitions):
@@ -129,7 +127,9 @@ class ConflictResolution:
 
     def wake_job(self, job: Job) -> None:
         """Has those guards asked again that were asked about a job."""
-        self._enabling.consider_stalled(self._stalled_for.pop(job, ()))
+        if job.stalled:
+            stalled, job.stalled = job.stalled, set()
+            self._enabling.consider_stalled(stalled)
 
     def choose(self, index: int) -> int | None:
         """Decides about an enabled transition and its rivals; each guard is evaluated at most once.
@@ -205,7 +205,7 @@ class ConflictResolution:
                 lineage = self._rule.foreseen(index, owner)
                 if not self._passes(index, guard, negated, lineage, (guard, id(lineage.job))):
                     if lineage.job is not None:
-                        self._stalled_for.setdefault(lineage.job, set()).add(index)
+                        lineage.job.stalled.add(index)
                     continue
             self._owners[index] = owner
             return True
@@ -228,13 +228,7 @@ class ConflictResolution:
 
     def owner(self, index: int) -> Job | None:
         """Returns for whom a transition is to fire that the last decision has chosen."""
-        return self._owners[index] if index in self._owners else self.first_owner(index)
-
-    def first_owner(self, index: int) -> Job | None:
-        """Returns for whom an enabled transition fires where no guard is asked: for whom it was enabled first."""
-        if not self._tokens.queues and index not in self._rule.begins:
-            return None
-        return self._rule.owners(index)[0]
+        return self._owners[index] if index in self._owners else self._rule.first_owner(index)
 
     def draw(self, contending: Sequence[int]) -> int:
         """Takes one of several transitions by weight and probability of success, or as :attr:`drawn` says."""

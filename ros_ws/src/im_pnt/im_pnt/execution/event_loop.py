@@ -319,7 +319,7 @@ class EventLoop:
     def _decide(self, index: int) -> bool:
         """Decides about a candidate; returns whether a transition fired."""
         if self.operator.free and index in self.conflicts.certain and not self.rule.held:
-            self.fire(index, self.conflicts.first_owner(index))
+            self.fire(index, self.rule.first_owner(index))
             return True
         self.conflicts.barred = _NOTHING if self.operator.free else self.operator.barred
         if index in self.conflicts.delayed and self._delays.waits(index):

@@ -189,7 +189,7 @@ class JobData(NamedTuple):
     progress: float
 
 
-@dataclass(slots=True, eq=False, weakref_slot=True)
+@dataclass(slots=True, eq=False)
 class Job:
     """A command or request in work, or what one of another net has left to do here.
 
@@ -213,6 +213,7 @@ class Job:
         waiting: Whether it is still on the tape.
         recorded: Its data as they were written to the journal last, None: never.
         on_closed: Called once with the result.
+        stalled: Transitions whose guards did not let it pass when they were asked last.
     """
 
     command: Command
@@ -234,6 +235,7 @@ class Job:
     visit: Visit | None = None
     away: dict[str, int] = field(default_factory=dict)
     told: dict[str, dict[str, object]] = field(default_factory=dict)
+    stalled: set[int] = field(default_factory=set)
 
     @property
     def symbol(self) -> str:

@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Collection, Iterable, Sequence
 
 from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
-from im_pnt.model.compiled import Compiled
+from im_pnt.model.compiled import Compiled, IndexedArcs
 
 
 class Enabling:
@@ -24,7 +24,7 @@ class Enabling:
     Attributes:
         compiled: The expanded net.
         tokens: Tokens of each place.
-        unmet: For each transition the number of input and inhibitor arcs that hold it back.
+        unmet: For each free transition the number of input and inhibitor arcs that hold it back.
         agenda: Transitions to decide about, in order.
         listed: For each transition whether it is on the agenda; always, for those that are not free.
         contended: For each free transition the free consumers of each of its input places that has several.
@@ -42,7 +42,9 @@ class Enabling:
         self.listed = [True] * len(compiled.transitions)
         for transition in free:
             self.listed[transition] = False
-        sharing = [tuple(t for t, _ in row if not self.listed[t]) for row in compiled.consumers]
+        self._consumers = [self._free_of(row) for row in compiled.consumers]
+        self._inhibited = [self._free_of(row) for row in compiled.inhibited]
+        sharing = [tuple(t for t, _ in row) for row in self._consumers]
         contended = [
             tuple(sharing[place] for place, _ in inputs if len(sharing[place]) > 1) for inputs in compiled.inputs
         ]
@@ -56,13 +58,16 @@ class Enabling:
         for place, count in enumerate(tokens):
             self.add_tokens(place, count)
 
+    def _free_of(self, arcs: IndexedArcs) -> IndexedArcs:
+        return tuple((transition, weight) for transition, weight in arcs if not self.listed[transition])
+
     def add_tokens(self, place: int, count: int) -> None:
         """Puts tokens on a place."""
         before = self.tokens[place]
         after = before + count
         self.tokens[place] = after
         unmet = self.unmet
-        for transition, weight in self.compiled.consumers[place]:
+        for transition, weight in self._consumers[place]:
             if before < weight <= after:
                 left = unmet[transition] - 1
                 unmet[transition] = left
@@ -71,7 +76,7 @@ class Enabling:
                     self.agenda.append(transition)
             elif transition in self.stalled:
                 self.consider(transition)
-        for transition, weight in self.compiled.inhibited[place]:
+        for transition, weight in self._inhibited[place]:
             if before < weight <= after:
                 unmet[transition] += 1
                 if transition in self.clocks:
@@ -84,7 +89,7 @@ class Enabling:
         after = before - count
         self.tokens[place] = after
         unmet = self.unmet
-        for transition, weight in self.compiled.consumers[place]:
+        for transition, weight in self._consumers[place]:
             if after < weight <= before:
                 unmet[transition] += 1
                 if transition in self.clocks:
@@ -92,7 +97,7 @@ class Enabling:
                 self.stalled.discard(transition)
             elif transition in self.stalled:
                 self.consider(transition)
-        for transition, weight in self.compiled.inhibited[place]:
+        for transition, weight in self._inhibited[place]:
             if after < weight <= before:
                 unmet[transition] -= 1
                 if not unmet[transition]:
@@ -110,6 +115,10 @@ class Enabling:
         for transition in transitions:
             if transition in self.stalled:
                 self.consider(transition)
+
+    def allows(self, transition: int) -> bool:
+        """Whether the arcs of a transition let it fire, be it free or not."""
+        return self.compiled.enabled(self.tokens, transition)
 
     def next_candidate(self) -> int | None:
         """Takes the next enabled transition to decide about, None where there is none."""
@@ -166,15 +175,15 @@ class Tokens:
 
     def put_tokens(self, place: int, count: int, lineage: Lineage) -> None:
         """Puts tokens on a place."""
-        if not self._carries[place]:
-            lineage = NO_LINEAGE
         queue = self.queues.get(place)
-        if queue is None and lineage is not NO_LINEAGE and lineage != NO_LINEAGE:
-            queue = self.queues[place] = deque([NO_LINEAGE] * self.enabling.tokens[place])
+        named = self._carries[place] and (lineage.job is not None or lineage.failure is not None)
+        if named and queue is None:
+            queue, self._named[place] = deque([NO_LINEAGE] * self.enabling.tokens[place]), 0
+            self.queues[place] = queue
         if queue is not None:
             queue.extend([lineage] * count)
-            if lineage != NO_LINEAGE:
-                self._named[place] = self._named.get(place, 0) + count
+            if named:
+                self._named[place] += count
         self.enabling.add_tokens(place, count)
 
     def carries(self, place: int) -> bool:
@@ -241,13 +250,14 @@ class Tokens:
 
     def peek_inputs(self, transition: int, owner: Job | None) -> Lineage:
         """Returns what a firing for a job would take along."""
-        failure = None
         for place, weight in self._carriers[transition]:
-            queue = self.queues.get(place)
-            if queue is not None and failure is None and any(lineage.failure is not None for lineage in queue):
-                own = [lineage.failure for lineage in queue if lineage.job is owner][:weight]
-                failure = next((each for each in own if each is not None), None)
-        return NO_LINEAGE if owner is None and failure is None else Lineage(owner, failure)
+            left = weight
+            for job, failure in self.queues.get(place, ()):
+                if job is owner and left:
+                    if failure is not None:
+                        return Lineage(owner, failure)
+                    left -= 1
+        return NO_LINEAGE if owner is None else Lineage(owner, None)
 
     def _pick(self, queue: deque[Lineage], count: int, owner: Job | None) -> list[Lineage]:
         """Takes the oldest tokens of a job from a queue, and then the oldest of nobody."""

@@ -214,7 +214,9 @@ def data_of(job: Job) -> JobData:
     Raises:
         NetError: They have a part that JSON cannot carry.
     """
-    return JobData(plain_dict(job.memory, "ctx.memory"), plain_dict(job.results, "ctx.result"), float(job.progress))
+    memory = plain_dict(job.memory, "ctx.memory") if job.memory else {}
+    results = plain_dict(job.results, "ctx.result") if job.results else {}
+    return JobData(memory, results, float(job.progress))
 
 
 def recorded_data(job: Job) -> JobData:
@@ -236,7 +238,8 @@ def changed_data(job: Job) -> JobData | JobChange | None:
     if before is None:
         job.recorded = data
         return data
-    memory, results = difference(before.memory, data.memory), difference(before.results, data.results)
+    memory = difference(before.memory, data.memory) if before.memory or data.memory else None
+    results = difference(before.results, data.results) if before.results or data.results else None
     if memory is None and results is None and data.progress == before.progress:
         return None
     job.recorded = data

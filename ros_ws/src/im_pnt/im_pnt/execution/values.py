@@ -90,9 +90,13 @@ class NetValues:
     Args:
         net: The net as written.
         objects: Its data objects; None: it has none here.
+
+    Attributes:
+        effective: Transitions that return or store values.
     """
 
     def __init__(self, net: Net, objects: Objects | None) -> None:
+        self.effective = frozenset(t.name for t in net.transitions.values() if t.result or t.store)
         self._net, self._objects = net, objects
         self._ways = read_answers(net)
         self._guarded = any(read_objects(guard) for guard in net.guards())
@@ -103,11 +107,6 @@ class NetValues:
     def ways(self, transition: str) -> tuple[Way, ...]:
         """Returns which fields of the answer to a transition are read, as ways to them; an empty way: all of it."""
         return self._ways.get(self._answering(transition), ())
-
-    def has_effects(self, transition: str) -> bool:
-        """Whether a transition returns or stores values."""
-        written = self._net.transitions[transition]
-        return bool(written.result or written.store)
 
     def fill_now(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
         """Returns a value with its expressions replaced; of data objects they see what :meth:`Objects.latest` has.

@@ -152,7 +152,7 @@ def _command(lineage: Lineage) -> int:
 def _next_command(executor: Executor, transition: str) -> int:
     """Returns for which command a transition would fire next."""
     index = executor.rule.number.get(transition)
-    if index is None or executor.rule.enabling.unmet[index]:
+    if index is None or not executor.rule.enabling.allows(index):
         return 0
     owners = executor.rule.owners(index)
     return owners[0].command.id if owners and owners[0] is not None else 0

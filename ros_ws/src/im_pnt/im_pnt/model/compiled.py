@@ -1,5 +1,6 @@
 """A net as arrays: what execution and analysis count with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from im_core.errors import nearest
@@ -54,7 +55,7 @@ class Compiled:
         """Returns the marked places by name."""
         return {name: count for name, count in zip(self.places, vector, strict=True) if count}
 
-    def enabled(self, vector: tuple[int, ...], transition: int) -> bool:
+    def enabled(self, vector: Sequence[int], transition: int) -> bool:
         """Whether a transition may fire by its arcs alone; guards and symbols are not looked at."""
         return all(vector[place] >= weight for place, weight in self.inputs[transition]) and all(
             vector[place] < weight for place, weight in self.inhibitors[transition]

@@ -110,7 +110,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
 def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:
     index = rule.number[name]
     symbol = rule.transitions[index].symbol
-    if rule.enabling.unmet[index] or (symbol is not None and not rule.ledger.tape.has(symbol)):
+    if not rule.enabling.allows(index) or (symbol is not None and not rule.ledger.tape.has(symbol)):
         raise ValueError(f"{name} is not enabled")
     owners = rule.owners(index)
     if number is None:  # a journal of before may tell of a firing that took what belongs to several
@@ -126,7 +126,7 @@ def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:
 
 def _running(rule: FiringRule, number: int, name: str) -> Activity:
     activity, index = rule.activities[number], rule.number[name]
-    if rule.enabling.unmet[index] or rule.transitions[index].origin != activity.transition:
+    if not rule.enabling.allows(index) or rule.transitions[index].origin != activity.transition:
         raise ValueError(f"{name} is not enabled")
     return activity
 

@@ -4,7 +4,8 @@ What is here is deterministic: it is done again, in the same order, when a journ
 calls foreign code is elsewhere.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
@@ -51,6 +52,20 @@ _PHASE_PLACES = {
     ActivityState.CANCELLING: cancelling_place,
     ActivityState.IN_DOUBT: doubt_place,
 }
+
+
+class _Phases(NamedTuple):
+    """What a transition with an action has in the expanded net; found once, not at each firing.
+
+    Attributes:
+        start: ``t.start``.
+        places: For each state of the action the number of the place that is marked then.
+        objects: Data objects that the outputs of ``t.end`` stand for, as the net names them.
+    """
+
+    start: Transition
+    places: Mapping[ActivityState, int]
+    objects: tuple[str, ...]
 
 
 class FiringRule:
@@ -109,6 +124,7 @@ class FiringRule:
         resources = {self.place[name] for name in declared | resource_places(net)}
         self.tokens = Tokens(compiled, free, initial, resources)
         self.enabling = self.tokens.enabling
+        self._phases = {t.origin: self._phases_of(t) for t in self.transitions if t.role is Role.START}
         self.activities: dict[int, Activity] = {}
         self.notifier = Notifier(net.name, observer)
         self.readers: dict[str, list[int]] = {}
@@ -123,6 +139,7 @@ class FiringRule:
         self.choosy = self.tokens.choosy | self._finishing | self._to_commands
         beginning = (i for i in free if self.transitions[i].symbol and self.transitions[i].symbol_of is None)
         self.begins = frozenset(beginning)
+        self._narrowed = self._finishing | self._to_commands | self.begins
         self.held: dict[int, str] = {}
         self.replaying = False
         reading = [t for t in self.transitions if t.symbol is not None]
@@ -137,6 +154,11 @@ class FiringRule:
         ]
         emitted = {each for transition in self.transitions for each in transition.emit}
         self._answered = {s for s in self.readers if any(ends(each, s) is not None for each in emitted)}
+
+    def _phases_of(self, start: Transition) -> _Phases:
+        places = {state: self.place[name(start.origin)] for state, name in _PHASE_PLACES.items()}
+        outputs = (self.net.places[name] for name in self.net.transitions[f"{start.origin}.end"].outputs)
+        return _Phases(start, places, tuple(place.data_object for place in outputs if place.data_object is not None))
 
     # What comes from outside.
 
@@ -338,16 +360,27 @@ class FiringRule:
         That is a job that has tokens there, or, where tokens of nobody and a symbol begin one, a job on the tape.
         """
         owners = self.tokens.owners(index)
-        if index in self._finishing:
-            owners = [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
-        elif index in self._to_commands:
-            owners = [owner for owner in owners if owner is not None and self._symbol_for(index, owner) is not None]
-        elif index in self.begins:
-            waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
-            owners = [each for owner in owners for each in (waiting if owner is None else (owner,))]
+        if index in self._narrowed:
+            owners = self._narrowed_owners(index, owners)
         if self.held and index not in self._withdrawing:
             owners = [owner for owner in owners if owner is None or not self.is_held(owner)]
         return owners
+
+    def _narrowed_owners(self, index: int, owners: Sequence[Job | None]) -> Sequence[Job | None]:
+        """Returns those of some owners for whom a transition can fire whose tokens alone do not tell it."""
+        if index in self._finishing:
+            return [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
+        if index in self._to_commands:
+            return [owner for owner in owners if owner is not None and self._symbol_for(index, owner) is not None]
+        waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
+        return [each for owner in owners for each in (waiting if owner is None else (owner,))]
+
+    def first_owner(self, index: int) -> Job | None:
+        """Returns the first of :meth:`owners`; None also where there is none."""
+        if not self.tokens.queues and index not in self.begins:
+            return None
+        owners = self.owners(index)
+        return owners[0] if owners else None
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
         """Returns the oldest on the tape that a transition may read for a command, None where there is none."""
@@ -376,9 +409,7 @@ class FiringRule:
         """
         transition = self.transitions[index]
         if self.record is not None:
-            first = owner is None and not self.tokens.queues
-            first = first or owner is next(iter(self.owners(index)), None)
-            number = None if first else owner.number if owner is not None else 0
+            number = None if owner is self.first_owner(index) else owner.number if owner is not None else 0
             self.record(TransitionFired(transition.name, number))
         word: Job | None = None
         if owner is not None and owner.waiting:
@@ -435,22 +466,23 @@ class FiringRule:
 
     def begin(self, index: int, lineage: Lineage, symbol: str) -> Activity:
         """Marks ``t.active`` for tokens that were taken; returns the action that is to begin."""
-        transition = self.transitions[index]
-        self.enabling.add_tokens(self.place[active_place(transition.origin)], 1)
-        self.notifier.note(transition.origin, Phase.START, lineage, symbol=symbol)
-        activity = self.new_activity(index, self.notifier.sequence, lineage)
+        origin = self.transitions[index].origin
+        self.enabling.add_tokens(self._phases[origin].places[ActivityState.ACTIVE], 1)
+        self.notifier.note(origin, Phase.START, lineage, symbol=symbol)
+        activity = self.new_activity(origin, self.notifier.sequence, lineage)
         self.activities[activity.number] = activity
         return activity
 
-    def new_activity(self, index: int, number: int, lineage: Lineage) -> Activity:
-        """Returns what is known of an action when it begins."""
-        transition, places = self.transitions[index], self.net.places
-        assert transition.action is not None
-        end = self.net.transitions[f"{transition.origin}.end"]
-        named = [found for place in end.outputs if (found := places[place].data_object) is not None]
-        objects = tuple(self.object_name(found, lineage.job) for found in named)
-        name, action = transition.origin, transition.action
-        return Activity(number, self.net.name, name, action, lineage, self.clock(), objects=objects)
+    def new_activity(self, transition: str, number: int, lineage: Lineage) -> Activity:
+        """Returns what is known of an action when it begins.
+
+        Raises:
+            KeyError: The net as written has no such transition with an action.
+        """
+        start, _, named = self._phases[transition]
+        assert start.action is not None
+        objects = tuple(self.object_name(found, lineage.job) for found in named) if named else ()
+        return Activity(number, self.net.name, transition, start.action, lineage, self.clock(), objects=objects)
 
     def move(self, activity: Activity, state: ActivityState, error: ImError) -> None:
         """Fires ``t.cancel`` or ``t.lost`` of an activity.
@@ -469,7 +501,7 @@ class FiringRule:
         activity.state = state
         if activity.lineage.job is not None:
             activity.lineage.job.unwanted = False
-        self.enabling.add_tokens(self.place[_PHASE_PLACES[state](activity.transition)], 1)
+        self.enabling.add_tokens(self._phases[activity.transition].places[state], 1)
         if state is ActivityState.IN_DOUBT:
             activity.doubt, activity.doubted = error, self.clock()
         phase = Phase.DOUBT if state is ActivityState.IN_DOUBT else Phase.CANCEL
@@ -488,7 +520,7 @@ class FiringRule:
             Why it failed after all.
         """
         job, data = activity.lineage.job, None
-        if job is not None and hands_on(activity):
+        if results and job is not None and hands_on(activity):
             job.results.update(results)
         if job is not None and self.record is not None:
             try:
@@ -561,10 +593,10 @@ class FiringRule:
 
     def answering(self, activity: Activity) -> str:
         """Returns the transition as whose answer that of an action counts: of a further try, the first one."""
-        return self.transitions[self.number[f"{activity.transition}.start"]].retry_of or activity.transition
+        return self._phases[activity.transition].start.retry_of or activity.transition
 
     def _leave_phase(self, activity: Activity) -> None:
-        self.enabling.take_tokens(self.place[_PHASE_PLACES[activity.state](activity.transition)], 1)
+        self.enabling.take_tokens(self._phases[activity.transition].places[activity.state], 1)
 
     def _give(self, index: int, lineage: Lineage) -> None:
         """Marks what a firing gives: its tokens belong to its job, where that has not ended."""
