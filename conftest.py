@@ -2,8 +2,10 @@
 
 import signal
 
+import pytest
 from hypothesis import HealthCheck, settings
 
+from im_core import clock
 from im_core.end_signals import heed_end_signals
 
 # A verdict is of the code: not of how fast this computer is, nor of which cases are drawn today.
@@ -15,3 +17,18 @@ settings.load_profile("same_everywhere")
 
 # A test that is cut short puts away what it has begun, as after Ctrl-C.
 heed_end_signals(signal.default_int_handler)
+
+@pytest.fixture
+def wait_until():
+    """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""
+
+    def wait(condition, what, seconds=60.0):
+        deadline = clock.monotonic() + seconds
+        while clock.monotonic() < deadline:
+            value = condition()
+            if value:
+                return value
+            clock.sleep(0.02)
+        pytest.fail(f"waited {seconds:g} s for {what}, in vain")
+
+    return wait

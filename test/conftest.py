@@ -143,22 +143,6 @@ def _nothing_raised(request, monkeypatch):
 
 
 @pytest.fixture
-def wait_until():
-    """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""
-
-    def wait(condition, what, seconds=60.0):
-        deadline = clock.monotonic() + seconds
-        while clock.monotonic() < deadline:
-            value = condition()
-            if value:
-                return value
-            clock.sleep(0.02)
-        pytest.fail(f"waited {seconds:g} s for {what}, in vain")
-
-    return wait
-
-
-@pytest.fixture
 def ros():
     """ROS initialised; ``ros(node, ...)`` spins nodes in a thread until the test ends."""
     import rclpy

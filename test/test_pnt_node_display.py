@@ -3,6 +3,7 @@
 import asyncio
 import json
 import threading
+import urllib.request
 
 import aiohttp
 import pytest
@@ -112,6 +113,18 @@ def test_a_second_display_takes_the_next_port(machine):
         assert other.url != display.server.url
     finally:
         other.stop()
+
+
+def test_a_display_whose_address_cannot_be_written_shows_nets_all_the_same(tmp_path, monkeypatch, ros, wait_until):
+    """It shares its process with the dispatcher, which would end with it."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "pnt_display.url").mkdir()
+    display = DisplayNode(parameter_overrides=[Parameter("standalone", value=True), Parameter("port", value=0)])
+    ros(display)
+
+    wait_until(lambda: display.count_subscribers("/pnt/nets"), "the display to follow nets")
+    with urllib.request.urlopen(display.server.url, timeout=60.0) as page:
+        assert page.status == 200
 
 
 def test_messages_that_make_no_sense_are_passed_over(machine, wait_until):

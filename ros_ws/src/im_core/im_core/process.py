@@ -103,12 +103,20 @@ class ChildProcess:
         self.pid = self._process.pid
 
     @classmethod
-    def of_module(cls, module: str, arguments: Sequence[str] = (), *, log: Path | None = None, stdin: str = "") -> Self:
+    def of_module(
+        cls,
+        module: str,
+        arguments: Sequence[str] = (),
+        *,
+        log: Path | None = None,
+        stdin: str = "",
+        inherit: Sequence[int] = (),
+    ) -> Self:
         """Run a module with ``python -m``, or by the copy that was prepared for it; arguments as of the class.
 
         Its name is that of the module.
         """
-        return cls([*_words(module), *arguments], name=module, log=log, stdin=stdin)
+        return cls([*_words(module), *arguments], name=module, log=log, stdin=stdin, inherit=inherit)
 
     def poll(self) -> int | None:
         """Exit code, or None while it runs."""

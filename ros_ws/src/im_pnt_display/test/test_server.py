@@ -8,14 +8,26 @@ import re
 import shutil
 import socket
 import subprocess
+from pathlib import Path
 
 import aiohttp
 import pytest
 
+from im_core.clock import monotonic
 from im_core.errors import LinkError
 from im_pnt_display.page import site as module
-from im_pnt_display.page.server import DisplayServer
-from im_pnt_display.page.site import LONGEST_REQUEST, MOST_CONNECTIONS, MOST_VIEWERS, READ_ONLY
+from im_pnt_display.page.rate import Allowance
+from im_pnt_display.page.server import WEB_PROCESS, DisplayServer
+from im_pnt_display.page.site import (
+    LONGEST_REQUEST,
+    MOST_CONNECTIONS,
+    MOST_VIEWERS,
+    PAGE_AT_ONCE,
+    PAGE_PER_S,
+    READ_ONLY,
+    TOO_FAST,
+    TOO_MANY,
+)
 from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
 from im_pnt_display.page.viewers import Viewers
 
@@ -235,6 +247,129 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
         assert json.loads(asked(second, "state.json")[2])["kind"] == "snapshot"
     finally:
         second.stop()
+
+
+def test_an_allowance_grows_with_time_up_to_its_most():
+    now = [0.0]
+    allowance = Allowance(2.0, 3, lambda: now[0])
+    assert [allowance.take_request() for _ in range(4)] == [True, True, True, False]
+    now[0] = 0.6
+    assert [allowance.take_request() for _ in range(2)] == [True, False]
+    now[0] = 100.0
+    assert [allowance.take_request() for _ in range(4)] == [True, True, True, False]
+
+
+@pytest.mark.parametrize("path", ["x" * 7000, "static/" + "x" * 7000, "static/../site.py", "static/%00", "static/"])
+def test_a_path_that_leads_nowhere_is_not_found(serve, path):
+    assert asked(serve(), path)[0] == 404
+
+
+def ask(viewer):
+    return viewer.send_json(ASKED)
+
+
+def ping(viewer):
+    return viewer.ping(b"x")
+
+
+async def flooded(url, send):
+    """Have a viewer send without an end; returns what it heard until its connection was ended."""
+    heard = []
+    async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as viewer:
+
+        async def flood():
+            with contextlib.suppress(ConnectionError, aiohttp.ClientError):
+                while not viewer.closed:
+                    await send(viewer)
+                    await asyncio.sleep(0)
+
+        flooding = asyncio.create_task(flood())
+        while (message := await viewer.receive(timeout=60.0)).type is aiohttp.WSMsgType.TEXT:
+            heard.append(json.loads(message.data))
+        flooding.cancel()
+        await asyncio.gather(flooding, return_exceptions=True)
+    return heard
+
+
+@pytest.mark.parametrize("send", [ask, ping])
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_viewer_that_sends_too_much_is_told_so_and_ended(serve, send, apart):
+    server = serve(apart=apart)
+    heard = asyncio.run(flooded(server.url, send))
+    assert heard[-1]["message"] == TOO_FAST
+    assert asked(server)[0] == 200
+
+
+def test_a_flood_of_many_viewers_reaches_nets_at_the_rate_of_the_page(serve):
+    heard = []
+    server = serve(operate=heard.append, apart=True)
+
+    async def flood():
+        return await asyncio.gather(*(flooded(server.url, ask) for _ in range(20)))
+
+    began = monotonic()
+    told_all = asyncio.run(flood())
+    assert any(answer.get("message") == TOO_MANY for told_one in told_all for answer in told_one)
+    assert all(told_one[-1]["message"] == TOO_FAST for told_one in told_all)
+    assert PAGE_AT_ONCE <= len(heard) <= PAGE_AT_ONCE + PAGE_PER_S * (monotonic() - began) + 1
+
+
+def test_what_one_viewer_may_not_do_is_told_to_that_viewer_alone(serve):
+    server = serve()
+
+    async def talk():
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(f"{server.url}ws") as other,
+            session.ws_connect(f"{server.url}ws") as viewer,
+        ):
+            for each in (other, viewer):
+                await each.receive_json(timeout=60.0)
+            await viewer.send_json(ASKED)
+            answer = await viewer.receive_json(timeout=60.0)
+            server.show({"kind": "done"})
+            return answer["message"], (await other.receive_json(timeout=60.0))["kind"]
+
+    assert asyncio.run(talk()) == (READ_ONLY, "done")
+
+
+def test_a_process_of_its_own_shows_what_the_display_shows(serve, wait_until):
+    heard = []
+    server = serve(operate=lambda wanted: (heard.append(wanted), server.show({"kind": "done"})), apart=True)
+    server.state.enter(server.state.net("a", "/node", {"description": "the first"}))
+
+    def shown():
+        return json.loads(asked(server, "state.json")[2])
+
+    assert shown()["nets"] == [{"net": "a", "node": "/node", "description": "the first"}]
+    snapshot, done = told(server, json.dumps(ASKED), kinds=("done",))
+    assert (snapshot["operable"], done, heard) == (True, {"kind": "done"}, [ASKED])
+    server.show(server.state.net("b", "/node", {}))
+
+    wait_until(lambda: [net["net"] for net in shown()["nets"]] == ["a", "b"], "the second net")
+
+
+def children(module_name):
+    """Processes that this one has started to run a module."""
+    found = []
+    for task in Path("/proc/self/task").iterdir():
+        for number in (task / "children").read_text().split():
+            with contextlib.suppress(OSError):
+                if module_name.encode() in Path(f"/proc/{number}/cmdline").read_bytes():
+                    found.append(int(number))
+    return found
+
+
+def test_a_page_whose_process_dies_comes_back_and_ends_with_the_display(serve, wait_until):
+    server = serve(apart=True)
+    assert not children(WEB_PROCESS), "it begins with the first visitor"
+    assert asked(server)[0] == 200
+    [process] = children(WEB_PROCESS)
+    subprocess.run(["kill", "-KILL", str(process)], check=True)
+    wait_until(lambda: process not in children(WEB_PROCESS), "the end of the process")
+    assert asked(server)[0] == 200
+    server.stop()
+    assert not children(WEB_PROCESS)
 
 
 CLICKS = """

@@ -1,12 +1,17 @@
 """The web server of the display: one page, one websocket, any number of viewers."""
 
 import asyncio
+import contextlib
 import errno
 import socket
+import sys
 import threading
+from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
+from im_core.arrivals import read_json
 from im_core.errors import LinkError
+from im_core.process import ChildProcess
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
 from im_pnt_display.page.viewers import Operate, Viewers
@@ -18,6 +23,11 @@ PORTS_TRIED = 20
 _PORTS = 65536
 _WAITING = 128
 """Most connections that wait to be taken."""
+WEB_PROCESS = "im_pnt_display.page.web_process"
+_AGAIN_S = 3.0
+"""Pause before a process that has ended is started again [s]."""
+_END_S = 3.0
+"""Time that the process has to end its connections [s]."""
 
 
 class DisplayServer:
@@ -31,6 +41,7 @@ class DisplayServer:
         port: Port; the next free one is taken where it is in use, any free one for 0.
         operate: Takes what viewers want done with nets; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
+        apart: Whether a process of its own answers, which begins with the first visitor: viewers cannot slow this one.
     """
 
     def __init__(
@@ -39,9 +50,10 @@ class DisplayServer:
         port: int = 8080,
         operate: Operate | None = None,
         recording: "RecordedNets | None" = None,
+        apart: bool = False,
     ) -> None:
         self.state = DisplayState()
-        self._host, self._port, self._recording = host, port, recording
+        self._host, self._port, self._recording, self._apart = host, port, recording, apart
         self.state.operable = operate is not None
         self.state.recording = recording.overview if recording is not None else None
         self._operate, self._viewers = operate, Viewers(self.state)
@@ -86,20 +98,51 @@ class DisplayServer:
                 listening.close()
 
     async def _serve(self) -> None:
+        while not self._stop.is_set() and await self._visited():
+            if self._apart:
+                await self._serve_apart()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(self._stop.wait(), _AGAIN_S)
+            else:
+                from im_pnt_display.page.site import Site  # with the libraries
+
+                site = Site(self._host, self._viewers, self._operate, self._recording)
+                await site.serve(self._sockets, self._stop)
+
+    async def _visited(self) -> bool:
+        """Wait for a visitor; returns whether one came before the end."""
         come = asyncio.Event()
         for listening in self._sockets:
             self._loop.add_reader(listening, come.set)
-        waits = [asyncio.ensure_future(event.wait()) for event in (come, self._stop)]
-        await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        for wait in waits:
-            wait.cancel()
+        await _first(come.wait(), self._stop.wait())
         for listening in self._sockets:
             self._loop.remove_reader(listening)
-        if not self._stop.is_set():
-            from im_pnt_display.page.site import Site  # with the libraries
+        return not self._stop.is_set()
 
-            site = Site(self._host, self._viewers, self._operate, self._recording)
-            await site.serve(self._sockets, self._stop)
+    async def _serve_apart(self) -> None:
+        """Have a process answer visitors until it ends, or the display does; the process is one viewer of this one."""
+        ours, its = socket.socketpair()
+        given = [its.fileno(), *(listening.fileno() for listening in self._sockets)]
+        with its:
+            child = ChildProcess.of_module(WEB_PROCESS, [self._host, *map(str, given)], inherit=given)
+        reader, writer = await asyncio.open_connection(sock=ours)
+        backlog = self._viewers.enter()
+        try:
+            await _first(_pass_on(backlog, writer), self._take_requests(reader), self._stop.wait())
+        finally:
+            self._viewers.leave(backlog)
+            writer.transport.abort()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+            if not child.await_end(_END_S):
+                child.stop()
+        if not self._stop.is_set():
+            print(f"the page of the nets: {child.obituary()}; it begins again", file=sys.stderr)
+
+    async def _take_requests(self, reader: asyncio.StreamReader) -> None:
+        while line := await reader.readline():
+            if self._operate is not None:
+                self._operate(read_json(dict[str, str], line.decode(), "a request"))
 
     def _listen(self) -> None:
         first = self._port
@@ -115,6 +158,23 @@ class DisplayServer:
             self._port = int(self._sockets[0].getsockname()[1])
             return
         raise LinkError(f"cannot serve the display on {self._host}: ports {first} to {port} are all in use", port=first)
+
+
+async def _first(*works: Coroutine[object, object, object]) -> None:
+    """Wait until one of several works ends; the others are cancelled."""
+    tasks = [asyncio.ensure_future(work) for work in works]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _pass_on(backlog: asyncio.Queue[str], writer: asyncio.StreamWriter) -> None:
+    while True:
+        writer.write(f"{await backlog.get()}\n".encode())
+        await writer.drain()
 
 
 def _listening(host: str, port: int) -> list[socket.socket]:

@@ -3,6 +3,8 @@
 import asyncio
 import socket
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ from aiohttp import WSMsgType, web
 from im_core.arrivals import read_json
 from im_core.errors import DataError, ImError
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
+from im_pnt_display.page.rate import Allowance
 from im_pnt_display.page.viewers import Operate, Viewers
 
 if TYPE_CHECKING:
@@ -26,6 +29,14 @@ _AT_ONCE = 16
 """Connections that are taken before the first of them is looked at."""
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
+VIEWER_PER_S, VIEWER_AT_ONCE = 10.0, 30
+"""Messages of one viewer [1/s], and at once; a viewer that sends more is told so, and its connection ends."""
+PAGE_PER_S, PAGE_AT_ONCE = 20.0, 50
+"""Requests of all viewers [1/s], and at once, that are passed on to nets; the answer to others is :data:`TOO_MANY`."""
+TOO_FAST = f"more than {VIEWER_PER_S:g} messages a second were sent; the connection ends"
+TOO_MANY = f"viewers have asked for more than {PAGE_PER_S:g} things a second; this one is not done"
+_TOLD_S = 0.5
+"""Time in which a viewer that sends too much can read why its connection ends [s]."""
 
 
 class Site:
@@ -43,12 +54,14 @@ class Site:
     ) -> None:
         self._viewers, self._operate, self._recording = viewers, operate, recording
         self._stop = asyncio.Event()
+        self._allowance = Allowance(PAGE_PER_S, PAGE_AT_ONCE)
         self._app = guarded_application(host)
-        self._app.router.add_get("/", _page)
+        self._app.router.add_get("/", partial(_file, STATIC / "index.html"))
         self._app.router.add_get("/state.json", self._give_state)
         self._app.router.add_get("/ws", self._view)
         self._app.router.add_get("/recording.json", self._give_moment)
-        self._app.router.add_static("/static", STATIC)
+        for file in STATIC.iterdir():
+            self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
     async def serve(self, sockets: Sequence[socket.socket], stop: asyncio.Event) -> None:
         """Answer those who come to sockets that listen, until it is to stop; all connections have ended then."""
@@ -69,7 +82,7 @@ class Site:
         await runner.cleanup()
 
     async def _give_state(self, request: web.Request) -> web.Response:
-        return web.json_response(self._viewers.state.snapshot())
+        return web.json_response(text=self._viewers.snapshot_text())
 
     async def _give_moment(self, request: web.Request) -> web.Response:
         if self._recording is None:
@@ -82,7 +95,7 @@ class Site:
     async def _view(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._viewers) >= MOST_VIEWERS:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
-        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST)
+        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False)
         await socket.prepare(request)
         backlog = self._viewers.enter()
         sender = asyncio.create_task(_pass_on(backlog, socket))
@@ -95,19 +108,43 @@ class Site:
             for task in (sender, stopper, listener):
                 task.cancel()
             await asyncio.gather(sender, stopper, listener, return_exceptions=True)
+            if listener.done() and not listener.cancelled() and listener.exception() is None and listener.result():
+                await self._end_flood(request, socket)
             await socket.close()
         return socket
 
-    async def _listen_to(self, socket: web.WebSocketResponse) -> None:
+    async def _listen_to(self, socket: web.WebSocketResponse) -> bool:
+        """Take what a viewer sends; returns whether it has sent too much."""
+        allowance = Allowance(VIEWER_PER_S, VIEWER_AT_ONCE)
         async for message in socket:
-            if message.type in (WSMsgType.CLOSE, WSMsgType.ERROR):
-                return
-            if message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
-                if self._operate is not None:
+            if not allowance.take_request():
+                return True
+            if message.type is WSMsgType.PING:
+                await socket.pong(message.data)
+            elif message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
+                if refusal := self._refusal():
+                    await socket.send_json(self._viewers.state.answer(wanted["net"], False, refusal))
+                elif self._operate is not None:
                     self._operate(wanted)
-                else:
-                    why = READ_ONLY if self._recording is None else RECORDED
-                    self._viewers.show(self._viewers.state.answer(wanted["net"], False, why))
+        return False
+
+    async def _end_flood(self, request: web.Request, socket: web.WebSocketResponse) -> None:
+        """End the connection of a viewer that sends too much; no more of what it sends is read."""
+        transport = request.transport
+        if transport is None:
+            return
+        transport.pause_reading()
+        with suppress(OSError, TimeoutError):
+            async with asyncio.timeout(_TOLD_S):
+                await socket.send_json(self._viewers.state.answer("page", False, TOO_FAST))
+                await asyncio.sleep(_TOLD_S)
+        transport.abort()
+
+    def _refusal(self) -> str:
+        """Why a request is not passed on; empty where it is."""
+        if self._operate is None:
+            return READ_ONLY if self._recording is None else RECORDED
+        return "" if self._allowance.take_request() else TOO_MANY
 
 
 class _Refusal(asyncio.Protocol):
@@ -117,8 +154,8 @@ class _Refusal(asyncio.Protocol):
         transport.close()
 
 
-async def _page(request: web.Request) -> web.FileResponse:
-    return web.FileResponse(STATIC / "index.html")
+async def _file(path: Path, request: web.Request) -> web.FileResponse:
+    return web.FileResponse(path)
 
 
 async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:

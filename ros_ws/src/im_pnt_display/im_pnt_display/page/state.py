@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Mapping
+from typing import Any
 
 from im_pnt.model.net import Net
 from im_pnt_display.drawing.draw import draw
@@ -44,6 +45,8 @@ class DisplayState:
         """Makes a change, in the thread that takes snapshots; returns whether it is one."""
         net = str(change.get("net"))
         match change["kind"]:
+            case "snapshot":
+                self._restore(change)
             case "net":
                 self._refusals.pop(net, None)
                 self._nets[net] = {name: value for name, value in change.items() if name != "kind"}
@@ -64,6 +67,14 @@ class DisplayState:
                     return False
                 self._mcs = change
         return True
+
+    def _restore(self, snapshot: Mapping[str, Any]) -> None:
+        """Takes the state that :meth:`snapshot` of another process has returned."""
+        self._nets = {net["net"]: net for net in snapshot["nets"]}
+        self._markings = {marking["net"]: marking for marking in snapshot["markings"]}
+        self._refusals = {refusal["net"]: refusal for refusal in snapshot["refusals"]}
+        self._firings = deque(snapshot["firings"], maxlen=FIRINGS_KEPT)
+        self._mcs, self.operable, self.recording = (snapshot[key] for key in ("mcs", "operable", "recording"))
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
         """Returns that there is a net, or its new structure; that one of its name was refused before is over.

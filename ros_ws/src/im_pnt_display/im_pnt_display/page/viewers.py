@@ -1,4 +1,4 @@
-"""Those who look at the display, each with what it has still to be shown."""
+"""Viewers of the display, each with what it has still to be shown."""
 
 import asyncio
 import json
@@ -21,6 +21,7 @@ class Viewers:
 
     def __init__(self, state: DisplayState) -> None:
         self.state = state
+        self._snapshot: str | None = None
         self._backlogs: dict[asyncio.Queue[str], None] = {}
 
     def __len__(self) -> int:
@@ -29,9 +30,15 @@ class Viewers:
     def enter(self) -> asyncio.Queue[str]:
         """A viewer comes; what it is to be shown, the state first."""
         backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
-        backlog.put_nowait(json.dumps(self.state.snapshot()))
+        backlog.put_nowait(self.snapshot_text())
         self._backlogs[backlog] = None
         return backlog
+
+    def snapshot_text(self) -> str:
+        """Returns the state as JSON; the text is made once between two changes, however many ask for it."""
+        if self._snapshot is None:
+            self._snapshot = json.dumps(self.state.snapshot())
+        return self._snapshot
 
     def leave(self, backlog: asyncio.Queue[str]) -> None:
         """A viewer goes."""
@@ -41,11 +48,12 @@ class Viewers:
         """Makes a change of the state, and passes it on to all; who is too far behind gets the state instead."""
         if not self.state.enter(change):
             return
+        self._snapshot = None
         text = json.dumps(change) if self._backlogs else ""
         for backlog in self._backlogs:
             if backlog.full():
                 while not backlog.empty():
                     backlog.get_nowait()
-                backlog.put_nowait(json.dumps(self.state.snapshot()))
+                backlog.put_nowait(self.snapshot_text())
             else:
                 backlog.put_nowait(text)

@@ -40,7 +40,7 @@ class DisplayNode(ManagedNode):
         )
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
         control = declare("control", False, "whether viewers may operate nets; if not, they only look")
-        self.server = DisplayServer(host, port, self._wanted if control else None)
+        self.server = DisplayServer(host, port, self._wanted if control else None, apart=True)
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
@@ -55,7 +55,10 @@ class DisplayNode(ManagedNode):
             LinkError: No port is free.
         """
         self.server.start()
-        write_whole(display_file(), self.server.url + "\n")
+        try:
+            write_whole(display_file(), self.server.url + "\n")
+        except ImError as error:  # other programs do not find the page by that file; it is served all the same
+            self.get_logger().error(f"the address of the page is in no file: {error.message}")
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_NETS)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_NETS)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
@@ -68,7 +71,8 @@ class DisplayNode(ManagedNode):
         """Closes the page."""
         self._drawing.shutdown(wait=False, cancel_futures=True)
         self.server.stop()
-        display_file().unlink(missing_ok=True)
+        with suppress(OSError):
+            display_file().unlink(missing_ok=True)
 
     def _show_mcs(self) -> None:
         """Show what MCS said last, and whether it still says it."""

@@ -49,7 +49,7 @@ class NodeObserver(Observer):
             self.commands.forgot(text)
 
     def unreached(self, node: str, text: str) -> None:
-        """Write a line of the log, and say on ``/diagnostics`` that no message reaches a node, as long as that is so."""
+        """Write a line of the log, and name a node that no message reaches on ``/diagnostics``."""
         subject = f"{LINK}{node}"
         if text:
             self._reminders.add(subject, text)

@@ -1,0 +1,56 @@
+"""The process that answers visitors of the page, apart from the node that shows nets: viewers cannot slow the machine.
+
+It takes the listening sockets of the display, and a socket to the display: the state and its changes come there, a line
+of JSON each, and what viewers want done with nets goes back. It ends with that socket.
+"""
+
+import asyncio
+import json
+import os
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+
+from im_pnt_display.page.site import Site
+from im_pnt_display.page.state import DisplayState
+from im_pnt_display.page.viewers import Viewers
+
+_LONGEST_LINE = 2**30
+"""Longest line on the link, a snapshot of all nets [bytes]."""
+_NICENESS = 10
+"""Priority below that of the machine's processes."""
+
+
+async def answer_visitors(host: str, link: socket.socket, listening: Sequence[socket.socket]) -> None:
+    """Answer visitors until the display closes its link.
+
+    Args:
+        host: Address that the page is served on.
+        link: Leads to the display.
+        listening: Sockets that visitors come to.
+    """
+    reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_LINE)
+    viewers = Viewers(DisplayState())
+    viewers.show(json.loads(await reader.readline()))
+
+    def operate(wanted: Mapping[str, str]) -> None:
+        writer.write(f"{json.dumps(wanted)}\n".encode())
+
+    site, stop = Site(host, viewers, operate if viewers.state.operable else None), asyncio.Event()
+    async with asyncio.TaskGroup() as group:
+        group.create_task(site.serve(listening, stop))
+        while line := await reader.readline():
+            viewers.show(json.loads(line))
+        stop.set()
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the process: host, and descriptors of the link and of the listening sockets."""
+    os.nice(_NICENESS)
+    host, *descriptors = arguments
+    link, *listening = (socket.socket(fileno=int(each)) for each in descriptors)
+    asyncio.run(answer_visitors(host, link, listening))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
