@@ -208,6 +208,14 @@ def test_files_from_elsewhere_pass_the_readers(package):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
+def test_signals_that_ask_to_end_are_heeded_in_one_way(package):
+    """A handler of its own would forget SIGHUP, or heed it under ``nohup``."""
+    allowed = {"im_core/end_signals.py", "im_bringup/machine/interrupts.py", "im_pnt_analysis/cli/terminal.py"}
+    found = {relative(path) for path in files(package) if "signal.signal(" in path.read_text(encoding="utf-8")}
+    assert found <= allowed
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_only_members_of_the_machine_and_children_are_signalled(package):
     """A number in a record may be a stranger's: ``signal_member`` looks, and a child's is its parent's to know."""
     allowed = {"im_bringup/machine/members.py": "pidfd_send_signal", "im_core/process.py": "os.kill"}

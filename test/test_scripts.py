@@ -223,6 +223,32 @@ def test_a_clone_may_be_entered_by_a_link(tmp_path):
     assert computer.run("shell", "basename", "a/b").stdout == "b\n"
 
 
+SPEAKS = """
+import sys
+from pathlib import Path
+from im_bringup.ros.interruptible import own_output
+try:
+    with own_output():
+        print("progress", flush=True)
+        print("complaint", file=sys.stderr, flush=True)
+        Path(sys.argv[1]).touch()
+finally:
+    Path(sys.argv[2]).touch()
+"""
+
+
+def test_a_client_whose_terminal_is_gone_comes_to_its_end(tmp_path):
+    master, slave = os.openpty()
+    os.close(master)
+    ends = [tmp_path / "within", tmp_path / "behind"]
+    with os.fdopen(slave, "wb") as gone:
+        with pytest.raises(OSError, match="Input/output error"):
+            os.write(slave, b"x")
+        run = ["bash", ROOT / "scripts" / "shell.sh", "python", "-c", SPEAKS, *ends]
+        subprocess.run(run, stdin=subprocess.DEVNULL, stdout=gone, stderr=gone, timeout=300, check=False)
+    assert all(end.exists() for end in ends)
+
+
 @pytest.mark.end_to_end
 @pytest.mark.parametrize("seed", SEEDS, ids=lambda seed: str(DemoTrial.of(seed)))
 def test_a_demo_that_is_cut_short_leaves_nothing(tmp_path, seed):

@@ -113,6 +113,8 @@ class EndOnInterrupt:
     def _watch(self, reading: int) -> None:
         while numbers := os.read(reading, 64):
             if signal.SIGINT in numbers:
-                print(self._word, file=sys.stderr, flush=True)
-                os._exit(INTERRUPTED)
+                try:
+                    print(self._word, file=sys.stderr, flush=True)
+                finally:  # also where nobody can be told
+                    os._exit(INTERRUPTED)
         os.close(reading)
