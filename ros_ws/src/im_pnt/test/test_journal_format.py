@@ -1,7 +1,7 @@
 """The bytes of a journal stay what they were: a mission writes the lines of a sample, and comes back from each of them.
 
-The sample in ``data/journal`` was written when entries were still lists. It has every entry that nets, exchanges and
-links know, and snapshots taken while actions run and requests wait; beside each file stands what came back from it.
+The sample in ``data/journal`` is of the present version. It has the entries in ``ENTRIES``, and snapshots taken while
+actions run and requests wait; beside each file stands what came back from it.
 """
 
 import json

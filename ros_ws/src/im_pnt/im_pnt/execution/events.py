@@ -56,8 +56,7 @@ class CommandHeld:
     Attributes:
         command_id: Its number; None: all commands, requests and tokens of jobs that are here.
         held: Whether nothing is begun.
-        scope: Its scope: commands of other nodes have their own numbers. Empty, as in journals of before: whichever
-            has the number.
+        scope: Its scope: commands of other nodes have their own numbers. Empty: any command of that number.
     """
 
     command_id: int | None

@@ -211,11 +211,6 @@ class Tokens:
             if all(own[owner] + (own[None] if owner is not None else 0) >= weight for own, weight in held)
         ]
 
-    def jobs(self, transition: int) -> list[Job]:
-        """Returns whose tokens are on the input places of a transition."""
-        queues = (self.queues.get(place, ()) for place, _ in self._carriers[transition])
-        return [lineage.job for queue in queues for lineage in queue if lineage.job is not None]
-
     def take_inputs(self, transition: int, owner: Job | None) -> Lineage:
         """Takes the input tokens of an enabled transition: those of a job, and where it has none, those of nobody.
 
@@ -265,8 +260,6 @@ class Tokens:
         if len(own) < count:
             spare = (number for number, lineage in enumerate(queue) if lineage.job is None)
             own += [number for number in spare if number not in own]
-            if len(own) < count:  # a journal of before, when a firing could take what belongs to several
-                own += [number for number in range(len(queue)) if number not in own]
         picked = [queue[number] for number in own[:count]]
         for number in sorted(own[:count], reverse=True):
             del queue[number]

@@ -360,7 +360,7 @@ def encode_command(command: Command) -> list[object]:
 
 
 def decode_command(content: object) -> Command:
-    """Reads a command; a journal of before, when data objects had no scopes, says none.
+    """Reads a command; priority and scope are said where it has them.
 
     Raises:
         ValueError: It is none.

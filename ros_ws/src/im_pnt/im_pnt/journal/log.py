@@ -23,7 +23,7 @@ from im_pnt.errors import DamagedJournalError, JournalError
 from im_pnt.journal.folder import Files, Growing
 
 FORMAT = "im_pnt journal"
-VERSION = 1
+VERSION = 2
 HEAD_BYTES = 18
 _SECTOR = 512
 _MOST_DIGITS = 8

@@ -122,8 +122,6 @@ def _held_of(content: object) -> tuple[int, str]:
     match content:
         case [int(number), str(scope)]:
             return number, scope
-        case int(number):  # a journal of before
-            return number, ""
     raise ValueError(f"{str(content)[:80]} is no command that is held")
 
 

@@ -113,11 +113,8 @@ def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:
     if not rule.enabling.allows(index) or (symbol is not None and not rule.ledger.tape.has(symbol)):
         raise ValueError(f"{name} is not enabled")
     owners = rule.owners(index)
-    if number is None:  # a journal of before may tell of a firing that took what belongs to several
-        rule.fire(index, owners[0] if owners else max(rule.tokens.jobs(index), key=lambda job: job.number))
-        return
-    if number == 0 and index in rule.begins:  # a journal of before, when the oldest of a symbol was read
-        rule.fire(index, None)
+    if number is None:
+        rule.fire(index, owners[0])
         return
     if number not in [owner.number if owner is not None else 0 for owner in owners]:
         raise ValueError(f"{name} is not enabled for job {number}")
