@@ -12,7 +12,7 @@ LARGEST = 2**63
 """No number is as large."""
 
 Lookup = Callable[[str, str], object]
-"""Returns the value of a name, by its root and what follows it; raises ExpressionError where there is none."""
+"""Returns the value of a name, by its root and what follows it, if anything; raises ExpressionError where none is."""
 
 
 def evaluate(node: Node, lookup: Lookup) -> object:
@@ -49,7 +49,7 @@ def evaluate(node: Node, lookup: Lookup) -> object:
         case Call(function, arguments):
             return _call(node, function, [evaluate(each, lookup) for each in arguments])
         case Name(root):
-            raise ExpressionError(f"'{root}' alone is no value")
+            return lookup(root, "")
 
 
 def as_text(value: object) -> str:

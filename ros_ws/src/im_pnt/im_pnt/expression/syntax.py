@@ -2,7 +2,7 @@
 
 There are no loops and no calls of foreign code, and texts and nesting are bounded: whatever is read comes to an end.
 From weak to strong: ``or``, ``and``, ``not``, comparisons and ``in``, ``mod`` (the remainder of the whole sum, as in
-templates), ``+ -``, ``* /``, the sign, and ``.field`` and ``[index]``.
+print), ``+ -``, ``* /``, the sign, and ``.field`` and ``[index]``.
 """
 
 import re
@@ -26,7 +26,7 @@ FUNCTIONS |= {"sqrt": (1, 1), "sin": (1, 1), "cos": (1, 1)}
 """Functions, with the least and greatest number of their arguments."""
 
 COMPARISONS = ("==", "!=", "<=", ">=", "<", ">", "in")
-_WORDS = ("and", "or", "not", "in", "mod", "true", "false")
+WORDS = ("and", "or", "not", "in", "mod", "true", "false")
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>[0-9]{1,19}(?:\.[0-9]{1,18})?(?:[eE][-+]?[0-9]{1,3})?)|(?P<name>[A-Za-z_][A-Za-z0-9_]*)"
     r"|(?P<text>'[^']*')|(?P<sign>==|!=|<=|>=|[-+*/<>()\[\],.]))"
@@ -42,7 +42,7 @@ class Literal:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """Where a name begins: one of :data:`ROOTS`."""
+    """Where a name begins: one of :data:`ROOTS`; or a parameter of a template."""
 
     root: str
 
@@ -99,15 +99,19 @@ Node = Literal | Name | Field | Item | Unary | Binary | Call | Listing
 
 
 @lru_cache(maxsize=4096)
-def parse(text: str) -> Node:
+def parse(text: str, parameters: tuple[str, ...] | None = None) -> Node:
     """Reads an expression.
+
+    Args:
+        text: The expression.
+        parameters: Its only names, as in ``$(...)`` of a template; None: names begin with one of :data:`ROOTS`.
 
     Raises:
         ExpressionError: It is none.
     """
     if len(text) > LONGEST:
         raise ExpressionError(f"an expression of {len(text)} characters is longer than {LONGEST}")
-    return _Parser(text).whole()
+    return _Parser(text, parameters).whole()
 
 
 def shown(node: Node) -> str:
@@ -136,8 +140,8 @@ def shown(node: Node) -> str:
 class _Parser:
     """Recursive descent; as deep as :data:`DEEPEST` allows."""
 
-    def __init__(self, text: str) -> None:
-        self._text, self._at, self._depth = text, 0, 0
+    def __init__(self, text: str, parameters: tuple[str, ...] | None) -> None:
+        self._text, self._parameters, self._at, self._depth = text, parameters, 0, 0
         self._tokens: list[tuple[str, str]] = []
         at = 0
         while text[at:].strip():
@@ -244,7 +248,7 @@ class _Parser:
                 raise self._error("the name of a field is missing after '.'")
             self._at += 1
             node = Field(node, name)
-        if isinstance(node, Name):
+        if isinstance(node, Name) and self._parameters is None:
             raise self._error(f"'{node.root}' alone is no value; say which, as in {node.root}.{_EXAMPLES[node.root]}")
         return node
 
@@ -263,7 +267,7 @@ class _Parser:
             return node
         if text == "[":
             return Listing(self._list("]"))
-        if kind == "name" and text not in _WORDS:
+        if kind == "name" and text not in WORDS:
             return self._called(text) if self._next("(") else self._named(text)
         if text in ("true", "false"):
             return Literal(text == "true")
@@ -278,8 +282,9 @@ class _Parser:
         return number
 
     def _named(self, text: str) -> Node:
-        if text not in ROOTS:
-            raise self._error(f"there is no value '{text}'{nearest(text, ROOTS)}")
+        what, known = ("value", ROOTS) if self._parameters is None else ("parameter", self._parameters)
+        if text not in known:
+            raise self._error(f"there is no {what} '{text}'{nearest(text, known)}")
         return Name(text)
 
     def _called(self, function: str) -> Node:

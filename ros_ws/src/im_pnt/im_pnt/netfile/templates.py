@@ -9,7 +9,8 @@ from im_core.errors import nearest
 from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
-from im_pnt.netfile.expression import evaluate, substitute
+from im_pnt.expression.evaluation import as_text, evaluate
+from im_pnt.expression.syntax import parse
 from im_pnt.netfile.schema.net import FragmentFile
 from im_pnt.netfile.schema.templates import Parameter, TemplateFile, UseFile
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
@@ -186,7 +187,45 @@ def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
     if not isinstance(given, str) or "$(" not in given:
         return given
     whole = given.startswith("$(") and given.endswith(")") and given.count("$(") == 1
-    return evaluate(given[2:-1], running) if whole else substitute(given, running)
+    return evaluated(given[2:-1], running) if whole else substitute(given, running)
+
+
+def substitute(text: str, values: Mapping[str, Parameter]) -> str:
+    """Replaces every ``$(...)`` of a text by its value.
+
+    Raises:
+        ExpressionError: One is not closed, or has no value.
+    """
+    done: list[str] = []
+    at = 0
+    while (begin := text.find("$(", at)) >= 0:
+        end, depth = begin + 2, 1
+        while depth and end < len(text):
+            depth += {"(": 1, ")": -1}.get(text[end], 0)
+            end += 1
+        if depth:
+            raise ExpressionError(f"'{text[begin : begin + 40]}' has no closing parenthesis")
+        done += [text[at:begin], str(evaluated(text[begin + 2 : end - 1], values))]
+        at = end
+    return "".join([*done, text[at:]])
+
+
+def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
+    """Returns the value of an expression whose only names are parameters: a whole number, or a text.
+
+    Raises:
+        ExpressionError: It has none.
+    """
+
+    def parameter(name: str, field: str) -> object:
+        if field:
+            raise ExpressionError(f"parameter {name} has no field '{field}'")
+        return values[name]
+
+    found = evaluate(parse(text, tuple(values)), parameter)
+    if isinstance(found, bool) or not isinstance(found, int | str):
+        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a whole number nor a text")
+    return found
 
 
 def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:

@@ -8,6 +8,7 @@ import pydantic
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from im_core.config import FieldError
+from im_pnt.expression.syntax import WORDS
 from im_pnt.netfile.schema.scalars import as_list, as_mapping, as_number, as_text, shown
 from im_pnt.netfile.schema.values import ONE_TEXT, FilePart, Named, Names, Text
 
@@ -71,7 +72,7 @@ class TemplateFile(FilePart):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Self:
-        seen = {"mod"}
+        seen = set(WORDS)
         for rank, name in enumerate(self.parameters):
             if name in seen:
                 sentence = f"'{name}' cannot be a parameter here: it is there twice, or an operator"
