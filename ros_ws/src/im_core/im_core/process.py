@@ -354,8 +354,14 @@ def await_ends(children: Sequence[ChildProcess], patience: Patience, until_s: fl
     return True
 
 
-def last_words(log: Path, begin: int = 0, most_bytes: int = 4096) -> str:
-    """The last line of a log that is not empty, of those from its byte ``begin`` on, or an empty string.
+def last_words(log: Path, begin: int = 0) -> str:
+    """The last line of a log that is not empty, or an empty string; arguments as of :func:`end_of_log`."""
+    lines = [line.strip() for line in end_of_log(log, begin, 4096).splitlines() if line.strip()]
+    return lines[-1] if lines else ""
+
+
+def end_of_log(log: Path, begin: int, most_bytes: int) -> str:
+    """The end of a log, of what stands from its byte ``begin`` on; empty if it cannot be read.
 
     Of a log that is shorter than ``begin`` all counts: it was rotated since.
     """
@@ -363,8 +369,6 @@ def last_words(log: Path, begin: int = 0, most_bytes: int = 4096) -> str:
         with log.open("rb") as file:
             end = file.seek(0, os.SEEK_END)
             file.seek(max(begin if begin <= end else 0, end - most_bytes))
-            text = file.read().decode(errors="replace")
+            return file.read().decode(errors="replace")
     except OSError:
         return ""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else ""

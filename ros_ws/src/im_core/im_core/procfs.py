@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 #: Longer than what is read here [bytes].
 _LINE = 4096
+_PAGE = os.sysconf("SC_PAGE_SIZE")
 #: How ``/proc/self/maps`` tells of memory that is private, may be written, and is of no file.
 _ANONYMOUS = ["rw-p", "00000000", "00:00", "0"]
 
@@ -75,11 +76,34 @@ def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:
 
 def threads_queued_s(pid: int) -> float:
     """For how long all threads of a process together have waited for a processor, as far as they live [s]."""
+    return sum(found.queued_s for thread in threads_of(pid) if (found := scheduled(pid, thread)) is not None)
+
+
+def threads_of(pid: int) -> list[int]:
+    """The threads of a process; empty if there is none."""
     try:
-        threads = [int(name) for name in os.listdir(f"/proc/{pid}/task")]
+        return [int(name) for name in os.listdir(f"/proc/{pid}/task")]
     except FileNotFoundError:
-        return 0.0
-    return sum(found.queued_s for thread in threads if (found := scheduled(pid, thread)) is not None)
+        return []
+
+
+def thread_name(pid: int, thread: int) -> str:
+    """The name of a thread; empty if it has ended."""
+    return (_told(f"/proc/{pid}/task/{thread}/comm") or "").rstrip()
+
+
+def waits_of(pid: int, thread: int) -> tuple[int, float] | None:
+    """How often a thread has given up its processor to wait, and its time on one [s]; None if it has ended."""
+    status, found = _told(f"/proc/{pid}/task/{thread}/status"), scheduled(pid, thread)
+    if not status or found is None:
+        return None
+    return int(status.partition("\nvoluntary_ctxt_switches:")[2].split()[0]), found.ran_s
+
+
+def private_bytes(pid: int) -> int:
+    """Memory of a process that is private and may be written, as RLIMIT_DATA counts it [bytes]; 0 if there is none."""
+    told = _told(f"/proc/{pid}/statm")
+    return int(told.split()[5]) * _PAGE if told else 0
 
 
 def mappings(least: int) -> list[tuple[int, int]]:

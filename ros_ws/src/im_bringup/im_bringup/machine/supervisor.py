@@ -15,6 +15,7 @@ from dataclasses import replace
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock
 from im_core import pulse as pulse_memory
@@ -208,13 +209,14 @@ class Hang:
 
     def __init__(self, pid: int, pulse: Pulse) -> None:
         self._pid, self._pulse = pid, pulse
-        self._standstill = Standstill(pid, pulse)
+        self._standstill, self._receivers = Standstill(pid, pulse), Receivers(pid)
         self._ticks, self._silence = 0, Silence(pid)
 
     def found(self) -> str:
         """Why it counts as hung, a clause; empty if it does not."""
-        if standing := self._standstill.found(clock.monotonic()):
-            return standing
+        now = clock.monotonic()
+        if fault := self._standstill.found(now) or self._receivers.found(now):
+            return fault
         ticks = self._pulse.last().ticks
         if ticks == 0 or ticks != self._ticks:  # it has not come to telling, or it has just told
             self._ticks, self._silence = ticks, Silence(self._pid, longest_look_s=2.0 * _LOOK_S)

@@ -16,6 +16,7 @@ from im_bringup.machine import mission
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
+from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
@@ -122,6 +123,7 @@ def main() -> int:
 
     def make_node() -> AgentNode:
         deployment = deployments.load(arguments.deployment)
+        limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         return AgentNode(deployment, arguments.host)
 

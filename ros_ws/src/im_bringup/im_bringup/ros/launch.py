@@ -16,6 +16,7 @@ from im_bringup.machine.nets import PROVER, MachineNets
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, commands, environment
 from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
 from im_cell.robot import load_cell
 from im_core import clock, names, scheduling
@@ -50,6 +51,7 @@ def main() -> int:
 
     try:
         deployment = deployments.load(arguments.deployment)
+        limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         deployment = deployments.with_options(deployment, arguments)
         nets, bootstrap = begin(deployment)

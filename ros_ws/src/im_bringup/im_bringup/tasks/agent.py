@@ -9,7 +9,9 @@ from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.executables import path_of
+from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
 from im_bringup.tasks.middleware import middleware
+from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import names, scheduling
 from im_core import pulse as pulse_memory
@@ -46,12 +48,14 @@ class ProcessCommand:
         tasks: Symbolic names of its tasks.
         argv: Program and arguments.
         log: File that takes what it prints.
+        memory_mib: How much memory it may have [MiB].
     """
 
     name: str
     tasks: tuple[str, ...]
     argv: Sequence[str]
     log: Path
+    memory_mib: int = DEFAULT_MIB
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class _Slot:
     command: ProcessCommand
     child: ChildProcess | None = None
     standstill: Standstill | None = None
+    receivers: Receivers | None = None
     log_begin: int = 0
     failure: str = ""
     kill_at: float = math.inf
@@ -107,7 +112,7 @@ def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse
 
     Where it may, it begins as a copy of this one.
     """
-    return ChildProcess(
+    child = ChildProcess(
         command.argv,
         name=command.name,
         log=command.log,
@@ -116,6 +121,8 @@ def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse
         inherit=[pulse.descriptor],
         copied=may_copy(command.argv[0]),
     )
+    limit_memory(command.memory_mib, child.pid)
+    return child
 
 
 class Agent:
@@ -146,7 +153,7 @@ class Agent:
         return [self._start(slot) for slot in self._slots]
 
     def poll(self, now: float) -> list[Started | Died]:
-        """Notice processes that ended, end those that hang, and start again those whose time has come.
+        """Notice processes that ended, end those that hang or grow, and start again those whose time has come.
 
         Args:
             now: Monotonic time [s].
@@ -159,8 +166,8 @@ class Agent:
                 slot.failure, slot.kill_at = "", math.inf
             elif slot.child is not None and now >= slot.kill_at:
                 slot.child.send_signal(signal.SIGKILL)
-            elif slot.child is not None and not slot.failure and (hang := _hang(slot, now)):
-                slot.failure, slot.kill_at = f"{hang}; where, is in its log", now + _END_S
+            elif slot.child is not None and not slot.failure and (fault := _fault(slot, now)):
+                slot.failure, slot.kill_at = f"{fault}; where, is in its log", now + _END_S
                 slot.child.send_signal(signal.SIGABRT)  # writes the stacks of its threads, whoever holds what
             elif slot.respawn_at is not None and now >= slot.respawn_at:
                 slot.respawn_at = None
@@ -237,6 +244,7 @@ class Agent:
         except OSError as error:
             raise LinkError(f"{_named(slot.command.tasks)} cannot be started: {error}") from error
         slot.standstill = Standstill(slot.child.pid, pulse)
+        slot.receivers = Receivers(slot.child.pid)
         return Started(slot.command.tasks, slot.child.pid, slot.restarts)
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:
@@ -251,8 +259,12 @@ class Agent:
         return f"{sentence}; it is started again in {RESPAWN_DELAY_S:g} s"
 
 
-def _hang(slot: _Slot, now: float) -> str:
-    return slot.standstill.found(now) if slot.standstill is not None else ""
+def _fault(slot: _Slot, now: float) -> str:
+    """Why a process that runs is to be ended, a clause; empty if it is not."""
+    if slot.child is None or slot.standstill is None or slot.receivers is None:
+        return ""
+    hang = slot.standstill.found(now) or slot.receivers.found(now)
+    return hang or excess(slot.child.pid, slot.command.memory_mib)
 
 
 def _ending(slot: _Slot, code: int) -> str:
@@ -261,6 +273,8 @@ def _ending(slot: _Slot, code: int) -> str:
         return f"failed: {slot.failure}"
     if code == -signal.SIGKILL:
         return "was killed by SIGKILL"
+    if refused(code, slot.command.log, slot.log_begin):
+        return f"ended: it asked for more memory than its limit of {slot.command.memory_mib} MiB"
     words = last_words(slot.command.log, slot.log_begin)
     how = f"ended with exit code {code}" if code >= 0 else f"was killed by {signal.Signals(-code).name}"
     return f"{how}{': ' + words if words else ''}"
@@ -293,7 +307,8 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCo
         file = write_parameters(run_dir, process, parameters)
         argv += ["--ros-args", "--disable-external-lib-logs", "--params-file", str(file)]
         tasks = tuple(each.name for each in placed)
-        result.append(ProcessCommand(process, tasks, argv, run_dir / "log" / f"{process}.log"))
+        log = run_dir / "log" / f"{process}.log"
+        result.append(ProcessCommand(process, tasks, argv, log, deployment.memory_mib))
     return result
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 
 import pydantic
 
+from im_bringup.tasks.memory_limit import DEFAULT_MIB
 from im_bringup.tasks.upkeep import Keep
 from im_core import config
 from im_core.arrivals import read_json
@@ -118,6 +119,7 @@ class Deployment(Model):
         commands: The commands of the Dispatcher: names of those shipped, net files and folders of them, as read from a
             file relative to it.
         keep: What is kept of logs and results.
+        memory_mib: How much memory each process may have before it is ended and started again [MiB].
         hosts: Host name -> process name -> task name -> task, in starting order. The tasks of one process share its
             interpreter, its DDS participant and its loop, and die and start together.
     """
@@ -136,6 +138,7 @@ class Deployment(Model):
     ] = ()
     unproved: bool = False
     keep: Keep = Keep()
+    memory_mib: Annotated[int, pydantic.Field(ge=512, le=2**20)] = DEFAULT_MIB
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
 
     @pydantic.model_validator(mode="after")
