@@ -159,6 +159,7 @@ OPEN_FILES = {
     "im_core/jsontext.py": "the reader of JSON",
     "im_core/yamltext.py": "the reader of YAML",
     "im_core/bag/reading.py": "the reader of bags",
+    "im_core/bag/storage.py": "a private copy of a file of a bag, for SQLite to take up its log",
     "im_core/bag/files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
     "im_bringup/bag/writer.py": "what it writes itself",
     "im_bringup/ros/interruptible.py": "standard output of the program",
@@ -172,6 +173,8 @@ OPEN_FILES = {
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_pnt/journal/folder.py": "the node's own journal, in a folder that it has locked",
     "im_dom/file.py": "the DOM's own data base",
+    "im_dom/salvage.py": "the DOM's own data base, where it is damaged",
+    "im_dom/transactions.py": "the DOM's own list of transactions",
 }
 OPENERS = {"open", "read_text", "read_bytes", "fdopen", "load", "safe_load", "full_load", "unsafe_load", "load_all"}
 OPENERS |= {"safe_load_all", "loadtxt", "genfromtxt", "fromfile", "imread", "FileStorage", "connect", "Reader"}

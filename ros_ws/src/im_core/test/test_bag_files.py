@@ -4,6 +4,7 @@ import fcntl
 import os
 import random
 import shutil
+import sqlite3
 from contextlib import closing
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Metadata
 from mcap.writer import IndexType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
 
 from im_core.bag import files as bag_files
 from im_core.bag.contents import MAGIC
@@ -294,3 +298,64 @@ def test_what_is_no_recording_is_said(tmp_path, content, sentence):
     with pytest.raises(DataError, match=sentence):
         complete_bag(tmp_path / "bag")
     assert path.read_bytes() == content
+
+
+def numbers(bag):
+    with closing(open_bag(bag)) as reader:
+        return [data[-1] for _, _, data in reader.messages()]
+
+
+def of_rosbags(folder, plugin):
+    """A bag of twenty messages, as ``rosbags`` writes one."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with RosbagsWriter(folder, version=9, storage_plugin=plugin) as writer:
+        chat = writer.add_connection("/chat", STRING, typestore=store)
+        for number in range(20):
+            writer.write(chat, 1000 + number, bytes([0, 1, 0, 0, number]))
+    return folder
+
+
+@pytest.mark.parametrize("mode", ["WAL", "PERSIST"])
+@pytest.mark.parametrize("named", ["folder", "file"])
+def test_what_sqlite_keeps_beside_the_file_of_a_killed_recorder_is_read(tmp_path, mode, named):
+    bag = of_rosbags(tmp_path / "bag", StoragePlugin.SQLITE3)
+    (file,) = bag.glob("*.db3")
+    shutil.copytree(bag, tmp_path / "alive")
+    with closing(sqlite3.connect(tmp_path / "alive" / file.name, isolation_level=None)) as recorder:
+        recorder.execute(f"PRAGMA journal_mode={mode}")
+        recorder.execute("PRAGMA wal_autocheckpoint=0")
+        recorder.execute("PRAGMA cache_size=1")  # so that a transaction that goes on is in the file in part
+        add = "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?, ?)"
+        for number in range(20, 30):
+            recorder.execute(add, (1000 + number, bytes([0, 1, 0, 0, number])))
+        recorder.execute("BEGIN")
+        recorder.executemany(add, [(2000, bytes(100))] * 1000)
+        shutil.rmtree(bag)
+        shutil.copytree(tmp_path / "alive", bag)
+    before = {path.name: path.read_bytes() for path in bag.iterdir()}
+    assert any(name.endswith(("-wal", "-journal")) for name in before)
+    assert numbers(bag if named == "folder" else file) == list(range(30))
+    assert {path.name: path.read_bytes() for path in bag.iterdir()} == before
+
+
+def test_a_log_that_cannot_be_taken_up_is_named(tmp_path, monkeypatch):
+    bag = of_rosbags(tmp_path / "bag", StoragePlugin.SQLITE3)
+    (file,) = bag.glob("*.db3")
+    file.with_name(f"{file.name}-wal").write_bytes(b"log")
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(shutil, "copyfile", full)
+    with pytest.raises(DataError, match=f"left in {file.name}-wal cannot be taken up: no space left on device"):
+        open_bag(bag)
+
+
+@pytest.mark.parametrize("plugin", list(StoragePlugin))
+def test_metadata_that_do_not_tell_the_kind_of_their_files_are_read_as_the_files_are(tmp_path, plugin):
+    bag = of_rosbags(tmp_path / "bag", plugin)
+    metadata = (bag / "metadata.yaml").read_text()
+    told = f"storage_identifier: {plugin.value}"
+    assert told in metadata
+    (bag / "metadata.yaml").write_text(metadata.replace(told, 'storage_identifier: ""'))
+    assert numbers(bag) == list(range(20))

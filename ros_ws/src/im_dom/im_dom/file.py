@@ -1,84 +1,271 @@
-"""The file of the data objects: opened so that nothing acknowledged is lost, and set aside where it is damaged."""
+"""The file of the data objects: nothing acknowledged is lost, and what is damaged is noticed, said and set aside.
+
+Each byte is under a checksum. The file of the store is written only when the write-ahead log is moved into it, by
+:meth:`StoreFile.move_log`; its checksum stands in the list of transactions (:mod:`im_dom.transactions`). SQLite checks
+the log, and that nothing is missing at its end says the list. A file that does not fit is kept beside, untouched, and
+what is whole of it (:mod:`im_dom.salvage`) goes to a new one.
+"""
 
 import sqlite3
-from contextlib import closing
+import zlib
+from collections.abc import Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from im_core.clock import stamp_name
 from im_core.errors import DataError
-from im_core.files import make_folder, move
+from im_core.files import MEBIBYTE, make_folder, move
+from im_dom.record import Damage
+from im_dom.salvage import Salvage, salvage
+from im_dom.schema import COLUMNS, SCHEMA, SCHEMA_VERSION, record_of, request_checksum, row_of
+from im_dom.transactions import Listed, TransactionList, read_list
 
-SCHEMA_VERSION = 4
+_LIST = "-list"
+_BESIDE = ("", "-wal", "-shm", _LIST)
 
-SCHEMA = f"""
-BEGIN;
-CREATE TABLE versions (
-    name TEXT NOT NULL, version INTEGER NOT NULL, type TEXT NOT NULL, hash TEXT NOT NULL, valid INTEGER NOT NULL,
-    place TEXT NOT NULL, source TEXT NOT NULL, command TEXT NOT NULL, stamp_ns INTEGER NOT NULL, data BLOB NOT NULL,
-    PRIMARY KEY (name, version)
-) STRICT;
-CREATE TABLE appended (name TEXT NOT NULL, request TEXT NOT NULL, version INTEGER NOT NULL) STRICT;
-CREATE INDEX appended_request ON appended (name, request);
-PRAGMA user_version = {SCHEMA_VERSION};
-COMMIT;
-"""
-_BESIDE = ("", "-wal", "-shm")
+#: How long the write-ahead log, or the list of its transactions, may be before it is moved into the file [byte].
+_MOST_LOG, _MOST_LIST = 4 * MEBIBYTE, MEBIBYTE // 4
+#: Errors of SQLite that tell of the computer, not of the file.
+_UNREADABLE = {
+    sqlite3.SQLITE_BUSY,
+    sqlite3.SQLITE_CANTOPEN,
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR,
+    sqlite3.SQLITE_LOCKED,
+    sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PERM,
+    sqlite3.SQLITE_READONLY,
+}
+#: How many objects a sentence names.
+_NAMED = 20
 
 
-def open_file(path: str | Path) -> tuple[sqlite3.Connection, str]:
-    """Open the file, or begin one; one that cannot be used is kept beside, untouched, and a new one begun.
+class StoreFile:
+    """The file, opened; damage was looked for.
 
     Args:
-        path: The file, or ``:memory:``.
+        path: The file, made if missing; ``:memory:`` keeps nothing.
 
-    Returns:
-        The data base, and what became of a file that could not be used, a sentence; empty if there was none.
+    Attributes:
+        db: The data base.
+        aside: What was found damaged, and what became of it, a sentence; empty if nothing was.
+        damaged: What is known of objects that were lost, by name; of the empty name where not all are known.
 
     Raises:
         DataError: It cannot be opened.
         StoreError: It cannot be used, and not be moved aside.
     """
-    said = ""
-    if str(path) != ":memory:" and (fault := _fault(Path(path))):
-        aside = _set_aside(Path(path))
-        said = f"the object store {path} {fault}; it is kept in {aside}, and a new one is begun: no object is known"
-    try:
-        db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-        db.execute("PRAGMA journal_mode=WAL")
-        db.execute("PRAGMA synchronous=FULL")
-        if not db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
-            db.executescript(SCHEMA)
-    except sqlite3.Error as error:
-        raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
-    return db, said
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = None if str(path) == ":memory:" else Path(path)
+        self._list: TransactionList | None = None
+        self._most_log = _MOST_LOG
+        self.aside = ""
+        found: Salvage | None = None
+        if self._path is not None:
+            found = self._check(self._path)
+        try:
+            self.db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self.db.execute("PRAGMA journal_mode=WAL")
+            self.db.execute("PRAGMA synchronous=FULL")
+            self.db.execute("PRAGMA wal_autocheckpoint=0")
+            if not self.db.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
+                self.db.executescript(SCHEMA)
+            if found is not None:
+                self._fill(found)
+            (self._number,) = self.db.execute("SELECT number FROM last").fetchone()
+            damaged = self.db.execute("SELECT name, version, why FROM damaged")
+            self.damaged = {name: Damage(version, why) for name, version, why in damaged}
+        except sqlite3.Error as error:
+            raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
+        self.move_log()
+
+    def number(self) -> None:
+        """Give the transaction that goes on its number.
+
+        Raises:
+            sqlite3.Error: It cannot be written.
+        """
+        self.db.execute("UPDATE last SET number = ?", (self._number + 1,))
+
+    def committed(self, changed: Sequence[tuple[str, int, bool]]) -> None:
+        """List the transaction that is on the disk now.
+
+        Args:
+            changed: Name, version and validity of the objects that it has changed; version 0: deleted.
+        """
+        self._number += 1
+        if self._path is None:
+            return
+        if self._list is not None:
+            self._list.add(self._number, changed)
+        with suppress(OSError):
+            log = self._path.with_name(f"{self._path.name}-wal").stat().st_size
+            if log > self._most_log or self._list is None or self._list.size > _MOST_LIST:
+                self.move_log()
+                self._most_log = max(_MOST_LOG, self._path.stat().st_size // 4)
+
+    def move_log(self) -> None:
+        """Move the write-ahead log into the file; where the disk does not allow that now, the log stays."""
+        if self._path is None:
+            return
+        with suppress(sqlite3.Error, OSError):
+            if self._list is not None:
+                self._list.begin_move()
+            (busy, _, _) = self.db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
+            if not busy:
+                size, checksum = _sum(self._path)
+                begun = TransactionList(self._path.with_name(self._path.name + _LIST), size, checksum)
+                if self._list is not None:
+                    self._list.close()
+                self._list = begun
+
+    def close(self) -> None:
+        """Close the file.
+
+        Raises:
+            sqlite3.Error: It cannot be closed.
+        """
+        self.move_log()
+        self.db.close()
+        if self._list is not None:
+            self._list.close()
+
+    def _check(self, path: Path) -> Salvage | None:
+        """Look for damage; where there is some, set the files aside and return what is whole of them.
+
+        Raises:
+            DataError: It cannot be opened.
+            StoreError: It cannot be moved aside.
+        """
+        listed = read_list(path.with_name(path.name + _LIST))
+        fault = _fault(path, listed)
+        if not fault.text:
+            return None
+        aside = _set_aside(path)
+        self.aside = f"the object store {path} {fault.text}; it is kept in {aside}"
+        if fault.foreign:
+            self.aside += ", and a new one is begun: no object is known"
+            return None
+        found = salvage(aside / path.name, listed, mend=fault.file)
+        whole, named = len(found.newest().keys() - found.damaged.keys()), sorted(found.damaged.keys() - {""})
+        if not found.versions and not named:
+            found.damaged.setdefault("", Damage(0, f"nothing is whole of the file that is kept in {aside}"))
+        lost = f"damaged: {', '.join(named[:_NAMED])}" if named else "none is known to be damaged"
+        if len(named) > _NAMED:
+            lost += f" and {len(named) - _NAMED} more"
+        if "" in found.damaged:
+            lost += f"; {found.damaged[''].text}"
+        self.aside += f", and a new one has what is whole of it, {whole} objects; {lost}"
+        return found
+
+    def _fill(self, found: Salvage) -> None:
+        places = ", ".join("?" * 13)
+        rows = [row_of(record, data) for record, data in found.versions]
+        requests = [(*each, request_checksum(*each)) for each in found.appended]
+        damaged = [(name, damage.version, damage.text) for name, damage in found.damaged.items()]
+        self.db.execute("BEGIN")
+        self.db.executemany(f"INSERT OR IGNORE INTO versions ({COLUMNS}, data) VALUES ({places})", rows)
+        self.db.executemany("INSERT INTO appended VALUES (?, ?, ?, ?)", requests)
+        self.db.executemany("INSERT INTO damaged VALUES (?, ?, ?)", damaged)
+        self.db.execute("UPDATE last SET number = ?", (found.number,))
+        self.db.execute("COMMIT")
 
 
-def _fault(path: Path) -> str:
-    """Why a file cannot be used, a clause; empty if it can. It is only read.
+@dataclass(frozen=True)
+class _Fault:
+    """Why a store cannot be used.
+
+    Attributes:
+        text: A clause; empty: it can be.
+        file: Whether the file itself may be damaged, not only its log.
+        foreign: Whether it is of another version of the software.
+    """
+
+    text: str = ""
+    file: bool = False
+    foreign: bool = False
+
+
+def _fault(path: Path, listed: Listed | None) -> _Fault:
+    """Look for damage; the files are only read.
 
     Raises:
         DataError: It cannot be opened.
     """
     if not path.exists() or not path.stat().st_size:
-        return ""
+        return _Fault("is missing, of which there is a list of transactions") if listed else _Fault()
+    told = listed.file if listed else None
+    if told is not None and (fault := _difference(told, path)):
+        return _Fault(f"is damaged ({fault})", file=True)
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
-            faults = [str(fault) for (fault,) in db.execute("PRAGMA quick_check(3)") if fault != "ok"]
-            (version,) = db.execute("PRAGMA user_version").fetchone()
-            (tables,) = db.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+            db.text_factory = lambda text: text.decode("utf-8", "replace")  # a wrong checksum says more
+            return _fault_within(db, listed, checked=told is not None)
     except sqlite3.Error as error:
-        if type(error) is not sqlite3.DatabaseError:  # that is: no data base, or malformed
+        if error.sqlite_errorcode & 0xFF in _UNREADABLE:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
-        return f"is damaged ({error})"
-    if faults:
-        return f"is damaged ({'; '.join(faults)})"
-    if tables and version != SCHEMA_VERSION:
-        return f"is of another version of this software ({version}, not {SCHEMA_VERSION})"
-    return ""
+        return _Fault(f"is damaged ({error})", file=True)
+
+
+def _difference(told: tuple[int, int], path: Path) -> str:
+    size, checksum = _sum(path)
+    if size != told[0]:
+        return f"it has {size} bytes, not {told[0]}"
+    return "its checksum is wrong" if checksum != told[1] else ""
+
+
+def _fault_within(db: sqlite3.Connection, listed: Listed | None, checked: bool) -> _Fault:
+    """Look for damage in an open file.
+
+    Args:
+        db: The file.
+        listed: What its list tells.
+        checked: Whether its bytes are known to be those that were written.
+
+    Raises:
+        sqlite3.Error: It is damaged, or cannot be read.
+    """
+    if not checked:
+        faults = [str(fault) for (fault,) in db.execute("PRAGMA integrity_check(3)") if fault != "ok"]
+        if faults:
+            return _Fault(f"is damaged ({'; '.join(faults)})", file=True)
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    (tables,) = db.execute("SELECT count(*) FROM sqlite_schema").fetchone()
+    if version != SCHEMA_VERSION:
+        text = f"is of another version of this software ({version}, not {SCHEMA_VERSION})" if tables else ""
+        return _Fault(text, foreign=True)
+    for row in db.execute(f"SELECT {COLUMNS}, data FROM versions"):
+        record, whole = record_of(row)
+        if not whole:
+            return _Fault(f"is damaged (version {record.version} of {record.name} has a wrong checksum)", file=True)
+    for *request, checksum in db.execute("SELECT name, request, version, checksum FROM appended"):
+        if request_checksum(*request) != checksum:
+            return _Fault(f"is damaged (a request to append to {request[0]} has a wrong checksum)", file=True)
+    (number,) = db.execute("SELECT number FROM last").fetchone()
+    if listed is None:
+        return _Fault("lacks its list of transactions: the last may be missing") if number else _Fault()
+    if listed.last > number:
+        return _Fault(f"has lost its transactions {number + 1} to {listed.last}: its write-ahead log is damaged")
+    return _Fault(listed.fault and f"is damaged ({listed.fault})")
+
+
+def _sum(path: Path) -> tuple[int, int]:
+    """Return size and checksum of a file.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    size = checksum = 0
+    with path.open("rb") as file:
+        while part := file.read(MEBIBYTE):
+            size, checksum = size + len(part), zlib.crc32(part, checksum)
+    return size, checksum
 
 
 def _set_aside(path: Path) -> Path:
-    """Moves a file, and what SQLite keeps beside it, into a folder of its own."""
+    """Moves a file, and what is beside it, into a folder of its own."""
     folder, number = path.with_name(f"{path.stem}-damaged-{stamp_name()}"), 1
     while folder.exists():
         number += 1

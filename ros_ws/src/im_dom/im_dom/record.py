@@ -1,6 +1,9 @@
 """What is known of a data object."""
 
-from dataclasses import dataclass
+import zlib
+from dataclasses import astuple, dataclass
+
+from im_core.errors import ImError
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +21,7 @@ class ObjectRecord:
         command: The command that it was put for, ``<node>/<life of the node>-<number>``, or empty.
         stamp_ns: Testbed time of the last change [ns].
         size: Of the data [byte].
+        data_checksum: Of the data (CRC-32).
     """
 
     name: str
@@ -30,3 +34,41 @@ class ObjectRecord:
     command: str
     stamp_ns: int
     size: int
+    data_checksum: int = 0
+
+    def checksum(self) -> int:
+        """Return the checksum of all that is known of the object, that of its data included (CRC-32)."""
+        return zlib.crc32(repr(astuple(self)).encode())
+
+    def fits(self, data: object) -> bool:
+        """Whether data, as they were read, are those of the object."""
+        return isinstance(data, bytes) and len(data) == self.size and zlib.crc32(data) == self.data_checksum
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """What is known of an object that was lost.
+
+    Attributes:
+        version: Its newest version, as far as is known; 0: it is not known.
+        text: What is wrong, a clause.
+    """
+
+    version: int
+    text: str
+
+
+class DamagedObjectError(ImError):
+    """A data object was stored and cannot be given: its bytes in the store are damaged.
+
+    Args:
+        store: File of the store.
+        name: Name of the object; empty: which objects are lost is not known.
+        damage: What is wrong, a clause.
+    """
+
+    default_code = "damaged"
+
+    def __init__(self, store: str, name: str, damage: str) -> None:
+        what = f"data object '{name}'" if name else "what was there before"
+        super().__init__(f"{what} cannot be read: in the object store {store} {damage}", store=store, object=name)

@@ -2,6 +2,7 @@
 
 import re
 import sqlite3
+import zlib
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import replace
@@ -12,9 +13,10 @@ from typing import TypeVar
 from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import MEBIBYTE
 from im_dom.cache import ObjectCache, Version
-from im_dom.file import open_file
+from im_dom.file import StoreFile
 from im_dom.places import check_form
-from im_dom.record import ObjectRecord
+from im_dom.record import Damage, DamagedObjectError, ObjectRecord
+from im_dom.schema import COLUMNS, record_of, request_checksum, row_of
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]{0,127}(?<!/)")
 TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
@@ -31,8 +33,7 @@ CACHED_BYTES = 16 * MEBIBYTE
 KEPT_REQUESTS = 10_000
 """How many requests to append are remembered, so that one that is made again has no second effect."""
 
-_COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns"
-_ROW, _VERSION = f"(?{', ?' * 9})", "(name = ? AND version = ?)"
+_ROW, _VERSION = f"(?{', ?' * 12})", "(name = ? AND version = ?)"
 
 #: How many rows a statement writes or deletes, and how many bytes of data it may have if they are more than one.
 _AT_ONCE, _BYTES_AT_ONCE = 64, MEBIBYTE
@@ -40,7 +41,6 @@ _WITHIN = nullcontext()
 _OF_A_COMMAND = re.compile(r"[A-Za-z][A-Za-z0-9_]*/\d+-\d+-\d+(?=/)")
 
 Versions = tuple[ObjectRecord, ...]
-Row = tuple[str, int, str, str, bool, str, str, str, int, bytes]
 PieceT = TypeVar("PieceT")
 
 
@@ -50,13 +50,14 @@ class ObjectStore:
     Each change is made whole or not at all, and is on the disk when its method returns: it outlives the death of the
     process and the loss of power. What is known of the versions is in memory, too. All methods raise a
     :class:`.StoreError` where the file cannot be written or read (the disk is full or has failed); what was stored
-    before is still there then.
+    before is still there then. An object that was found damaged is answered with a :class:`.DamagedObjectError` until
+    it is put again.
 
     Args:
         path: SQLite file, made if missing; ``:memory:`` keeps nothing.
 
     Attributes:
-        aside: What became of a file that was there and could not be used, a sentence; empty if there was none.
+        aside: What was found damaged in a file that was there, a sentence; empty if nothing was.
 
     Raises:
         DataError: It cannot be opened.
@@ -65,16 +66,18 @@ class ObjectStore:
 
     def __init__(self, path: str | Path = ":memory:") -> None:
         self._path = str(path)
-        self._db, self.aside = open_file(path)
+        self._file = StoreFile(path)
+        self._db, self.aside = self._file.db, self._file.aside
+        self._damaged = self._file.damaged
         self._kept: dict[str, Versions] = {}
         self._changed: dict[str, Versions] = {}  # by the transaction that goes on, as what follows
-        self._rows: list[Row] = []
+        self._rows: list[tuple[ObjectRecord, bytes]] = []
         self._too_old: list[tuple[str, int]] = []
         self._data: dict[str, bytes] = {}  # of newest versions
         self._cache = ObjectCache(CACHED_BYTES)
         with self._doing("read"):
-            rows = self._db.execute(f"SELECT {_COLUMNS}, length(data) FROM versions ORDER BY name, version")
-            for name, group in groupby(map(_record, rows), key=lambda record: record.name):
+            rows = self._db.execute(f"SELECT {COLUMNS} FROM versions ORDER BY name, version")
+            for name, group in groupby((record_of(row)[0] for row in rows), key=lambda record: record.name):
                 self._kept[name] = tuple(group)
 
     def together(self, works: Sequence[Callable[[], object]]) -> list[object]:
@@ -120,6 +123,8 @@ class ObjectStore:
             yield
             self._write()
             with self._doing("written"):
+                if self._changed:
+                    self._file.number()
                 self._db.execute("COMMIT")
         except BaseException:
             with self._doing("written"):
@@ -135,19 +140,26 @@ class ObjectStore:
     def _write(self) -> None:
         """Gives SQLite what has been put, many rows a statement: with each row on its own the threads change."""
         with self._doing("written"):
-            few = _AT_ONCE if sum(len(row[-1]) for row in self._rows) <= _BYTES_AT_ONCE else 1  # SQLite copies them
+            few = _AT_ONCE if sum(len(data) for _, data in self._rows) <= _BYTES_AT_ONCE else 1  # SQLite copies them
             for rows in _pieces(self._rows, few):
                 places = ", ".join([_ROW] * len(rows))
-                self._db.execute(f"INSERT INTO versions ({_COLUMNS}, data) VALUES {places}", [*chain(*rows)])
+                values = [*chain.from_iterable(row_of(record, data) for record, data in rows)]
+                self._db.execute(f"INSERT INTO versions ({COLUMNS}, data) VALUES {places}", values)
             for versions in _pieces(self._too_old, _AT_ONCE):
                 which = " OR ".join([_VERSION] * len(versions))
                 self._db.execute(f"DELETE FROM versions WHERE {which}", [*chain(*versions)])
+            for name in self._damaged.keys() & self._changed.keys():
+                self._db.execute("DELETE FROM damaged WHERE name = ?", (name,))
         self._rows.clear()
         self._too_old.clear()
 
     def _keep(self) -> None:
         """Takes over what the transaction has changed and read: it is on the disk."""
+        if self._changed:
+            changed = [(name, its[-1] if its else None) for name, its in self._changed.items()]
+            self._file.committed([(name, its.version, its.valid) if its else (name, 0, False) for name, its in changed])
         for name, versions in self._changed.items():
+            self._damaged.pop(name, None)
             if versions:
                 self._kept[name] = versions
             else:
@@ -206,10 +218,14 @@ class ObjectStore:
         command = command or (found[0] if found else "")
         with self._transaction():
             before = self._versions(name)
-            version = before[-1].version + 1 if before else 1
-            record = ObjectRecord(name, version, kind, kind_hash, True, place, source, command, stamp_ns, len(data))
+            damage = self._damage(name)
+            version = max(before[-1].version if before else 0, damage.version if damage else 0) + 1
+            size, checksum = len(data), zlib.crc32(data)
+            record = ObjectRecord(
+                name, version, kind, kind_hash, True, place, source, command, stamp_ns, size, checksum
+            )
             kept = _kept((*before, record))
-            self._rows.append((name, version, kind, kind_hash, True, place, source, command, stamp_ns, data))
+            self._rows.append((record, data))
             self._too_old += [(name, old.version) for old in before[: len(before) + 1 - len(kept)]]
             self._changed[name], self._data[name] = kept, data
         return record
@@ -218,6 +234,10 @@ class ObjectStore:
         """What is known of the versions of an object that are kept, the newest last; empty: it is not there."""
         changed = self._changed.get(name)
         return self._kept.get(name, ()) if changed is None else changed
+
+    def _damage(self, name: str) -> Damage | None:
+        """What is known of the loss of an object; None: it was not lost, or has been put again."""
+        return None if name in self._changed else self._damaged.get(name)
 
     def append(
         self,
@@ -257,7 +277,10 @@ class ObjectStore:
             )
             if request:
                 with self._doing("written"):
-                    self._db.execute("INSERT INTO appended VALUES (?, ?, ?)", (name, request, after.version))
+                    checksum = request_checksum(name, request, after.version)
+                    self._db.execute(
+                        "INSERT INTO appended VALUES (?, ?, ?, ?)", (name, request, after.version, checksum)
+                    )
                     self._db.execute("DELETE FROM appended WHERE rowid <= last_insert_rowid() - ?", (KEPT_REQUESTS,))
             return after
 
@@ -278,8 +301,13 @@ class ObjectStore:
 
         Raises:
             NotFoundError: There is none of that name, or that version is not kept.
+            DamagedObjectError: It was there, or may have been there, and is lost.
         """
-        versions = self._versions(name)
+        versions, damage = self._versions(name), self._damage(name)
+        if damage is not None and version in (0, damage.version):
+            raise DamagedObjectError(self._path, name, damage.text)
+        if not versions and (unnamed := self._damaged.get("")):
+            raise DamagedObjectError(self._path, name, f"nothing is known of it any more: {unnamed.text}")
         if not versions:
             raise NotFoundError(kind="data object", name=name, known=[record.name for record in self.records()])
         for record in versions:
@@ -300,6 +328,7 @@ class ObjectStore:
             NotFoundError: There is none of that name, or that version is not kept.
             StateError: It is not valid.
             DataError: It is of another type.
+            DamagedObjectError: It is damaged.
         """
         record = self.valid_record(name, version)
         if kind and kind != record.type:
@@ -308,17 +337,24 @@ class ObjectStore:
             return record, self._read(record)
 
     def _read(self, record: ObjectRecord) -> bytes:
-        """The data of a version that is kept."""
+        """The data of a version that is kept.
+
+        Raises:
+            DamagedObjectError: They are not those that were stored.
+        """
         newest = record.version == self._versions(record.name)[-1].version
         if newest and record.name in self._data:
             return self._data[record.name]
         if newest and record.name not in self._changed and (cached := self._cache.get(record.name)):
             return cached[1]
         self._write()
-        with self._doing("read"):
+        with self._doing(f"read for data object '{record.name}'"):
             row = self._db.execute(
                 "SELECT data FROM versions WHERE name = ? AND version = ?", (record.name, record.version)
             ).fetchone()
+        if row is None or not record.fits(row[0]):
+            text = f"the bytes of its version {record.version} are damaged"
+            raise DamagedObjectError(self._path, record.name, text)
         data: bytes = row[0]
         if newest:
             self._data[record.name] = data
@@ -348,9 +384,18 @@ class ObjectStore:
         return record
 
     def records(self, prefix: str = "") -> list[ObjectRecord]:
-        """All objects whose name begins with ``prefix``, by name."""
+        """All objects whose name begins with ``prefix``, by name; those that are damaged tells :meth:`damages`."""
         names = sorted(name for name in {**self._kept, **self._changed} if name.startswith(prefix))
-        return [versions[-1] for name in names if (versions := self._versions(name))]
+        return [versions[-1] for name in names if (versions := self._versions(name)) and not self._damage(name)]
+
+    def damages(self, prefix: str = "") -> list[str]:
+        """Return a sentence for each damaged object whose name begins with ``prefix``."""
+        known = sorted(self._damaged.items())
+        return [
+            DamagedObjectError(self._path, name, damage.text).message
+            for name, damage in known
+            if name.startswith(prefix) or not name
+        ]
 
     def invalidate(self, name: str, source: str, stamp_ns: int) -> ObjectRecord:
         """Declare an object invalid; it stays listed.
@@ -362,8 +407,8 @@ class ObjectStore:
         with self._transaction(), self._doing("written"):
             self._write()
             self._db.execute(
-                "UPDATE versions SET valid = 0, source = ?, stamp_ns = ? WHERE name = ? AND version = ?",
-                (source, stamp_ns, name, record.version),
+                "UPDATE versions SET valid = 0, source = ?, stamp_ns = ?, checksum = ? WHERE name = ? AND version = ?",
+                (source, stamp_ns, record.checksum(), name, record.version),
             )
             self._changed[name] = (*self._versions(name)[:-1], record)
         return record
@@ -397,12 +442,14 @@ class ObjectStore:
             for table in ("versions", "appended"):
                 self._db.execute(f"DELETE FROM {table} WHERE substr(name, 1, ?) = ?", (len(prefix), prefix))
             self._changed.update({record.name: () for record in known})
+            self._changed.update({name: () for name in self._damaged if name.startswith(prefix)})
+            self._write()
         return [replace(record, valid=False) for record in known if record.valid]
 
     def close(self) -> None:
         """Close the file."""
         with self._doing("closed"):
-            self._db.close()
+            self._file.close()
 
 
 def _kept(versions: Versions) -> Versions:
@@ -425,8 +472,3 @@ def _pieces(rows: Sequence[PieceT], most: int) -> Iterator[Sequence[PieceT]]:
 def _match(pattern: re.Pattern[str], what: str, value: str, allowed: str) -> None:
     if not pattern.fullmatch(value):
         raise DataError(f"the {what} '{value}' is not allowed: {allowed}", value=value)
-
-
-def _record(row: tuple[str, int, str, str, int, str, str, str, int, int]) -> ObjectRecord:
-    name, version, kind, kind_hash, valid, place, source, command, stamp_ns, size = row
-    return ObjectRecord(name, version, kind, kind_hash, bool(valid), place, source, command, stamp_ns, size)

@@ -135,7 +135,7 @@ def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as db:
         db.execute("CREATE TABLE objects (name TEXT PRIMARY KEY)")
     store = ObjectStore(tmp_path / "dom.sqlite")
-    assert "is of another version of this software (0, not 4)" in store.aside
+    assert "is of another version of this software (0, not 5)" in store.aside
 
 
 def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:

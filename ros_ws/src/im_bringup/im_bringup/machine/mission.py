@@ -15,7 +15,8 @@ from im_core.files import make_folder, move, write_whole
 
 _ALIVE = "alive"
 """Is there from when a machine was ready until it was stopped."""
-PARTS = ("journal", "commands", "dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm", names.CALIBRATION, _ALIVE)
+_STORE = ("dom.sqlite", "dom.sqlite-wal", "dom.sqlite-shm", "dom.sqlite-list")
+PARTS = ("journal", "commands", *_STORE, names.CALIBRATION, _ALIVE)
 KEPT = 5
 """Missions that were not gone on with, the newest ones."""
 #: Folder of a mission that is being set aside; only then it gets its name.

@@ -72,8 +72,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _list(node: DomCommand, _: argparse.Namespace) -> None:
-    for info in node.ask_dom(ListObjects, "/dom/list", ListObjects.Request()).objects:
+    answer = node.ask_dom(ListObjects, "/dom/list", ListObjects.Request())
+    for info in answer.objects:
         print(_line(info))
+    if answer.status.message:
+        print(f"im dom: {answer.status.message}", file=sys.stderr)
 
 
 def _get(node: DomCommand, options: argparse.Namespace) -> None:

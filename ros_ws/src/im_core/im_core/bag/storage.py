@@ -1,11 +1,17 @@
-"""MCAP files as ``rosbags`` reads them, also where their index is not whole, and with the hashes of their types.
+"""Files of bags as ``rosbags`` reads them, whole: also without an index, and with what SQLite keeps beside a file.
 
-It finds channels in the summary only, and passes by chunks whose messages have no index; both may be left out of a file
-that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from ``metadata.yaml``.
+Of MCAP files it finds channels in the summary only, and passes by chunks whose messages have no index; both may be left
+out of a file that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from
+``metadata.yaml``. Of SQLite files it passes by the log in which the last messages of a killed recorder are.
 """
 
+import shutil
+import sqlite3
 from collections.abc import Collection, Container, Generator, Iterator, Mapping
+from contextlib import closing
 from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,12 +20,15 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import MAXSIZE, McapReader, read_exact, read_string
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from im_core.bag.contents import HEAD, MESSAGE
 
 #: Type of a channel whose definition is not in the summary.
 _UNDEFINED = "__schemaless__"
 _PLACE = np.dtype([("channel", "u2"), ("logged_ns", "u8"), ("offset", "u8"), ("size", "u8")])
+#: What SQLite keeps beside a file that is written: a log of what is new, or of what was there before.
+_LOGS = ("-wal", "-journal")
 #: How messages of ROS 2 are serialised.
 _SERIALIZED = "cdr"
 
@@ -105,8 +114,51 @@ class WholeMcapReader(McapReader):
         return sum(counts.values()) == self.statistics.message_count and counts.keys() <= self.channels.keys()
 
 
+class WholeSqliteReader(Sqlite3Reader):
+    """Reads a file with the log that a recorder which was killed has left beside it."""
+
+    _copy: TemporaryDirectory[str] | None = None
+
+    def open(self) -> None:
+        """Open the file, or where there is a log beside it a copy of both, in which SQLite has taken up the log.
+
+        Raises:
+            ReaderError: The file is damaged, or there is no room for the copy.
+        """
+        logs = [log for end in _LOGS if (log := self.path.with_name(f"{self.path.name}{end}")).exists()]
+        if any(log.stat().st_size for log in logs):
+            self._copy = TemporaryDirectory(prefix="im_bag_")
+            try:
+                for path in (self.path, *logs):
+                    shutil.copyfile(path, Path(self._copy.name) / path.name)
+                self.path = Path(self._copy.name) / self.path.name
+                with closing(sqlite3.connect(self.path)) as db:
+                    db.execute("PRAGMA journal_mode=DELETE")
+            except (OSError, sqlite3.Error) as error:
+                self._copy.cleanup()
+                names = " and ".join(log.name for log in logs)
+                raise ReaderError(f"What its recorder left in {names} cannot be taken up: {error}") from error
+        super().open()
+
+    def close(self) -> None:
+        """Close the file."""
+        super().close()
+        if self._copy is not None:
+            self._copy.cleanup()
+
+
+def _by_ending(path: Path) -> Any:
+    """Return the reader of a file of a bag whose metadata do not tell the kind of its files."""
+    if path.suffix not in _BY_ENDING:
+        raise ReaderError(f"{path.name} is no file of a bag: {', '.join(_BY_ENDING)}")
+    return _BY_ENDING[path.suffix](path)
+
+
+_BY_ENDING: Mapping[str, Any] = {".mcap": WholeMcapReader, ".db3": WholeSqliteReader}
+
+
 class _WholeDirectoryReader(DirectoryReader):
-    STORAGE_PLUGINS: Mapping[str, Any] = {**DirectoryReader.STORAGE_PLUGINS, "mcap": WholeMcapReader}
+    STORAGE_PLUGINS: Mapping[str, Any] = {"mcap": WholeMcapReader, "sqlite3": WholeSqliteReader, "": _by_ending}
 
     def open(self) -> None:
         """Open it, with all that its files hold: metadata may name one type of a topic that has several."""
@@ -125,9 +177,8 @@ class WholeReader(Reader):
     """Reads bags, folders and files, every message of them."""
 
     STORAGE_PLUGINS: Mapping[str, Any] = {
-        **Reader.STORAGE_PLUGINS,
         "dir": _WholeDirectoryReader,
-        ".mcap": WholeMcapReader,
+        **_BY_ENDING,
     }
 
 

@@ -2,6 +2,7 @@
 
 import uuid
 from array import array
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, TypeVar
@@ -35,8 +36,11 @@ MEBIBYTE_S = 0.5
 #: A request that waits for an object to be valid is made again after so long [s].
 WAIT_S = 1.0
 
+#: Kind of the error that says that an object was stored and is damaged in the store.
+DAMAGED = "damaged"
+
 #: Kinds of errors that say that there is no valid object; all others, that nobody could look.
-NOT_VALID = ("not_found", "state")
+NOT_VALID = ("not_found", "state", DAMAGED)
 
 MessageT = TypeVar("MessageT")
 
@@ -58,10 +62,14 @@ class DomClient:
     the token that it belongs to.
 
     All raise ``WaitTimeoutError`` when ``/dom`` does not answer.
+
+    Attributes:
+        damaged: Takes the sentence of each answer that says that an object is damaged in the store.
     """
 
     def __init__(self, node: ManagedNode) -> None:
         self._node = node
+        self.damaged: Callable[[str], None] = lambda text: None
         self._known: dict[str, _Known] = {}
         self._put = node.create_client(PutObject, "/dom/put", qos_profile=qos.QUEUED_SERVICE)
         self._append = node.create_client(AppendObject, "/dom/append", qos_profile=qos.QUEUED_SERVICE)
@@ -264,4 +272,7 @@ class DomClient:
                 self._known.clear()  # /dom may have died, and what it said while it came back is lost
                 raise
 
-        return await ask_again(ask, PATIENCE_S + extra_s, f"/dom {what}")
+        answer = await ask_again(ask, PATIENCE_S + extra_s, f"/dom {what}")
+        if answer.status.code == DAMAGED:
+            self.damaged(answer.status.message)
+        return answer

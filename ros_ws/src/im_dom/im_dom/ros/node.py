@@ -13,7 +13,7 @@ from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
-from im_core.ros.dom import NOT_VALID
+from im_core.ros.dom import DAMAGED, NOT_VALID
 from im_core.ros.node import ManagedNode
 from im_core.ros.reminders import Reminders
 from im_core.ros.status import OK, ok_status, to_status
@@ -58,6 +58,7 @@ class DomNode(ManagedNode):
     def phase_configure(self) -> None:
         """Open the store and offer the services."""
         self._store = ObjectStore(run_dir() / "dom.sqlite")
+        self._found_damaged: set[str] = set()
         if self._store.aside:
             self._reminders.add("store", self._store.aside)
         self._worker = Worker(self, "the objects' store of /dom", ANSWER_S, self._store.together)
@@ -265,7 +266,7 @@ class DomNode(ManagedNode):
             response.success, response.status = False, to_status(error)
             return response
         response.objects = [to_info(record) for record in records]
-        response.success, response.status = True, ok_status()
+        response.success, response.status = True, ok_status("; ".join(self.store.damages(request.prefix)))
         return response
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
@@ -276,6 +277,9 @@ class DomNode(ManagedNode):
         try:
             fill_info(response.object, await self._ask(operation, late))
         except ImError as error:
+            if error.code == DAMAGED and error.message not in self._found_damaged:
+                self._found_damaged.add(error.message)
+                self._reminders.add("store", error.message)
             response.success, response.status = False, to_status(error)
             return response
         response.success, response.status.code = True, OK
