@@ -293,6 +293,26 @@ def test_whoever_asks_for_a_command_that_a_damaged_journal_forgot_is_told_so(mac
     assert following.result().success, following.result().message
 
 
+def test_a_command_that_only_a_note_beside_an_old_journal_knows_ends_with_that_as_reason(machine):
+    machine.until(lambda: list((machine.folder / "journal" / "front").glob("*.journal")), "the journal")
+    shutil.copytree(machine.folder / "journal" / "front", machine.folder / "old")
+    machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.until(lambda: noted(machine.folder), "the note of the command")
+    machine.kill("front")
+    shutil.rmtree(machine.folder / "journal" / "front")
+    shutil.move(machine.folder / "old", machine.folder / "journal" / "front")
+    machine.processes["front"] = machine.start("front")
+    answer = machine.attach()
+    assert not answer.success
+    assert "serve (number 1) was under way when front ended: the journal of front does not know it" in answer.message
+    machine.allow("thought")
+    machine.allow("moved")
+    following = machine.serve()
+    machine.until(following.done, "the answer to the next command")
+    assert following.result().success, following.result().message
+
+
 @pytest.mark.parametrize(("sync", "waits"), [("os", False), ("disk", True)])
 def test_a_journal_waits_for_the_disk_where_it_is_told_to(tmp_path, ros, monkeypatch, sync, waits):
     (tmp_path / "front.yaml").write_text(NETS["front"])
@@ -335,8 +355,16 @@ transitions:
 """
 
 
+EVENTS = {
+    "forgot": "the journal of lone has lost its end",
+    "restarted": "motion",
+    "lost_object": "data object 'path' cannot be read: in the object store x its bytes are damaged",
+}
+
+
 @pytest.mark.parametrize("success", [True, False])
-def test_a_command_that_fails_after_something_was_forgotten_says_so(ros, tmp_path, wait_until, success):
+@pytest.mark.parametrize("event", EVENTS)
+def test_a_command_that_fails_after_an_event_tells_the_event(ros, tmp_path, wait_until, success, event):
     """As where a node asks once more for what it does not know that it has asked for: the refusal names no journal."""
     (tmp_path / "lone.yaml").write_text(LONE)
     begun, outcomes = [], []
@@ -357,7 +385,7 @@ def test_a_command_that_fails_after_something_was_forgotten_says_so(ros, tmp_pat
     wait_until(lambda: node.ready, "the node")
     node.spawn(serve())
     wait_until(lambda: begun, "the action to begin")
-    node._observer.forgot("the journal of lone has lost its end")
+    getattr(node._observer, event)(EVENTS[event])
     (tmp_path / "go").touch()
     wait_until(lambda: outcomes, "the command to end")
     node.spawn(serve())
@@ -365,9 +393,35 @@ def test_a_command_that_fails_after_something_was_forgotten_says_so(ros, tmp_pat
     assert [outcome.success for outcome in outcomes] == [success, success]
     if not success:
         first, second = (outcome.status for outcome in outcomes)
-        assert first.message.endswith("group 'left' is moving; before that: the journal of lone has lost its end")
+        assert re.search(f"group 'left' is moving; before that: {EVENTS[event]}(?: was started again)?$", first.message)
         assert first.code == second.code
-        assert "journal" not in second.message
+        assert "before that" not in second.message
+
+
+def test_a_command_that_fails_after_its_node_was_started_again_says_so(ros, tmp_path, wait_until):
+    (tmp_path / "lone.yaml").write_text(LONE)
+    begun = []
+
+    async def attempt(ctx):
+        begun.append(ctx)
+        await pause(nodes[0], 600.0)
+
+    parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(tmp_path / "journal"))]
+    files, functions, nodes = [tmp_path / "lone.yaml"], {"try": attempt}, []
+
+    def lone():
+        nodes[:] = [PntNode("lone", files, functions, verifier=verify_to_load, parameter_overrides=parameters)]
+        return nodes[0]
+
+    first = ros(lone())
+    wait_until(lambda: first.ready, "the node")
+    first.spawn(first.command("serve"))
+    wait_until(lambda: begun, "the action to begin")
+    shutil.copytree(tmp_path / "journal", tmp_path / "kept")
+    parameters[1] = Parameter("journal_dir", value=str(tmp_path / "kept"))
+    second = ros(lone())
+    wait_until(lambda: second.commands.ended.last("serve"), "the command to end")
+    assert second.commands.ended.last("serve").message.endswith("; before that: lone was started again")
 
 
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):

@@ -355,7 +355,7 @@ def test_a_log_that_cannot_be_taken_up_is_named(tmp_path, monkeypatch):
 def test_metadata_that_do_not_tell_the_kind_of_their_files_are_read_as_the_files_are(tmp_path, plugin):
     bag = of_rosbags(tmp_path / "bag", plugin)
     metadata = (bag / "metadata.yaml").read_text()
-    told = f"storage_identifier: {plugin.value}"
+    told = f"storage_identifier: {plugin.name.lower()}"
     assert told in metadata
     (bag / "metadata.yaml").write_text(metadata.replace(told, 'storage_identifier: ""'))
     assert numbers(bag) == list(range(20))

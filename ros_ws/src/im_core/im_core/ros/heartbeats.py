@@ -72,7 +72,7 @@ class Heartbeats:
         self._last: dict[str, Heartbeat] = {}
         self._silences: dict[str, tuple[float, Silence]] = {}
         self._watches: dict[str, dict[TaskWatch, None]] = {}
-        self._returned: dict[str, list[Callable[[], None]]] = {}
+        self._returned: list[Callable[[str], None]] = []
         self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
         self._check_timer.cancel()
         self._checked = 0.0
@@ -133,9 +133,9 @@ class Heartbeats:
 
         return unwatch
 
-    def on_return(self, task: str, returned: Callable[[], None]) -> None:
-        """Has a function called whenever a task is heard that has died and was started again."""
-        self._returned.setdefault(task, []).append(returned)
+    def on_return(self, returned: Callable[[str], None]) -> None:
+        """Have a function called with the name of each task that is heard after it was started again."""
+        self._returned.append(returned)
 
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
         """Await a future that ``task`` will complete.
@@ -190,8 +190,8 @@ class Heartbeats:
         self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
         if known is not None:
             self._tell(message.name)
-            for returned in self._returned.get(message.name, ()):
-                returned()
+            for returned in self._returned:
+                returned(message.name)
 
     def _check(self) -> None:
         if not self._watches:

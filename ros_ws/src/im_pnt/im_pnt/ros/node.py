@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from im_core.clock import monotonic
 from im_core.errors import FOREIGN, ImError, StateError, as_exception
 from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
-from im_core.open_commands import set_aside
+from im_core.open_commands import OpenCommandNote, noted, set_aside
 from im_core.ros import qos
 from im_core.ros.calls import LONGEST_S, pause, run_in_thread
 from im_core.ros.coroutines import calling
@@ -142,8 +142,8 @@ class PntNode(ManagedNode):
             self, self.exchange.nets, lambda: self._notes.changed(), self._command_ended
         )
         self._scopes = CommandScopes(self, self.dom, self.commands.scopes)
-        noted = Path(self._journal_dir).parent if self._journal_dir else None
-        self._notes = CommandNotes(self, noted, self.commands.noted)
+        run_folder = Path(self._journal_dir).parent if self._journal_dir else None
+        self._notes = CommandNotes(self, run_folder, self.commands.numbered)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats, self.log, self._keep)
@@ -165,7 +165,8 @@ class PntNode(ManagedNode):
         self._looked = False
         self._execute: ExecuteServer | None = None
         self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.LATCHED_EVENTS)
-        self.heartbeats.on_return("dom", lambda: self.spawn(self._compare_objects()))
+        self.heartbeats.on_return(self._task_returned)
+        self.dom.damaged = self._observer.lost_object
 
     # For subclasses.
 
@@ -189,15 +190,20 @@ class PntNode(ManagedNode):
         stopped = bool(self._journal_dir) and (Path(self._journal_dir).parent / ESTOP).exists()
         held = None if self._journal is None or self._journal.of_this_run else stopped or not os.environ.get(RESUMES)
         goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link, held)
+        before: list[OpenCommandNote] = []
         if self._journal is not None:
             beside, name = Path(self._journal_dir).parent, self.task_name
+            before = [each for each in noted(beside) if each.task == name]
             self.commands.ended.keep_in(beside / "ended" / f"{name}.jsonl", sync=self._journal_sync is Sync.DISK)
             self.commands.give_up([each for each in set_aside(beside) if each[0].task == name])
         self.commands.take_up()
+        lacks = f"the journal of {self.task_name} does not know it: it is gone or an old copy, or has lost its end"
+        self.commands.end_forgotten(before, self.commands.lost or lacks)
         if stopped:
             for command in self.commands.open():
                 self.hold(command.job.command.id, True)
         if goes_on:
+            self._observer.restarted(self.task_name)
             how = "is paused" if held or stopped else "goes on"
             self.get_logger().info(f"{self.task_name} {how} where its journal ends")
             for executor in self.exchange.nets.values():
@@ -583,6 +589,11 @@ class PntNode(ManagedNode):
         self._looked = True
         self._mission.begin()
         self._loop.wake()
+
+    def _task_returned(self, task: str) -> None:
+        self._observer.restarted(task)
+        if task == "dom":
+            self.spawn(self._compare_objects())
 
     async def _compare_objects(self) -> None:
         """Has tokens and guards follow the objects: what /dom told while this node or /dom was dead is lost."""

@@ -21,6 +21,9 @@ from im_pnt.execution.notification import Firing, Phase
 from im_pnt.execution.record import plain_dict
 from im_pnt.journal.ended import EndedCommand, EndedCommands
 
+MOST_EVENTS = 5
+"""Events that are told with the failure of a command."""
+
 ProgressListener = Callable[[str, str, float], None]
 """Is told the transition that fired or reported, a text, and the progress 0..1 (negative: unknown)."""
 
@@ -96,7 +99,7 @@ class Commands:
         self._count = 0
         self._life = stamp_name()
         self._open: dict[int, OpenCommand] = {}
-        self._forgotten_in: dict[int, str] = {}  # what was forgotten while a command was under way, by its number
+        self._events: dict[int, list[str]] = {}  # while a command was under way, by its number
         self._waiting: dict[int, list[Promise]] = {}
         self._listeners: dict[int, list[ProgressListener]] = {}
 
@@ -164,6 +167,20 @@ class Commands:
                 why = f"the machine was started anew before it had ended; what it has left is kept in {folder}"
                 result = CommandResult(False, ImError(why, code="set_aside"), {})
                 self.ended.add(_ended(command.number, command.symbol, result))
+
+    def end_forgotten(self, before: Iterable[OpenCommandNote], why: str) -> None:
+        """End the commands that were under way by a note beside the journal, and that the journal does not know.
+
+        Args:
+            before: The commands that were under way when the node ended.
+            why: What the journal lacks, a clause.
+        """
+        for command in before:
+            if command.number not in self._open and command.number not in self.ended:
+                words = f"{command.symbol} (number {command.number}) was under way when {command.task} ended: {why}"
+                result = CommandResult(False, ImError(words, code="forgotten"), {})
+                self.ended.add(_ended(command.number, command.symbol, result))
+                self._count = max(self._count, command.number)
 
     def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
         """Returns the net that reads a symbol.
@@ -280,10 +297,12 @@ class Commands:
             command.text, command.progress = text, max(command.progress, fraction)
         self._tell(number, "", text, fraction)
 
-    def forgot(self, text: str) -> None:
-        """Notes that something was forgotten: a command that is under way and fails may fail for that."""
+    def note_event(self, text: str) -> None:
+        """Note an event, such as the restart of a task: a command that is under way may fail for that."""
         for number in self._open:
-            self._forgotten_in.setdefault(number, text)
+            events = self._events.setdefault(number, [])
+            if text not in events and len(events) < MOST_EVENTS:
+                events.append(text)
 
     def _tell(self, number: int, transition: str, text: str, fraction: float) -> None:
         for listener in self._listeners.get(number, ()):
@@ -297,8 +316,8 @@ class Commands:
 
     def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
         def closed(result: CommandResult) -> None:
-            forgotten = self._forgotten_in.pop(number, "")
-            ended = _ended(number, symbol, _explained(_tellable(symbol, result), forgotten))
+            events = self._events.pop(number, [])
+            ended = _ended(number, symbol, _explained(_tellable(symbol, result), events))
             outcome = _outcome(ended)
             self.ended.add(ended)
             how = "done" if ended.success else f"failed: {ended.message}"
@@ -322,11 +341,14 @@ def _tellable(symbol: str, result: CommandResult) -> CommandResult:
     return CommandResult(result.success, result.error, results)
 
 
-def _explained(result: CommandResult, forgotten: str) -> CommandResult:
-    """Returns a result that says what was forgotten before its command failed, as what was asked for twice."""
-    if result.error is None or not forgotten or forgotten in result.error.message:
+def _explained(result: CommandResult, events: Sequence[str]) -> CommandResult:
+    """Return a result that tells the events before its command failed."""
+    if result.error is None or result.error.code == "cancelled":
         return result
-    words = f"{result.error.message}; before that: {forgotten}"
+    untold = [event for event in events if event not in result.error.message]
+    if not untold:
+        return result
+    words = f"{result.error.message}; before that: {'; '.join(untold)}"
     error = ImError.restored(result.error.code, words, result.error.facts)
     return CommandResult(result.success, error, result.results)
 

@@ -26,6 +26,7 @@ class NodeObserver(Observer):
         self._node, self._publisher = node, publisher
         self.commands: Commands | None = None
         self._reminders = Reminders(node)
+        self._lost_objects: set[str] = set()
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Notes firings, and tells the clients of their commands."""
@@ -46,7 +47,20 @@ class NodeObserver(Observer):
         """Writes a line of the log, goes on saying it on ``/diagnostics``, and notes it with the commands under way."""
         self._reminders.add("journal", text)
         if self.commands is not None:
-            self.commands.forgot(text)
+            self.commands.note_event(text)
+
+    def restarted(self, task: str) -> None:
+        """Note with the commands under way that a task was started again."""
+        if self.commands is not None:
+            self.commands.note_event(f"{task} was started again")
+
+    def lost_object(self, text: str) -> None:
+        """Say once, in the log, on ``/diagnostics`` and with the commands under way, that a data object is damaged."""
+        if text not in self._lost_objects:
+            self._lost_objects.add(text)
+            self._reminders.add("objects", text)
+        if self.commands is not None:
+            self.commands.note_event(text)
 
     def unreached(self, node: str, text: str) -> None:
         """Write a line of the log, and name a node that no message reaches on ``/diagnostics``."""
