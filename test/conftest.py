@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from im_bringup.machine import leftovers
+from im_bringup.tasks.signed_link import VARIABLE as SECRET_FILE
 from im_core import clock, names
 from im_core.startup import START_TIMEOUT
 
@@ -35,6 +36,10 @@ def pytest_configure(config):
     os.environ["IM_RESULTS_DIR"] = str(folder / "results")
     os.environ["IM_CACHE_DIR"] = str(folder / "cache")
     os.environ["ROS_LOG_DIR"] = str(folder / "ros")
+    secret = folder / "secret"
+    secret.touch(mode=0o600)
+    secret.write_text("of the hosts of machines that are tested")
+    os.environ[SECRET_FILE] = str(secret)
     config.stash[FOLDER] = folder
 
 

@@ -9,6 +9,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from action_msgs.msg import GoalStatus
 from rclpy.action.server import CancelResponse, GoalResponse
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -23,7 +24,7 @@ from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import CommandState, TaskStatus
+from im_msgs.msg import CommandState, Status, TaskStatus
 from im_msgs.srv import CalibrateCamera, ListCommands
 from support.forgetful import forget
 
@@ -290,3 +291,26 @@ def test_who_waits_for_a_service_ends_when_interrupted(ros):
         asking.ask(client, Trigger.Request(), 60.0)
     with pytest.raises(KeyboardInterrupt):
         asking.pause(60.0)
+
+
+def test_a_made_up_heartbeat_is_no_new_life_of_the_dispatcher(ros, monkeypatch):
+    record = SimpleNamespace(incarnations={"dispatcher": 7})
+    monkeypatch.setattr(dispatcher.machine, "read", lambda: record)
+    client = ros(CommandClient())
+    lives = []
+    for incarnation in (8, 7, 8, 0):
+        client._hear(TaskStatus(name="dispatcher", incarnation=incarnation))
+        lives.append(client._incarnation)
+    record.incarnations["dispatcher"] = 8
+    client._hear(TaskStatus(name="dispatcher", incarnation=8))
+    assert [*lives, client._incarnation] == [0, 7, 7, 7, 8]
+
+
+def test_a_command_that_fails_without_a_reason_says_so(ros):
+    client = ros(CommandClient())
+    for result, words in (
+        (ExecuteCommand.Result(), "whoever serves /dispatcher/execute gave no reason"),
+        (ExecuteCommand.Result(status=Status(message="no gas")), "no gas"),
+    ):
+        ended = client._result(SimpleNamespace(status=GoalStatus.STATUS_ABORTED, result=result))
+        assert ended.status.message == words

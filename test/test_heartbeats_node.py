@@ -12,6 +12,7 @@ from rclpy.task import Future
 
 from im_bringup.tasks.middleware import loopback_profile, open_profile
 from im_core import silence
+from im_core.agent_socket import Life
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import heartbeats
 from im_core.ros.heartbeats import CHECK_PERIOD_S, LEASE_S, SILENCE_S, Heartbeats
@@ -70,7 +71,44 @@ def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(
     followed._hear(beat_of("back", child.pid))
     followed.time[0] += 30.0
     assert followed.missing("back") == "back is missing (last heard 30.0 s ago)"
-    assert followed.missing("nobody") == "nobody is missing (never heard)"
+    assert followed.missing("nobody") == ""
+    for _ in range(int(SILENCE_S / CHECK_PERIOD_S) + 1):
+        followed.time[0] += CHECK_PERIOD_S
+        silence_of_nobody = followed.missing("nobody")
+    assert silence_of_nobody == "nobody is missing (never heard)"
+
+
+def test_in_a_machine_only_the_agent_says_that_a_task_has_begun_anew_or_starts(followed):
+    node, lost, returned = followed._node, [], []
+    node.lives = {"back": Life(1, 0, False), "front": Life(0, 0, False)}
+    followed.on_return(returned.append)
+    followed._hear(beat_of("back", 0))
+    followed.watch("back", 1, lost.append)
+    for name, incarnation in (("back", 2), ("back", 0), ("front", 0), ("front", 7)):
+        followed._hear(beat_of(name, os.getpid(), incarnation))  # made up
+    followed._hear(TaskStatus(name="back", incarnation=1, phase=TaskStatus.LOADED, pid=os.getpid()))
+    assert (lost, returned, followed.incarnation("back"), followed.incarnation("front")) == ([], [], 1, None)
+    assert not followed.starting("back")
+    node.lives = {"back": Life(2, 0, True)}
+    assert followed.starting("back")
+    followed._hear(beat_of("back", 0, 2))
+    assert (returned, followed.incarnation("back")) == (["back"], 2)
+    assert lost == ["back is missing (it died and was started again meanwhile)"]
+
+
+def test_of_made_up_tasks_nothing_is_kept(followed):
+    followed._node.lives = {"back": Life(1, 0, False)}
+    followed.missing("asked")
+    for number in range(2 * heartbeats.MOST_TASKS):
+        followed._hear(beat_of(f"made_up_{number}", 1))
+    for name in ("back", "asked"):
+        followed._hear(beat_of(name, 0))
+    assert set(followed._last) == {"back", "asked"}
+    assert set(followed._silences) == {"asked"}
+    followed._node.lives = None
+    for number in range(2 * heartbeats.MOST_TASKS):
+        followed._hear(beat_of(f"made_up_{number}", 1))
+    assert len(followed._last) == heartbeats.MOST_TASKS
 
 
 def test_a_task_of_another_host_is_silent_whatever_runs_here_under_its_number(followed):

@@ -3,11 +3,10 @@
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
-from std_msgs.msg import UInt8
 
-from im_core.ros import qos
+from im_core.agent_socket import Order
 from im_core.ros.node import ManagedNode
-from im_core.startup import PHASE_TOPIC, StartupPhase
+from im_core.startup import StartupPhase
 
 
 class Oven(ManagedNode):
@@ -92,8 +91,8 @@ def test_a_wrong_value_fails_the_node_with_a_sentence(ros, wait_until, given, se
 
 
 def test_what_a_deployment_gives_and_the_node_does_not_have_is_refused(ros, wait_until):
-    node, bootstrap = Oven(standalone=False, haet=1.0), ManagedNode("bootstrap")
-    bootstrap.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED).publish(UInt8(data=StartupPhase.CONFIGURE))
-    ros(node, bootstrap)
+    node = Oven(standalone=False, haet=1.0)
+    node.alarms.after(0.0, lambda: node.obey(Order(int(StartupPhase.CONFIGURE), {})))
+    ros(node)
     wait_until(lambda: node.failed, "the node to refuse")
     assert node.failed.startswith("there is no parameter of /oven 'haet'; did you mean 'heat'? (known: fan, heat, ")

@@ -1,27 +1,23 @@
 """``start --timeout`` reaches every wait of a part of the machine for another one."""
 
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import rclpy
 from rclpy.node import Node
-from std_msgs.msg import Float64, String, UInt8
+from std_msgs.msg import String
 
 from im_bringup.machine import start
 from im_bringup.ros import agent
 from im_bringup.tasks.deployment import options_text
+from im_bringup.tasks.signed_link import HostOrder, SignedLink, orders_topic, reports_topic
 from im_cell.robot import load_cell
+from im_core.agent_socket import Order
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.startup import (
-    OPTIONS_TOPIC,
-    PHASE_TOPIC,
-    START_TIMEOUT,
-    TIMEOUT_TOPIC,
-    UNPROVED,
-    StartupPhase,
-    patience_s,
-)
+from im_core.startup import START_TIMEOUT, UNPROVED, StartupPhase, patience_s
 from im_mcs.limits.configuration import load_config
 from im_mcs.testbed import TestbedInterface
 from im_sim.cameras import process as cameras
@@ -74,36 +70,56 @@ def test_the_cameras_for_their_host_and_for_the_truth(tmp_path):
         cameras._await_truth(tmp_path / "truth.json", 1)
 
 
-def test_the_agent_of_another_host_waits_for_the_time_and_tells_it_to_all_it_starts(
+def test_the_agent_of_another_host_does_what_the_bootstrap_has_signed_and_nothing_else(
     ros, monkeypatch, small_deployment, wait_until
 ):
+    """It waits for the options of the start, and tells them to all it starts; strangers and old orders end nothing."""
     text = small_deployment.read_text().replace("    gripper_coordinator:\n", "  far:\n    gripper_coordinator:\n", 1)
     small_deployment.write_text(text)
-    started = []
+    secret, started = b"of both hosts", []
 
     def note_start(self):
         started.append((self.environment[START_TIMEOUT], self.environment[UNPROVED]))
         return []
 
     monkeypatch.setattr(agent.Agent, "start", note_start)
-    node = agent.AgentNode(start.deployments.load(small_deployment), "far")
+    node = agent.AgentNode(start.deployments.load(small_deployment), "far", secret)
     monkeypatch.setattr(rclpy, "try_shutdown", lambda: None)  # the agent's own end; the test's comes with its fixture
-    bootstrap = Node("bootstrap")
+    bootstrap, link, asked, sent = Node("bootstrap"), SignedLink(secret, "far"), [], []
+    bootstrap.create_subscription(String, reports_topic("far"), lambda message: asked.append(message.data), qos.EVENTS)
+    orders = bootstrap.create_publisher(String, orders_topic("far"), qos.EVENTS)
     ros(node, bootstrap)
-    phases = bootstrap.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
-    times = bootstrap.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
-    options = bootstrap.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)
-    phases.publish(UInt8(data=int(StartupPhase.LOAD)))
-    times.publish(Float64(data=float("nan")))
-    wait_until(lambda: node.failures.counts, "the complaint about a time that is none")
-    options.publish(String(data='{"factor": 0.0}'))
-    wait_until(lambda: sum(node.failures.counts.values()) > 1, "the complaint about options that are none")
-    times.publish(Float64(data=240.0))
+    wait_until(lambda: asked, "the question of the agent")
     told = start.deployments.load(small_deployment).with_values(0.0, 7, None, unproved=True)
+
+    def order(phase, options, by=link):
+        content = json.dumps(asdict(HostOrder(Order(int(phase), {}), 240.0, options)))
+        life = link.open(reports_topic("far"), asked[-1]).sender
+        sent.append(by.sign(orders_topic("far"), content, life))
+        orders.publish(String(data=sent[-1]))
+
+    def complaints():
+        return sum(node.failures.counts.values())
+
+    order(StartupPhase.LOAD, options_text(told), by=SignedLink(b"made up", "far"))
+    wait_until(complaints, "the complaint about an order with a wrong signature")
+    order(StartupPhase.LOAD, '{"factor": 0.0}')
+    wait_until(lambda: complaints() == 2, "the complaint about options that are none")
     assert not started
-    options.publish(String(data=options_text(told)))
+    order(StartupPhase.LOAD, options_text(told))
     wait_until(lambda: started, "the start of the tasks")
-    phases.publish(UInt8(data=int(StartupPhase.SHUTDOWN)))
+    assert started == [("240.0", "1")]
+
+    order(StartupPhase.SHUTDOWN, "", by=SignedLink(b"made up", "far"))
+    wait_until(lambda: complaints() == 3, "the complaint about an end with a wrong signature")
+    assert not node.finished
+    order(StartupPhase.SHUTDOWN, "")
     wait_until(lambda: node.finished, "the end of the agent")
     node.shut_down()
-    assert started == [("240.0", "1")]
+
+    node.finished, node._link = False, SignedLink(secret, "far")  # as one of the next run
+    for former in sent:
+        orders.publish(String(data=former))
+    orders.publish(String(data="no more"))
+    wait_until(lambda: complaints() == 6, "the complaints about three messages with no signature of ours")
+    assert (node.finished, len(started)) == (False, 1)

@@ -38,7 +38,7 @@ def bootstrap(tmp_path, children=None, nets=None):
         return children[command.name]
 
     agent = Agent([ProcessCommand(name, (name,), ["x"], tmp_path / name) for name in NAMES], {}, spawn)
-    nets = nets or MachineNets(tmp_path, {f"/{name}" for name in NAMES}, unproved=False)
+    nets = nets or MachineNets(tmp_path, unproved=False)
     value = Bootstrap(placed(), agent, "localhost", nets)
     value.start(0.0)
     return value

@@ -210,8 +210,8 @@ def test_what_a_start_was_given_reaches_other_hosts_as_it_is():
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("{", DataError, "/im/start_options"),
-        ("[1]", DataError, "/im/start_options"),
+        ("{", DataError, "the options of the start"),
+        ("[1]", DataError, "the options of the start"),
         ('{"seed": 3}', DataError, "are not the options of a start"),
         (deployment.options_text(parsed(machine({"localhost": {"a": {"one": "{}"}}}))).replace("3", "-3"), ConfigError,
          "seed: -3"),

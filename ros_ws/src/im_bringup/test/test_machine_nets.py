@@ -9,9 +9,10 @@ from im_bringup.machine import record as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.registry import Progress
 from im_core import clock
+from im_core.agent_socket import Report
 from im_core.errors import DataError
 from im_core.process import ChildProcess
-from im_core.startup import StartupPhase, nets_sentence, nets_told
+from im_core.startup import StartupPhase, net_digest, nets_sentence, nets_told
 from support.tasks import NAMES, bootstrap
 
 
@@ -28,12 +29,14 @@ class Prover:
 
 
 def machine_of(tmp_path, prover, *, unproved=False):
-    nets = MachineNets(tmp_path, {f"/{name}" for name in NAMES}, unproved=unproved, prove=prover)
+    nets = MachineNets(tmp_path, unproved=unproved, prove=prover)
     value = bootstrap(tmp_path, nets=nets)
     for progress in (Progress.LOADED, Progress.CONFIGURED):
         for name in NAMES:
             detail = nets_sentence({"one": ["a", "b"], "two": ["c"]}.get(name, []))
-            value.heard(name, 7, 1, progress, detail if progress is Progress.CONFIGURED else "", now=0.0)
+            configured = progress is Progress.CONFIGURED
+            digests = {net: net_digest(f"net: {net}") for net in nets_told(detail)} if configured else {}
+            value.reported(Report(name, 1, progress, detail if configured else "", digests), 7, "localhost", 0.0)
         value.poll(0.0)
     return value, nets
 
@@ -58,6 +61,7 @@ def test_start_waits_for_all_descriptions_and_for_the_proof(tmp_path):
     runs = (("one", "a"), ("one", "b"), ("two", "c"))
     assert value.missing() == [f"task {task} has not described its net {net}" for task, net in runs]
     describe(nets, [("/one", "a"), ("/one", "b"), ("/stranger", "c")])
+    nets.described("/two", "c", json.dumps({"yaml": "net: c  # of a stranger"}))
     value.poll(0.0)
     assert value.missing() == ["task two has not described its net c"]
     assert prover.files == []
@@ -107,7 +111,7 @@ def test_what_is_not_proved_starts_only_where_that_is_asked_for(tmp_path, unprov
 
 
 def test_a_net_that_two_tasks_run_is_named(tmp_path):
-    nets = MachineNets(tmp_path, {"/one", "/two"}, unproved=True, prove=Prover(0, "fine"))
+    nets = MachineNets(tmp_path, unproved=True, prove=Prover(0, "fine"))
     value = bootstrap(tmp_path, nets=nets)
     for name in NAMES:
         value.heard(name, 7, 1, Progress.CONFIGURED, nets_sentence(["same"]), now=0.0)
@@ -118,7 +122,8 @@ def test_a_net_that_two_tasks_run_is_named(tmp_path):
 
 
 def test_what_is_no_description_and_what_names_no_net_is_not_taken(tmp_path):
-    nets = MachineNets(tmp_path, {"/one"}, unproved=False, prove=Prover(0, "fine"))
+    nets = MachineNets(tmp_path, unproved=False, prove=Prover(0, "fine"))
+    nets.reported("/one", {"a": net_digest("net: a")})
     with pytest.raises(DataError, match="the description of net a"):
         nets.described("/one", "a", "{}")
     assert nets_told(nets_sentence(["a", "b_1"])) == ("a", "b_1")

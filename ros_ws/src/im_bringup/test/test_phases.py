@@ -47,7 +47,7 @@ def test_the_parts_of_a_start_share_all_of_its_time(tmp_path):
         def settled(self, _):
             return self.proof
 
-    nets = Nets(tmp_path, set(), unproved=False)
+    nets = Nets(tmp_path, unproved=False)
     value = bootstrap(tmp_path, nets=nets)
     for progress, now in ((Progress.LOADED, 2.0), (Progress.CONFIGURED, 2.5)):
         for name in NAMES:

@@ -11,6 +11,7 @@ import pytest
 from im_bringup.tasks import standstill
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand
 from im_bringup.tasks.standstill import Standstill, cpu_of
+from im_core import pulse
 from im_core.loop_watch import TICK_S, LoopWatch, waits_of_threads
 from im_core.pulse import Beat, Pulse
 
@@ -135,8 +136,9 @@ class Hanging:
 def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
     pulses = []
 
-    def spawn(command, environment, pulse):
-        pulses.append(pulse)
+    def spawn(command, environment, inherit):
+        assert int(environment[pulse.VARIABLE]) in inherit
+        pulses.append(Pulse(os.dup(int(environment[pulse.VARIABLE]))))
         return Hanging(deaf)
 
     agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, spawn)

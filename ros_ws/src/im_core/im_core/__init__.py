@@ -6,7 +6,7 @@
 - :mod:`im_core.names`, :mod:`im_core.files`: names and folders of a machine, files written whole;
 - :mod:`im_core.plugins`: the loader of ``module:Class``;
 - :mod:`im_core.process`, :mod:`im_core.scheduling`: child processes, and what those of the real-time chain ask for;
-- :mod:`im_core.startup`: phases of the start-up;
+- :mod:`im_core.startup`, :mod:`im_core.agent_socket`: phases of the start-up, and the way by which they are ordered;
 - :mod:`im_core.shm`: shared memory and semaphores;
 - :mod:`im_core.ros`: base class of all nodes, and what they wait with.
 """

@@ -1,13 +1,12 @@
-"""Synchronised start-up (paper, section 3): its phases, and the topics by which bootstrap and tasks speak of them."""
+"""Synchronised start-up (paper, section 3): its phases, and the topics that tell of them."""
 
+import hashlib
 import os
 import re
 from collections.abc import Iterable
 from enum import IntEnum
 
 PHASE_TOPIC = "/im/phase"
-TIMEOUT_TOPIC = "/im/start_timeout"
-OPTIONS_TOPIC = "/im/start_options"
 STATUS_TOPIC = "/im/task_status"
 
 #: Longest wait for the machine to be ready unless ``start`` is told another [s]; where that is said once for all starts
@@ -50,6 +49,11 @@ def nets_sentence(nets: Iterable[str]) -> str:
     return f"{_NETS}{names}" if names else ""
 
 
+def net_digest(text: str) -> str:
+    """The digest of a net file: its description on DDS counts only if the task has reported the same digest."""
+    return hashlib.sha256(text.encode(errors="replace")).hexdigest()
+
+
 def nets_told(detail: str) -> tuple[str, ...]:
     """The nets that a task runs, as :func:`nets_sentence` told; none where something else is told."""
     names = detail.removeprefix(_NETS).split(", ") if detail.startswith(_NETS) else []
@@ -57,7 +61,7 @@ def nets_told(detail: str) -> tuple[str, ...]:
 
 
 class StartupPhase(IntEnum):
-    """What the bootstrap asks of all tasks, as on :data:`PHASE_TOPIC`."""
+    """What the bootstrap asks of all tasks; told on :data:`PHASE_TOPIC`, too, where it orders nothing."""
 
     LOAD = 0
     CONFIGURE = 1

@@ -15,7 +15,7 @@ from im_core.errors import DataError, nearest
 
 #: Topics that start and end machines, that carry tokens between nets, and that move arms: recorded, but replayed only
 #: by name.
-CONTROL_TOPICS = ("/im/phase", "/im/start_timeout", "/im/start_options", "/im/task_status")
+CONTROL_TOPICS = ("/im/phase", "/im/task_status")
 CONTROL_SUFFIXES = ("/tokens", "/command/setpoints", "/command/torques", "/joint_trajectory")
 
 

@@ -5,12 +5,16 @@ No task enters a phase before all tasks have finished the one before.
 
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 from im_bringup.machine import record as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
+from im_core.agent_socket import Order, Report
+from im_core.arrivals import member
+from im_core.errors import NotFoundError
 from im_core.silence import Silence
 from im_core.startup import StartupPhase
 
@@ -80,7 +84,7 @@ class SilentTasks:
         self._look_at = -math.inf
 
     def heard(self, name: str, pid: int, progress: Progress) -> None:
-        """A heartbeat of a task came; once it is ready it may fall silent. What it does before may take long."""
+        """A sign of life of a task came; once it is ready it may fall silent. What it does before may take long."""
         for other in [known for known in self._silences if known[0] == name]:
             del self._silences[other]
         if progress is Progress.READY:
@@ -118,7 +122,7 @@ class Bootstrap:
         self.registry = Registry(tasks, host)
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
-        self._agent, self._nets = agent, nets
+        self._agent, self._host, self._nets = agent, host, nets
         self._silence = SilentTasks()
         self._changed = True
         #: How long the parts of the start have taken, in their order [s].
@@ -132,12 +136,47 @@ class Bootstrap:
             self._note(event)
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> None:
-        """Take a heartbeat; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
-        self._silence.heard(name, pid, progress)
+        """Take the report of a task; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
         if self.registry.heard(name, pid, incarnation, progress, detail, now):
             self._changed = True
+            self._silence.heard(name, pid, progress)
             if progress is Progress.FAILED:
                 self._agent.replace(name, pid, detail, now)
+
+    def reported(self, report: Report, pid: int, host: str, now: float) -> None:
+        """Take a report that the agent of a host has of a task.
+
+        Args:
+            report: It.
+            pid: Process of the task.
+            host: The host; a report of a task of another host does not count.
+            now: Monotonic time [s].
+
+        Raises:
+            NotFoundError: There is no such task.
+            DataError: There is no such phase.
+        """
+        placed = self.registry.find(report.task).placed
+        progress = member(Progress, report.phase, f"the phase of task {report.task}")
+        if placed.host == host:
+            self._nets.reported(placed.task.node, report.nets)
+            self.heard(report.task, pid, report.incarnation, progress, report.detail, now)
+
+    @property
+    def awaits_nets(self) -> bool:
+        """Whether all tasks are configured, and have reported which nets they run."""
+        return self.phase is StartupPhase.CONFIGURE and done(self.phase, self.registry.records())
+
+    def seen(self, name: str, incarnation: int) -> None:
+        """Take a sign of life that came over DDS, where anybody can make one up: it ends the silence of a task only."""
+        with suppress(NotFoundError):
+            record = self.registry.find(name)
+            if record.incarnation == incarnation:
+                self._silence.heard(name, record.pid, record.progress)
+
+    def order(self, host: str) -> Order:
+        """What the agent of a host is to have its tasks do."""
+        return Order(int(self.phase), self.registry.lives(host))
 
     def poll(self, now: float) -> list[Started | Died]:
         """Watch the processes and go on to the next phase when all tasks are there.
@@ -148,6 +187,8 @@ class Bootstrap:
         Returns:
             What happened to processes of this host.
         """
+        for report, pid in self._agent.reports():
+            self.reported(report, pid, self._host, now)
         events = self._agent.poll(now)
         for event in events:
             self._note(event)
@@ -157,6 +198,7 @@ class Bootstrap:
             self._agent.replace(name, pid, f"nothing was heard of it for {SILENCE_S:g} s", now)
         if self.state == machine.STARTING:
             self._advance(now)
+        self._agent.order(self.order(self._host))
         return events
 
     def changed(self) -> bool:

@@ -4,7 +4,7 @@ Each node has verified its nets alone when it is configured, and describes them 
 verifies those that talk to each other together. What was proved before, and is unchanged, it finds in its cache.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import pydantic
@@ -14,7 +14,7 @@ from im_core.arrivals import read_json
 from im_core.errors import ImError
 from im_core.files import make_folder, read_text, write_whole
 from im_core.process import ChildProcess
-from im_core.startup import nets_told
+from im_core.startup import net_digest, nets_told
 
 #: What is ``pnt`` on the command line.
 PROVER = "im_pnt_analysis.cli"
@@ -38,7 +38,6 @@ class MachineNets:
 
     Args:
         run_dir: Folder of the machine; gets a folder ``nets`` with the files that are verified, and the log.
-        nodes: Fully qualified names of the nodes of the machine.
         unproved: Whether the machine may start where it cannot be decided in time whether its nets may run.
         prove: Begins to verify them.
 
@@ -48,14 +47,19 @@ class MachineNets:
         proved: False where the nets run without proof.
     """
 
-    def __init__(self, run_dir: Path, nodes: Collection[str], *, unproved: bool, prove: Prove = prove) -> None:
+    def __init__(self, run_dir: Path, *, unproved: bool, prove: Prove = prove) -> None:
         self._folder, self._log = run_dir / "nets", run_dir / "log" / "verification.log"
-        self._nodes, self._unproved, self._prove = frozenset(nodes), unproved, prove
+        self._unproved, self._prove = unproved, prove
         self._told: dict[tuple[str, str], str] = {}
+        self._digests: dict[tuple[str, str], str] = {}
         self._child: ChildProcess | None = None
         self._nets: list[str] = []
         self.verdict = self.failure = ""
         self.proved = True
+
+    def reported(self, node: str, digests: Mapping[str, str]) -> None:
+        """Take the digests of the nets of a node: a description counts only if it has the digest that was reported."""
+        self._digests.update({(node, net): digest for net, digest in digests.items()})
 
     def described(self, node: str, net: str, description: str) -> None:
         """Take the description of a net; it matters as long as the nets are not verified.
@@ -68,8 +72,11 @@ class MachineNets:
         Raises:
             DataError: It is no description.
         """
-        if node in self._nodes and self._child is None:
-            self._told[node, net] = read_json(_Description, description, f"the description of net {net}").yaml
+        if (node, net) not in self._digests or self._child is not None:
+            return
+        text = read_json(_Description, description, f"the description of net {net}").yaml
+        if net_digest(text) == self._digests[node, net]:
+            self._told[node, net] = text
 
     def settled(self, records: Iterable[TaskRecord]) -> bool:
         """Go on with the verification; whether it is over.

@@ -42,6 +42,7 @@ class MachineRecord:
         clock_factor: Simulated seconds a second.
         seed: Seed of the run.
         port: Port that the display was told to take; the page says which it took.
+        incarnations: Those of its tasks that have reported, by name.
     """
 
     pid: Annotated[int, pydantic.Field(gt=1)]
@@ -58,6 +59,7 @@ class MachineRecord:
     nets: str = ""
     refused: bool = False
     took: dict[str, float] = field(default_factory=dict)
+    incarnations: dict[str, int] = field(default_factory=dict)
 
     @property
     def process(self) -> ProcessId:

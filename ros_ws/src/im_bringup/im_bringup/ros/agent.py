@@ -1,16 +1,16 @@
-"""Node ``/agent_<host>``: the agent of a host other than the bootstrap's; it follows the phases of the bootstrap."""
+"""Node ``/agent_<host>``: the agent of a host other than the bootstrap's; it follows the orders of the bootstrap."""
 
 import argparse
-import math
+import json
 import os
-import re
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
-from std_msgs.msg import Float64, String, UInt8
+from std_msgs.msg import String
 
 from im_bringup.machine import mission
 from im_bringup.tasks import deployment as deployments
@@ -18,18 +18,21 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
 from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
+from im_bringup.tasks.signed_link import HostOrder, SignedLink, agent_name, orders_topic, read_secret, reports_topic
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
-from im_core.arrivals import member
-from im_core.errors import DataError
+from im_core.agent_socket import Report
+from im_core.arrivals import member, read_json
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
-from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, START_TIMEOUT, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase
+from im_core.startup import START_TIMEOUT, StartupPhase
 from im_msgs.msg import TaskStatus
 
 #: How often the agent looks at its processes while they start, and from then on [s].
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
+#: How often the bootstrap hears of this host at least [s].
+REPORT_PERIOD_S = 0.5
 
 
 class AgentNode(GuardedNode):
@@ -38,10 +41,11 @@ class AgentNode(GuardedNode):
     Args:
         deployment: The deployment, the same as the bootstrap's but for what its start was given.
         host: Name of this host in it.
+        secret: What this host shares with that of the bootstrap.
     """
 
-    def __init__(self, deployment: Deployment, host: str) -> None:
-        super().__init__("agent_" + re.sub(r"\W", "_", host))
+    def __init__(self, deployment: Deployment, host: str, secret: bytes) -> None:
+        super().__init__(agent_name(host))
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
@@ -52,15 +56,13 @@ class AgentNode(GuardedNode):
         spared = [Path(deployment.calibration)] if deployment.calibration else []
         self._upkeep = Upkeep(run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._upkeep.start()
-        self._phase: StartupPhase | None = None
-        self._timeout_s: float | None = None
-        self._told: Deployment | None = None
+        self._link = SignedLink(secret, host)
+        self._reports: dict[str, tuple[Report, int]] = {}
+        self._report_at = 0.0
         self._started = False
         self.finished = False
-        self.create_subscription(Float64, TIMEOUT_TOPIC, self._take_timeout, qos.LATCHED)
-        self.create_subscription(String, OPTIONS_TOPIC, self._take_options, qos.LATCHED)
-        self.create_subscription(UInt8, PHASE_TOPIC, self._follow, qos.LATCHED)
-        self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
+        self._publisher = self.create_publisher(String, reports_topic(host), qos.EVENTS)
+        self.create_subscription(String, orders_topic(host), self._hear, qos.EVENTS)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._poll_timer = self.create_timer(STARTING_PERIOD_S, self._poll, clock=steady)
         self.log.info(f"host {host} waits for the bootstrap")
@@ -71,43 +73,45 @@ class AgentNode(GuardedNode):
         for name in self._agent.shut_down():
             self.log.warning(f"process {name} did not end and was killed")
 
-    def _take_timeout(self, message: Float64) -> None:
-        if not 0.0 < message.data < math.inf:
-            raise DataError(f"{message.data} s on {TIMEOUT_TOPIC} is no time to start in", seconds=message.data)
-        self._timeout_s = message.data
-        self._advance()
+    def _hear(self, message: String) -> None:
+        topic = orders_topic(self._host)
+        opened = self._link.open(topic, message.data)
+        if opened.content is not None:
+            self._follow(read_json(HostOrder, opened.content, topic))
 
-    def _take_options(self, message: String) -> None:
-        self._told = with_options_text(self._deployment, message.data)
-        self._advance()
-
-    def _follow(self, message: UInt8) -> None:
-        self._phase = member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase")
-        self._advance()
-
-    def _advance(self) -> None:
-        """Do what the bootstrap asks for; nothing starts before it has told what its start was given."""
-        if self._phase is StartupPhase.SHUTDOWN:
+    def _follow(self, told: HostOrder) -> None:
+        """Do what the bootstrap asks for."""
+        phase = member(StartupPhase, told.order.phase, "the phase that the bootstrap orders")
+        if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
-        elif not self._started and None not in (self._phase, self._timeout_s, self._told):
-            assert self._told is not None
+            return
+        if not self._started:
+            deployment = with_options_text(self._deployment, told.options)
+            given = {START_TIMEOUT: repr(told.start_timeout_s)}
+            given = {**environment(os.environ, self._run_dir, deployment), **given}
             self._started = True
-            told = {**environment(os.environ, self._run_dir, self._told), START_TIMEOUT: repr(self._timeout_s)}
-            self._agent = Agent(commands(self._told, self._host, self._run_dir), told)
+            self._agent = Agent(commands(deployment, self._host, self._run_dir), given)
             for event in self._agent.start():
                 self.log.info(str(event))
-        if self._phase is StartupPhase.START:
+        self._agent.order(told.order)
+        if phase is StartupPhase.START:
             self._agent.respawn = True
             self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
 
-    def _status(self, message: TaskStatus) -> None:
-        if message.phase == TaskStatus.FAILED:
-            self._agent.replace(message.name, message.pid, message.detail, clock.monotonic())
-
     def _poll(self) -> None:
-        for event in self._agent.poll(clock.monotonic()):
+        now = clock.monotonic()
+        for report, pid in self._agent.reports():
+            self._reports[report.task] = report, pid
+            if report.phase == TaskStatus.FAILED:
+                self._agent.replace(report.task, pid, report.detail, now)
+        for event in self._agent.poll(now):
             if isinstance(event, Died):
                 self.log.error(str(event))
+        if self._reports or now >= self._report_at:
+            self._report_at = now + REPORT_PERIOD_S
+            content = json.dumps([(asdict(report), pid) for report, pid in self._reports.values()])
+            self._reports.clear()
+            self._publisher.publish(String(data=self._link.sign(reports_topic(self._host), content)))
         if self.finished:
             rclpy.try_shutdown()
 
@@ -115,17 +119,19 @@ class AgentNode(GuardedNode):
 def main() -> int:
     """Run the agent until SIGINT, SIGTERM or the end of the machine."""
     parser = argparse.ArgumentParser(
-        prog="agent", description="Run the tasks of one host of a deployment; the bootstrap runs on another host."
+        prog="agent",
+        description="Run the tasks of one host of a deployment; the bootstrap runs on another host. Both need the same "
+        "secret, a file of mode 0600 that IM_SECRET_FILE names (default: ~/.config/im/secret); see docs/security.md.",
     )
     parser.add_argument("host", help="name of this host in the deployment")
     parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
     arguments = parser.parse_args()
 
     def make_node() -> AgentNode:
-        deployment = deployments.load(arguments.deployment)
+        deployment, secret = deployments.load(arguments.deployment), read_secret(os.environ)
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
-        return AgentNode(deployment, arguments.host)
+        return AgentNode(deployment, arguments.host, secret)
 
     return run.main(make_node, args=[], at_end=AgentNode.shut_down)
 

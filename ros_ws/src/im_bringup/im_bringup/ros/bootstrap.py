@@ -1,25 +1,27 @@
 """Node ``/bootstrap``: starts the tasks of the deployment phase by phase, knows them by name, stops them in order."""
 
 import threading
+from functools import partial
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.service_introspection import ServiceIntrospectionState
-from std_msgs.msg import Float64, String, UInt8
+from rclpy.subscription import Subscription
+from std_msgs.msg import UInt8
 
 from im_bringup.machine import mission
 from im_bringup.machine import record as machine
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.record import MachineRecord
+from im_bringup.ros.agents import ACKNOWLEDGED_S, RemoteAgents
+from im_bringup.ros.shared_names import LOOK_S, SharedNames
 from im_bringup.tasks.agent import Died
 from im_bringup.tasks.deployment import Deployment, options_text
-from im_bringup.tasks.registry import Progress, TaskRecord
+from im_bringup.tasks.registry import TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
-from im_core.arrivals import member
 from im_core.errors import ImError, StoreError
 from im_core.process import dismiss_prepared
 from im_core.procfs import ProcessId
@@ -28,14 +30,13 @@ from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.reminders import Reminders
 from im_core.ros.run import main as spin
-from im_core.startup import OPTIONS_TOPIC, PHASE_TOPIC, STATUS_TOPIC, TIMEOUT_TOPIC, StartupPhase, start_timeout_s
+from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.srv import QueryTask
 
 #: How often the bootstrap looks at its processes while they start, and when the machine is ready [s].
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
-ACKNOWLEDGED_S = 2.0
 
 
 class BootstrapNode(GuardedNode):
@@ -46,9 +47,12 @@ class BootstrapNode(GuardedNode):
         path: The file it came from.
         nets: Finds out whether the nets of its tasks may run together.
         bootstrap: Has started the processes of this host.
+        secret: What the hosts of the deployment share; empty for one host.
     """
 
-    def __init__(self, deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap) -> None:
+    def __init__(
+        self, deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap, secret: bytes
+    ) -> None:
         super().__init__("bootstrap")
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
@@ -60,22 +64,23 @@ class BootstrapNode(GuardedNode):
         self._upkeep = Upkeep(self._run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._process = ProcessId.current()
         self._trouble = ""
+        self._descriptions: Subscription | None = None
         self._written: MachineRecord | None = None
         self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
-        self.create_subscription(NetDescription, "/pnt/nets", self._described, qos.LATCHED_NETS)
         service = self.create_service(QueryTask, "/bootstrap/query_task", self._query)
         service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS)
-        self._timeout_publisher = self.create_publisher(Float64, TIMEOUT_TOPIC, qos.LATCHED)
-        self._timeout_publisher.publish(Float64(data=start_timeout_s()))
-        self._options_publisher = self.create_publisher(String, OPTIONS_TOPIC, qos.LATCHED)
-        self._options_publisher.publish(String(data=options_text(deployment)))
+        others = [host for host in deployment.hosts if host != deployment.local_host()]
+        self._agents = RemoteAgents(self, bootstrap, others, options_text(deployment), secret)
+        served = {placed.task.node for placed in deployment.tasks()} | {self.get_fully_qualified_name()}
+        self._shared_names = SharedNames(self, served)
         self._announce(StartupPhase.LOAD)
         self._upkeep.start()
         self._show()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._poll_timer = self.create_timer(STARTING_PERIOD_S, self._poll, clock=steady)
+        self._names_timer = self.create_timer(LOOK_S, self._look_at_names, clock=steady)
 
     def shut_down(self) -> None:
         """Stop all tasks, the last started first; then those of other hosts are told to stop."""
@@ -84,8 +89,9 @@ class BootstrapNode(GuardedNode):
         for name in self._bootstrap.shut_down():
             self.log.warning(f"process {name} did not end and was killed")
         self._announce(StartupPhase.SHUTDOWN)
-        if not self._phase_publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGED_S)):
-            self.log.warning(f"not everybody has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
+        self._agents.order()
+        if not self._agents.acknowledged():
+            self.log.warning(f"not every agent has heard within {ACKNOWLEDGED_S:g} s that the machine ends")
         machine.remove()
 
     def _poll(self) -> None:
@@ -102,11 +108,22 @@ class BootstrapNode(GuardedNode):
             if self._bootstrap.phase is StartupPhase.START:
                 self._say_verdict()
             self._announce(self._bootstrap.phase)
+        self._agents.order()
+        if self._bootstrap.awaits_nets and self._descriptions is None:  # what was described before their digests came
+            self._descriptions = self.create_subscription(
+                NetDescription, "/pnt/nets", self._described, qos.LATCHED_NETS
+            )
         if self._bootstrap.changed() or events or self._trouble:
             self._show()
             if self._bootstrap.state == machine.READY:
                 self._poll_timer.timer_period_ns = round(POLL_PERIOD_S * 1e9)
                 dismiss_prepared()
+
+    def _look_at_names(self) -> None:
+        if self._shared_names.look():
+            for sentence in self._shared_names.sentences.values():
+                self.log.warning(sentence)
+            self._show()
 
     def _note_alive(self) -> None:
         try:
@@ -118,14 +135,11 @@ class BootstrapNode(GuardedNode):
         self._nets.described(message.node, message.net, message.json)
 
     def _status(self, message: TaskStatus) -> None:
-        progress = member(Progress, message.phase, f"on {STATUS_TOPIC} phase")
-        self._bootstrap.heard(
-            message.name, message.pid, message.incarnation, progress, message.detail, clock.monotonic()
-        )
+        self._bootstrap.seen(message.name, message.incarnation)
 
     def _query(self, request: QueryTask.Request, response: QueryTask.Response) -> QueryTask.Response:
         try:
-            response.task = to_message(self._bootstrap.registry.find(request.name))
+            response.task = self._told(self._bootstrap.registry.find(request.name))
         except ImError as error:
             response.success, response.message = False, error.message
             return response
@@ -143,19 +157,26 @@ class BootstrapNode(GuardedNode):
         self.log.info(f"phase {phase.name}")
 
     def _show(self) -> None:
-        message = TaskRegistry(tasks=[to_message(record) for record in self._bootstrap.registry.records()])
+        message = TaskRegistry(tasks=[self._told(record) for record in self._bootstrap.registry.records()])
         seconds = clock.wall()
         message.stamp.sec, message.stamp.nanosec = int(seconds), int(seconds % 1.0 * 1e9)
         self._tasks_publisher.publish(message)
         self._write_record(self._bootstrap.state)
 
+    def _told(self, record: TaskRecord) -> TaskRecordMessage:
+        message = to_message(record)
+        doubt = self._shared_names.sentences.get(message.node, "")
+        message.detail = "; ".join(part for part in (message.detail, doubt) if part)
+        return message
+
     def _write_record(self, state: str) -> None:
+        records = self._bootstrap.registry.records()
         record = MachineRecord(
             pid=self._process.pid,
             start=self._process.start,
             state=state,
             phase=self._bootstrap.phase.name,
-            tasks=len(self._bootstrap.registry.records()),
+            tasks=len(records),
             run_dir=str(self._run_dir),
             deployment=str(self._path),
             clock_factor=self._deployment.clock_factor,
@@ -164,6 +185,7 @@ class BootstrapNode(GuardedNode):
             missing=self._bootstrap.missing(),
             nets=self._nets.verdict,
             refused=bool(self._nets.failure),
+            incarnations={record.name: record.incarnation for record in records if record.incarnation},
             took={part: round(seconds, 3) for part, seconds in self._bootstrap.took.items()},
         )
         if record == self._written:
@@ -197,6 +219,7 @@ def to_message(record: TaskRecord) -> TaskRecordMessage:
     )
 
 
-def run(deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap) -> int:
+def run(deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap, secret: bytes) -> int:
     """Run ``/bootstrap`` until SIGINT or SIGTERM; arguments as of the node. Its exit code."""
-    return spin(lambda: BootstrapNode(deployment, path, nets, bootstrap), args=[], at_end=BootstrapNode.shut_down)
+    node = partial(BootstrapNode, deployment, path, nets, bootstrap, secret)
+    return spin(node, args=[], at_end=BootstrapNode.shut_down)

@@ -22,6 +22,7 @@ from im_core import clock
 from im_core.errors import ImError, require_text
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient
+from im_core.ros.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing
 from im_msgs.srv import CalibrateCamera
@@ -60,6 +61,8 @@ class CalibrateCameraClient(DispatcherClient):
         before = self.moment()
         request = CalibrateCamera.Request(cameras=cameras, poses_file=poses_file)
         response = self._answer(self._client.call_async(request), asked_once=True)
+        if response is not None and not response.success:
+            response.message = reason(self, response.message, SERVICE)
         if response is None:
             print("calibrate_camera: the dispatcher was away and is back; waiting for the command", file=sys.stderr)
             number = self.begun_since(before, NET)  # not the last one that has ended: that may be of another day
@@ -80,7 +83,7 @@ class CalibrateCameraClient(DispatcherClient):
         if result is None:
             return None
         results = json.loads(result.results or "{}")
-        message = str(results.get("message", result.status.message))
+        message = str(results.get("message") or result.status.message)
         response = CalibrateCamera.Response(success=result.success, message=message)
         if result.success:
             response.message = str(results["report"]["message"])

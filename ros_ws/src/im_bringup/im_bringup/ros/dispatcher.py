@@ -14,6 +14,7 @@ from im_core import clock
 from im_core.errors import LinkError, StateError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.ros.heartbeats import LEASE_S
+from im_core.ros.servers import reason
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
 from im_msgs.srv import ListCommands
@@ -116,10 +117,13 @@ class DispatcherClient(InterruptibleNode):
         """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
         return bool(self._incarnation) and not _starting(machine.read())
 
-    @staticmethod
-    def _result(answer: Any | None) -> Any | None:
+    def _result(self, answer: Any | None) -> Any | None:
         """What a goal ended with, of its answer; None where the dispatcher was away and knows it no more."""
-        return None if answer is None or answer.status == GoalStatus.STATUS_UNKNOWN else answer.result
+        if answer is None or answer.status == GoalStatus.STATUS_UNKNOWN:
+            return None
+        if not answer.result.success:
+            answer.result.status.message = reason(self, answer.result.status.message, ACTION)
+        return answer.result
 
     def _answer(self, future: Any, limit_s: float = math.inf, *, asked_once: bool = False) -> Any | None:
         """The result of a future that the dispatcher completes, None if it was started again or does not in time.
@@ -170,8 +174,15 @@ class DispatcherClient(InterruptibleNode):
         return _starting(machine.read())
 
     def _hear(self, message: TaskStatus) -> None:
-        if message.name == "dispatcher":
+        if message.name == "dispatcher" and self._is_vouched(message.incarnation):
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
+
+    def _is_vouched(self, incarnation: int) -> bool:
+        """Whether the record of the machine of this host, if there is one, has the same incarnation."""
+        if incarnation == self._incarnation:
+            return True
+        record = machine.read()
+        return record is None or record.incarnations.get("dispatcher", incarnation) == incarnation
 
 
 def _begun(told: ListCommands.Response, last: int, symbol: str) -> list[int]:

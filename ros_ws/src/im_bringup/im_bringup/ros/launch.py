@@ -18,6 +18,7 @@ from im_bringup.tasks.agent import MARKER, Agent, commands, environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
+from im_bringup.tasks.signed_link import read_secret
 from im_cell.robot import load_cell
 from im_core import clock, names, scheduling
 from im_core.errors import ConfigError, ImError
@@ -54,13 +55,14 @@ def main() -> int:
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         deployment = deployments.with_options(deployment, arguments)
+        secret = read_secret(os.environ) if len(deployment.hosts) > 1 else b""
         nets, bootstrap = begin(deployment)
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1
     from im_bringup.ros.bootstrap import run
 
-    return run(deployment, Path(arguments.deployment).resolve(), nets, bootstrap)
+    return run(deployment, Path(arguments.deployment).resolve(), nets, bootstrap, secret)
 
 
 def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
@@ -83,7 +85,7 @@ def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     prepare(PROVER)
     run_dir, host, tasks = names.run_dir().resolve(), deployment.local_host(), list(deployment.tasks())
     agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
-    nets = MachineNets(run_dir, {placed.task.node for placed in tasks}, unproved=deployment.unproved)
+    nets = MachineNets(run_dir, unproved=deployment.unproved)
     bootstrap = Bootstrap(tasks, agent, host, nets)
     bootstrap.start(clock.monotonic())
     return nets, bootstrap

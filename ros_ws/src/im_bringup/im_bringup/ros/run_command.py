@@ -33,6 +33,7 @@ from im_core.files import write_whole
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient
+from im_core.ros.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand
@@ -88,7 +89,7 @@ class CommandClient(DispatcherClient):
         """
         answer = self._asked(self._control, ControlCommand.Request(command_id=number, request=request))
         if not answer.success:
-            raise StateError(str(answer.message))
+            raise StateError(reason(self, str(answer.message), self._control.srv_name))
         return str(answer.message)
 
     def run(self, goal: ExecuteCommand.Goal, progress: TextIO) -> Any:

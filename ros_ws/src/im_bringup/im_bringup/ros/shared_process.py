@@ -54,7 +54,7 @@ def _execute(program: Path) -> None:
 
 
 def main() -> int:
-    """Run the nodes until SIGINT, SIGTERM or the SHUTDOWN phase."""
+    """Run the nodes until SIGINT or SIGTERM."""
     parser = argparse.ArgumentParser(prog="shared_process", description="Run the nodes of several executables.")
     parser.add_argument("executables", nargs="+", metavar="PACKAGE/EXECUTABLE", help="executable of a node")
     try:

@@ -1,9 +1,11 @@
 """The agent of a host: starts the processes of its tasks, starts again what died, and stops all of them in order."""
 
 import math
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,8 +15,9 @@ from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, ref
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
-from im_core import names, scheduling
+from im_core import agent_socket, names, scheduling
 from im_core import pulse as pulse_memory
+from im_core.agent_socket import AgentSocket, Order, Report
 from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words, may_copy
@@ -96,6 +99,8 @@ class _Slot:
     child: ChildProcess | None = None
     standstill: Standstill | None = None
     receivers: Receivers | None = None
+    socket: AgentSocket | None = None
+    ordered: str = ""
     log_begin: int = 0
     failure: str = ""
     kill_at: float = math.inf
@@ -104,21 +109,26 @@ class _Slot:
     respawned: deque[float] = field(default_factory=deque)
 
 
-Spawn = Callable[[ProcessCommand, Mapping[str, str], Pulse], ChildProcess]
+Spawn = Callable[[ProcessCommand, Mapping[str, str], Sequence[int]], ChildProcess]
 
 
-def spawn_process(command: ProcessCommand, environment: Mapping[str, str], pulse: Pulse) -> ChildProcess:
-    """Start a process, which tells how its loop is; it is asked to end if this thread dies.
+def spawn_process(command: ProcessCommand, environment: Mapping[str, str], inherit: Sequence[int]) -> ChildProcess:
+    """Start a process; it is asked to end if this thread dies.
 
     Where it may, it begins as a copy of this one.
+
+    Args:
+        command: How it is started.
+        environment: Its environment.
+        inherit: File descriptors that it gets; the environment says what they are.
     """
     child = ChildProcess(
         command.argv,
         name=command.name,
         log=command.log,
-        environment={**environment, pulse_memory.VARIABLE: str(pulse.descriptor)},
+        environment=environment,
         death_signal=signal.SIGTERM,
-        inherit=[pulse.descriptor],
+        inherit=inherit,
         copied=may_copy(command.argv[0]),
     )
     limit_memory(command.memory_mib, child.pid)
@@ -143,6 +153,7 @@ class Agent:
         self._spawn = spawn
         #: Whether a process that died is started again.
         self.respawn = False
+        self._order = ""
 
     def start(self) -> list[Started]:
         """Start all processes.
@@ -160,6 +171,7 @@ class Agent:
         """
         events: list[Started | Died] = []
         for slot in self._slots:
+            self._tell(slot)
             if slot.child is not None and (code := slot.child.poll()) is not None:
                 slot.child = None
                 events.append(Died(slot.command.tasks, self._plan(slot, code, now)))
@@ -179,6 +191,26 @@ class Agent:
                     slot.respawn_at = now + RESPAWN_DELAY_S
                     events.append(Died(slot.command.tasks, f"{error.message}; tried again in {RESPAWN_DELAY_S:g} s"))
         return events
+
+    def order(self, order: Order) -> None:
+        """Have all processes follow an order, also those that are started from now on; the last one counts."""
+        self._order = order.text()
+        for slot in self._slots:
+            self._tell(slot)
+
+    def reports(self) -> list[tuple[Report, int]]:
+        """What tasks of this host have reported since the last time, each with its process.
+
+        Raises:
+            DataError: A report makes no sense.
+        """
+        return [
+            (report, slot.child.pid)
+            for slot in self._slots
+            if slot.socket is not None and slot.child is not None
+            for report in slot.socket.reports()
+            if report.task in slot.command.tasks
+        ]
 
     def replace(self, name: str, pid: int, failure: str, now: float) -> None:
         """End the process of a task that says it cannot go on, if this host runs it.
@@ -236,16 +268,29 @@ class Agent:
     def _start(self, slot: _Slot) -> Started:
         slot.log_begin = _size(slot.command.log)
         try:
-            pulse = Pulse.create()
-            try:
-                slot.child = self._spawn(slot.command, self.environment, pulse)
-            finally:
-                pulse.keep()
+            with ExitStack() as of_child:
+                pulse = Pulse.create()
+                of_child.callback(pulse.keep)
+                ours, descriptor = AgentSocket.pair()
+                of_child.callback(os.close, descriptor)
+                if slot.socket is not None:
+                    slot.socket.close()
+                slot.socket, inherit = ours, [pulse.descriptor, descriptor]
+                given = {pulse_memory.VARIABLE: str(pulse.descriptor), agent_socket.VARIABLE: str(descriptor)}
+                slot.child = self._spawn(slot.command, {**self.environment, **given}, inherit)
         except OSError as error:
             raise LinkError(f"{_named(slot.command.tasks)} cannot be started: {error}") from error
-        slot.standstill = Standstill(slot.child.pid, pulse)
+        slot.standstill, slot.ordered = Standstill(slot.child.pid, pulse), ""
         slot.receivers = Receivers(slot.child.pid)
+        self._tell(slot)
         return Started(slot.command.tasks, slot.child.pid, slot.restarts)
+
+    def _tell(self, slot: _Slot) -> None:
+        """Give a process the order that it does not have yet; where it has no room for it, the next look does."""
+        if slot.child is None or slot.socket is None or slot.ordered == self._order:
+            return
+        if slot.socket.send(self._order):
+            slot.ordered = self._order
 
     def _plan(self, slot: _Slot, code: int, now: float) -> str:
         sentence = f"it {_ending(slot, code)} (log: {slot.command.log})"

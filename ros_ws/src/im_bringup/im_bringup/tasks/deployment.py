@@ -17,7 +17,6 @@ from im_core import config
 from im_core.arrivals import read_json
 from im_core.config import FieldError, Model
 from im_core.errors import ConfigError, DataError, NotFoundError
-from im_core.startup import OPTIONS_TOPIC
 
 Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]
@@ -275,7 +274,7 @@ def with_options_text(deployment: Deployment, text: str) -> Deployment:
         DataError: It is no JSON with these options.
         ConfigError: A value is out of range.
     """
-    told = read_json(dict[str, Any], text, OPTIONS_TOPIC)
+    told = read_json(dict[str, Any], text, "the options of the start")
     if told.keys() != _EVERYWHERE.keys():
         raise DataError(f"{text[:200]} are not the options of a start: {', '.join(_EVERYWHERE)}")
     return deployment.with_values(**told)  # it checks them

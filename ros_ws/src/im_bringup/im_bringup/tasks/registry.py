@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from im_bringup.tasks.deployment import PlacedTask
+from im_core.agent_socket import Life
 from im_core.errors import NotFoundError
 
-#: A task of another host whose heartbeat is silent for longer is taken for dead [s].
+#: A task of another host of which nothing is reported for longer is taken for dead [s].
 SILENCE_S = 6.0
 
 
@@ -39,7 +40,7 @@ class TaskRecord:
         restarts: How often it was started again.
         progress: How far it is.
         detail: Why it failed or died, or empty.
-        heard: When its heartbeat came last, monotonic time [s]; negative if never.
+        heard: When its report came last, monotonic time [s]; negative if never.
     """
 
     placed: PlacedTask
@@ -61,7 +62,7 @@ class Registry:
 
     Args:
         tasks: The tasks of the deployment.
-        local_host: Host whose processes are watched directly; the others are known by their heartbeats.
+        local_host: Host whose processes are watched directly; the others are known by what their agents report.
     """
 
     def __init__(self, tasks: Iterable[PlacedTask], local_host: str) -> None:
@@ -92,7 +93,7 @@ class Registry:
         self._records[name] = replace(self.find(name), progress=Progress.DEAD, detail=detail)
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> bool:
-        """A heartbeat came.
+        """A report came.
 
         Args:
             name: Task that sent it.
@@ -103,8 +104,8 @@ class Registry:
             now: Monotonic time [s].
 
         Returns:
-            Whether the record changed in more than the time of the heartbeat. Heartbeats of unknown tasks, and late
-            ones of processes that were replaced, change nothing.
+            Whether the record changed in more than the time of the report. Reports of unknown tasks, and late ones of
+            processes that were replaced, change nothing.
         """
         record = self._records.get(name)
         if record is None:
@@ -124,6 +125,17 @@ class Registry:
         )
         self._records[name] = new
         return replace(record, heard=now) != new
+
+    def lives(self, host: str) -> dict[str, Life]:
+        """The present lives of all tasks, as the agent of a host tells them."""
+        return {
+            record.name: Life(
+                record.incarnation,
+                record.pid if record.placed.host == host else 0,
+                record.progress in (Progress.LOADED, Progress.CONFIGURED),
+            )
+            for record in self.records()
+        }
 
     def silence(self, now: float) -> list[TaskRecord]:
         """Mark tasks of other hosts that fell silent as dead.

@@ -4,7 +4,7 @@
 - :mod:`im_core.ros.guard`: ``GuardedNode``, base of every node, its action server and client: callbacks may raise;
   :mod:`im_core.ros.failures` counts what they raised;
 - :mod:`im_core.ros.coroutines`, :mod:`im_core.ros.calls`: what a node's loop runs, and waiting with a time-out in it;
-- :mod:`im_core.ros.heartbeats`: which task is alive;
+- :mod:`im_core.ros.heartbeats`, :mod:`im_core.ros.servers`: which task is alive, and which nodes serve a name;
 - :mod:`im_core.ros.dom`: client of the Data Object Manager;
 - :mod:`im_core.ros.status`, :mod:`im_core.ros.interfaces`, :mod:`im_core.ros.qos`: errors as messages, types by name,
   qualities of service.

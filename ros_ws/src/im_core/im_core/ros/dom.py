@@ -11,12 +11,13 @@ from rclpy.client import Client
 from rclpy.serialization import serialize_message
 
 from im_core import clock
-from im_core.errors import DataError, WaitTimeoutError
+from im_core.errors import DataError, ImError, WaitTimeoutError
 from im_core.files import LARGEST, MEBIBYTE
 from im_core.ros import qos
 from im_core.ros.calls import ask_again, call
 from im_core.ros.interfaces import decoded, type_name
 from im_core.ros.node import ManagedNode
+from im_core.ros.servers import doubted
 from im_core.ros.status import status_to_error
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
@@ -196,7 +197,7 @@ class DomClient:
             if answer.success:
                 return answer
             if answer.status.code not in NOT_VALID or left <= WAIT_S:
-                raise status_to_error(answer.status)
+                raise self._failure(self._get, answer)
 
     async def is_valid(self, name: str) -> bool:
         """Whether there is a valid object of that name.
@@ -214,7 +215,7 @@ class DomClient:
         if answer.success:
             self.heard(answer.object)
         elif answer.status.code not in NOT_VALID:
-            raise status_to_error(answer.status)
+            raise self._failure(self._get, answer)
         known = self._known.get(name)
         if known is None or known is asked:
             return bool(answer.success)
@@ -258,8 +259,11 @@ class DomClient:
     async def _ask(self, client: Client, request: object, what: str, size: int = 0) -> Any:
         answer = await self._call(client, request, what, size)
         if not answer.success:
-            raise status_to_error(answer.status)
+            raise self._failure(client, answer)
         return answer
+
+    def _failure(self, client: Client, answer: Any) -> ImError:
+        return doubted(self._node, status_to_error(answer.status), client.srv_name)
 
     async def _call(self, client: Client, request: object, what: str, size: int = 0) -> Any:
         """Calls a service, with a request of some size [bytes]."""

@@ -1,4 +1,10 @@
-"""Who is alive: follows the heartbeats of all tasks, and waits for answers only while the answerer lives."""
+"""Who is alive: follows the heartbeats of tasks, and waits for answers only while the answerer lives.
+
+Every participant of DDS can publish a heartbeat. A heartbeat of a task of the machine counts only if the agent of this
+process vouches for its incarnation (:attr:`im_core.ros.node.ManagedNode.lives`). The agent alone says whether the task
+starts. A made-up heartbeat can then only hide the silence of a task that is stopped. In a process that no agent has
+started every heartbeat counts.
+"""
 
 import socket
 from collections.abc import Callable
@@ -6,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
-from im_core.errors import DataError, LinkError, WaitTimeoutError
+from im_core.agent_socket import Life
+from im_core.errors import LinkError, WaitTimeoutError
 from im_core.procfs import stat_fields
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
@@ -21,7 +28,7 @@ CHECK_PERIOD_S = 0.25
 #: DDS takes a process that says nothing for so long [s] for gone, and drops what it owes it; as fastdds.xml says.
 LEASE_S = 20.0
 
-#: Tasks that are followed; a machine has a dozen.
+#: Tasks that are followed where no agent tells which there are.
 MOST_TASKS = 1000
 
 _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
@@ -32,10 +39,11 @@ class Heartbeat:
     """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s].
 
     ``pid`` is its process where that is one of this host, else 0; ``starting``: it has not passed all phases of its
-    start yet.
+    start yet. Of a task that was asked for and not heard yet ``incarnation`` is None, and the times are that of the
+    question.
     """
 
-    incarnation: int
+    incarnation: int | None
     since: float
     heard: float
     pid: int
@@ -58,6 +66,8 @@ class TaskWatch:
 class Heartbeats:
     """Follows ``/im/task_status``. However many wait, a silent task is looked for once, and only while somebody waits.
 
+    In a machine only its tasks are followed, and those that were asked for: names that somebody makes up are not kept.
+
     Neither counts the time in which this node came to hear nobody, for its loop was busy, nor that in which a task of
     this host waited for a processor.
 
@@ -67,7 +77,6 @@ class Heartbeats:
 
     def __init__(self, node: ManagedNode) -> None:
         self._node = node
-        self._born = clock.monotonic()
         self._host = socket.gethostname()
         self._last: dict[str, Heartbeat] = {}
         self._silences: dict[str, tuple[float, Silence]] = {}
@@ -81,18 +90,17 @@ class Heartbeats:
 
     def incarnation(self, task: str) -> int | None:
         """Incarnation of a task, None if it was never heard."""
-        last = self._last.get(task)
-        return last.incarnation if last else None
+        return self._followed(task).incarnation
 
     def heard_since(self, task: str) -> float | None:
         """When the present incarnation of a task was heard first (monotonic) [s], None if it was never heard."""
-        last = self._last.get(task)
-        return last.since if last else None
+        last = self._followed(task)
+        return None if last.incarnation is None else last.since
 
     def starting(self, task: str) -> bool:
         """Whether a task was heard last while it started: what it serves is there, and it cannot do it yet."""
-        last = self._last.get(task)
-        return last is not None and last.starting
+        life = self._vouched(task)
+        return self._followed(task).starting if life is None else life.starting
 
     def missing(self, task: str, since: int | None = None) -> str:
         """Why a task cannot answer, or an empty string.
@@ -101,20 +109,36 @@ class Heartbeats:
             task: Its name.
             since: Incarnation that was asked; another one does not know of it.
         """
-        last = self._last.get(task)
+        last = self._followed(task)
         if self._silence_s(task, last) > SILENCE_S:
-            ago = f"last heard {clock.monotonic() - last.heard:.1f} s ago" if last else "never heard"
+            never = last.incarnation is None
+            ago = "never heard" if never else f"last heard {clock.monotonic() - last.heard:.1f} s ago"
             return f"{task} is missing ({ago})"
-        if since is not None and last is not None and last.incarnation != since:
+        if since is not None and last.incarnation != since:
             return f"{task} is missing (it died and was started again meanwhile)"
         return ""
 
-    def _silence_s(self, task: str, last: Heartbeat | None) -> float:
-        heard, pid = (last.heard, last.pid) if last else (self._born, 0)
+    def _followed(self, task: str) -> Heartbeat:
+        """The last heartbeat of a task, which is followed from now on."""
+        last = self._last.get(task)
+        if last is None:
+            now = clock.monotonic()
+            last = self._last[task] = Heartbeat(None, since=now, heard=now, pid=0, starting=False)
+        return last
+
+    def _vouched(self, task: str) -> Life | None:
+        """What the agent tells of a task; None if it is none of the machine, or nobody tells."""
+        return None if self._node.lives is None else self._node.lives.get(task)
+
+    def _room(self) -> bool:
+        """Whether a task is followed that nobody has asked for, and that no agent tells of."""
+        return self._node.lives is None and len(self._last) < MOST_TASKS
+
+    def _silence_s(self, task: str, last: Heartbeat) -> float:
         known = self._silences.get(task)
-        if known is None or known[0] != heard:
-            so_far = 0.0 if stat_fields(pid) else clock.monotonic() - heard
-            known = self._silences[task] = heard, Silence(pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
+        if known is None or known[0] != last.heard:
+            so_far = 0.0 if stat_fields(last.pid) else clock.monotonic() - last.heard
+            known = self._silences[task] = last.heard, Silence(last.pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
         return known[1].look()
 
     def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
@@ -176,19 +200,19 @@ class Heartbeats:
         raise WaitTimeoutError(what=what, seconds=timeout_s)
 
     def _hear(self, message: TaskStatus) -> None:
-        known, now = self._last.get(message.name), clock.monotonic()
-        if known is not None and known.incarnation == message.incarnation:
-            self._last[message.name] = replace(known, heard=now, starting=message.phase in _STARTING)
+        life = self._vouched(message.name)
+        if life is not None and message.incarnation != (life.incarnation or None):
+            return  # of a former life, of one that the agent will tell of, or made up
+        if life is None and message.name not in self._last and not self._room():
             return
-        if known is None and len(self._last) >= MOST_TASKS:
-            self._last = {name: last for name, last in self._last.items() if now - last.heard <= SILENCE_S}
-            self._silences.clear()
-            if len(self._last) >= MOST_TASKS:
-                raise DataError(f"task {message.name[:100]} is not followed: {MOST_TASKS} others are")
-        pid = message.pid if message.host == self._host else 0
+        known, now = self._followed(message.name), clock.monotonic()
         starting = message.phase in _STARTING
+        if known.incarnation == message.incarnation:
+            self._last[message.name] = replace(known, heard=now, starting=starting)
+            return
+        pid = life.pid if life is not None else message.pid if message.host == self._host else 0
         self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
-        if known is not None:
+        if known.incarnation is not None:
             self._tell(message.name)
             for returned in self._returned:
                 returned(message.name)

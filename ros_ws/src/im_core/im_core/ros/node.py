@@ -13,9 +13,9 @@ from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
-from std_msgs.msg import UInt8
 
 from im_core import clock
+from im_core.agent_socket import AgentSocket, Life, Order, Report
 from im_core.arrivals import member
 from im_core.errors import ImError
 from im_core.process import dismiss_prepared
@@ -24,7 +24,7 @@ from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
 from im_core.ros.failures import sentence
 from im_core.ros.guard import INTERNAL, GuardedNode
 from im_core.ros.parameters import DeclaredParameters
-from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
+from im_core.startup import STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
 #: A task says often where it is until it is ready: who came late to listen shall not hold up the start [s].
@@ -46,16 +46,19 @@ _READY = int(TaskStatus.READY)
 class ManagedNode(GuardedNode):
     """A task of the machine (paper, section 3): loaded, configured and started in step with all others.
 
-    The bootstrap announces the phases LOAD, CONFIGURE, START and SHUTDOWN on ``/im/phase``; the node follows,
-    and tells where it is on ``/im/task_status``. With the parameter ``standalone:=true`` it passes through
-    the phases alone; with ``introspection:=metadata`` or ``contents`` all its services publish what they are asked
-    and answer on ``<service>/_service_event``, and with ``contents`` its actions goals, results and cancellations.
+    The agent that started the process orders the phases LOAD, CONFIGURE and START through a socket
+    (:mod:`im_core.agent_socket`); the node follows, and reports there how far it is. On ``/im/task_status`` it gives
+    signs of life to the other nodes. With the parameter ``standalone:=true`` it passes through the phases alone; with
+    ``introspection:=metadata`` or ``contents`` all its services publish what they are asked and answer on
+    ``<service>/_service_event``, and with ``contents`` its actions goals, results and cancellations.
     Subclasses override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
 
     Attributes:
         declared: Declares parameters; with a wrong one the node fails to be configured.
         detail: What is told of the task with the phases that it has passed.
         introspection: What its services publish of what they are asked and answer.
+        nets: The digests of the nets that the node runs, by name; see :func:`im_core.startup.net_digest`.
+        lives: The present life of each task of the machine, as the agent tells; None where no agent has started this.
     """
 
     introspection = ServiceIntrospectionState.OFF
@@ -84,8 +87,9 @@ class ManagedNode(GuardedNode):
         self._alone = self.declared.declare("standalone", False, alone)
         if self._alone:
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
-        else:
-            self.create_subscription(UInt8, PHASE_TOPIC, self._hear_phase, qos.LATCHED)
+        self.nets: dict[str, str] = {}
+        self.lives: dict[str, Life] | None = None
+        self._agent: AgentSocket | None = None
         self._publish_status()
 
     def create_service(
@@ -132,6 +136,20 @@ class ManagedNode(GuardedNode):
         """Report that this task cannot go on."""
         self._set_phase(TaskStatus.FAILED, error.message)
         self.get_logger().error(error.message)
+
+    def serve(self, agent: AgentSocket) -> None:
+        """Report to the agent that has started this process from now on; before the node is spun."""
+        self._agent, self.lives = agent, {}
+        self._publish_status()
+
+    def obey(self, order: Order) -> None:
+        """Follow an order of the agent; in the loop.
+
+        Raises:
+            DataError: There is no such phase.
+        """
+        self.lives = order.lives
+        self._follow(member(StartupPhase, order.phase, "the phase that the agent orders"))
 
     def promise(self) -> Promise:
         """A future for coroutines of this node that any thread may complete."""
@@ -183,14 +201,7 @@ class ManagedNode(GuardedNode):
     def _broken(self, error: Exception) -> None:
         self.note_failure("coroutine", error)
 
-    def _hear_phase(self, message: UInt8) -> None:
-        self._follow(member(StartupPhase, message.data, f"on {PHASE_TOPIC} phase"))
-
     def _follow(self, target: StartupPhase) -> None:
-        if target == StartupPhase.SHUTDOWN:
-            self.shut_down_once()
-            rclpy.try_shutdown()
-            return
         if target >= StartupPhase.CONFIGURE and self._phase == TaskStatus.LOADED:
             self._run_phase(self._configure, TaskStatus.CONFIGURED)
         if target >= StartupPhase.START and self._phase == TaskStatus.CONFIGURED:
@@ -243,3 +254,5 @@ class ManagedNode(GuardedNode):
         message.stamp.sec = int(seconds)
         message.stamp.nanosec = int((seconds % 1.0) * 1e9)
         self._status_publisher.publish(message)
+        if self._agent is not None:
+            self._agent.report(Report(self.task_name, self.incarnation, self._phase, self._detail, self.nets))

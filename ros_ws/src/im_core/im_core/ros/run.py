@@ -22,6 +22,7 @@ from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
+from im_core.agent_socket import AgentSocket, Order
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
@@ -223,6 +224,7 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
         Exit code, as of :func:`main`.
     """
     scheduling.keep_off()
+    agent = AgentSocket.inherited()
     rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
     try:
         with shared_readers():
@@ -233,6 +235,7 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
         return 1
     spinner = Spinner(nodes)
     heed_end_signals(lambda *_: spinner.request_stop())
+    _serve(agent, [node for node in nodes if isinstance(node, ManagedNode)])
     watch = _watch(spinner, Pulse.inherited())
     try:
         spinner.spin()
@@ -245,6 +248,27 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
         spinner.stop()
         rclpy.try_shutdown()
     return 0
+
+
+def _serve(agent: AgentSocket | None, nodes: Sequence[ManagedNode]) -> None:
+    """Have the nodes follow the orders of the agent that started this process, if there is one."""
+    if agent is None:
+        for node in nodes:
+            if not node.get_parameter("standalone").value:
+                node.get_logger().warning("no agent has started this process, and it waits for one: standalone:=true")
+        return
+
+    async def obey(node: ManagedNode, order: Order) -> None:
+        node.obey(order)
+
+    def listen() -> None:
+        for order in agent.orders():
+            for node in nodes:
+                node.spawn(obey(node, order))
+
+    for node in nodes:
+        node.serve(agent)
+    threading.Thread(target=listen, name="orders", daemon=True).start()
 
 
 def _watch(spinner: Spinner, pulse: Pulse | None) -> LoopWatch | None:

@@ -29,4 +29,5 @@ def status_to_error(status: Status) -> ImError:
             facts[fact.key] = json.loads(fact.value)
         except (ValueError, RecursionError):
             facts[fact.key] = fact.value
-    return ImError.restored(status.code or "error", status.message, facts)
+    code = status.code or ImError.default_code
+    return ImError.restored(code, status.message or f"it failed ({code}), and no reason was given", facts)

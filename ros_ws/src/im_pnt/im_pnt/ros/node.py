@@ -21,7 +21,7 @@ from im_core.ros.coroutines import calling
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
-from im_core.startup import nets_sentence
+from im_core.startup import net_digest, nets_sentence
 from im_msgs.msg import ObjectChange
 from im_pnt.distributed.exchange import Exchange
 from im_pnt.distributed.packets import began_at, new_epoch
@@ -40,6 +40,7 @@ from im_pnt.mission.log import MissionLog
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.groups import require_one_reader
 from im_pnt.model.net import Net
+from im_pnt.netfile import yaml_text
 from im_pnt.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 from im_pnt.ros.commands.control import ControlService
 from im_pnt.ros.commands.execute import ExecuteServer, RunCommand
@@ -187,6 +188,7 @@ class PntNode(ManagedNode):
             self._take_in(net, self._library.verify([net]))
         self._prepare_partners()
         self.detail = nets_sentence(self.exchange.nets)
+        self.nets = {name: net_digest(yaml_text(each.written)) for name, each in self.exchange.nets.items()}
         stopped = bool(self._journal_dir) and (Path(self._journal_dir).parent / ESTOP).exists()
         held = None if self._journal is None or self._journal.of_this_run else stopped or not os.environ.get(RESUMES)
         goes_on = self._journal is not None and self._journal.start(self.exchange, self._transport.link, held)

@@ -1,11 +1,12 @@
 """The node as functions of its nets see it; what they learn from outside is noted, so that they can be run again."""
 
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from rclpy.client import Client
 
 from im_core.ros.calls import ask_again, pause, run_in_thread
+from im_core.ros.servers import reason
 from im_pnt.execution.executor import Executor
 from im_pnt.mission.host import HostObjects
 from im_pnt.model.net import Net
@@ -54,9 +55,13 @@ class NodeHost:
         if service not in self._clients:
             self.prepare(service_type, service)
 
-        def ask() -> Coroutine[object, object, Any]:
-            answer = self._clients[service].call_async(request)
-            return self._node.heartbeats.wait(answer, task, AGAIN_S, what)
+        async def ask() -> Any:
+            future = self._clients[service].call_async(request)
+            answer = await self._node.heartbeats.wait(future, task, AGAIN_S, what)
+            if getattr(answer, "success", True) is False:
+                told = answer.status if hasattr(answer, "status") else answer
+                told.message = reason(self._node, told.message, service)
+            return answer
 
         self._log.sent(["ask", service], packed_message(request))
         return await self._log.read(["ask", service], ask_again(ask, ANSWER_S, what), packed_message)

@@ -14,6 +14,7 @@ from im_core.ros.calls import pause, wait
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.interfaces import interface_class
 from im_core.ros.node import ManagedNode
+from im_core.ros.servers import doubted
 from im_core.ros.status import status_to_error
 from im_core.startup import patience_s
 from im_pnt.errors import NetError
@@ -160,6 +161,22 @@ class Surroundings:
         first = action.name.strip("/").partition("/")[0]
         return first if self.heartbeats.incarnation(first) is not None else None
 
+    def require_known_server(self, action: ServiceAction | GoalAction, check: Callable[[], object]) -> None:
+        """Name the servers where an action has failed, and a stranger may have answered; else nothing is raised.
+
+        Args:
+            action: The action.
+            check: Raises the failure that the answer tells of.
+
+        Raises:
+            ImError: The failure, with all nodes that serve the name.
+        """
+        try:
+            check()
+        except ImError as error:
+            if (told := doubted(self.node, error, action.name)) is not error:
+                raise told from error
+
     async def sent(
         self, activity: Activity, action: ServiceAction | GoalAction | TopicAction, context: ActionContext, message: Any
     ) -> Any:
@@ -215,7 +232,9 @@ class ServiceActions:
             require_wanted(activity)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
             waited = f"an answer of {action.name} ({what})"
-            return await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+            answer = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+            around.require_known_server(action, lambda: require_success(answer, str(action)))
+            return answer
 
         response = await around.log.read(answer_key(activity), call(), packed_message)
         require_success(response, str(action))

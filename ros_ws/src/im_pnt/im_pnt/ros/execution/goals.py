@@ -19,6 +19,7 @@ from im_core.errors import ImError, LinkError, StateError
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.interfaces import interface_class
+from im_core.ros.servers import doubted
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
@@ -108,9 +109,11 @@ class GoalActions:
             if answer.status == GoalStatus.STATUS_UNKNOWN:
                 server = task or "its server"
                 if not handle.accepted:
-                    raise StateError(f"{action} was rejected by {server}", action=action.name)
+                    rejected = StateError(f"{action} was rejected by {server}", action=action.name)
+                    raise doubted(around.node, rejected, action.name)
                 forgot = "it was started again meanwhile, or nobody has asked for the result for too long"
                 raise LinkError(f"{server} does not know {action} any more: {forgot}", task=task, action=action.name)
+            around.require_known_server(action, lambda: result_of(action, answer.status, answer.result))
             return answer
 
         answer = await around.log.read(answer_key(activity), reach(), packed_result)

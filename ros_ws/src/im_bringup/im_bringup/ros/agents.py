@@ -1,0 +1,73 @@
+"""The agents of other hosts, as the bootstrap sees them: signed orders to each, and the reports of their tasks."""
+
+import json
+from collections.abc import Collection
+from dataclasses import asdict
+from functools import partial
+
+from rclpy.duration import Duration
+from std_msgs.msg import String
+
+from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.tasks.signed_link import HostOrder, HostReports, SignedLink, orders_topic, reports_topic
+from im_core import clock
+from im_core.arrivals import read_json
+from im_core.ros import qos
+from im_core.ros.guard import GuardedNode
+from im_core.startup import start_timeout_s
+
+ACKNOWLEDGED_S = 2.0
+
+
+class RemoteAgents:
+    """Tells the agents of other hosts what to do, and takes what they report.
+
+    An agent asks by reporting; the answer names the life of the agent that asked.
+
+    Args:
+        node: The bootstrap's.
+        bootstrap: Decides what is to be done.
+        hosts: The other hosts.
+        options: What the start was given.
+        secret: What the hosts share.
+    """
+
+    def __init__(
+        self, node: GuardedNode, bootstrap: Bootstrap, hosts: Collection[str], options: str, secret: bytes
+    ) -> None:
+        self._bootstrap, self._options = bootstrap, options
+        self._links = {host: SignedLink(secret, host) for host in hosts}
+        self._sent = dict.fromkeys(hosts, "")
+        self._publishers = {host: node.create_publisher(String, orders_topic(host), qos.EVENTS) for host in hosts}
+        for host in hosts:
+            node.create_subscription(String, reports_topic(host), partial(self._hear, host), qos.EVENTS)
+
+    def order(self) -> None:
+        """Tell each agent what is new."""
+        for host, link in self._links.items():
+            if link.peer and self._content(host) != self._sent[host]:
+                self._send(host, link.peer)
+
+    def acknowledged(self) -> bool:
+        """Wait until all agents have got what was sent to them, at most :data:`ACKNOWLEDGED_S`; whether they have."""
+        deadline = clock.monotonic() + ACKNOWLEDGED_S
+        return all(
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - clock.monotonic())))
+            for publisher in self._publishers.values()
+        )
+
+    def _content(self, host: str) -> str:
+        return json.dumps(asdict(HostOrder(self._bootstrap.order(host), start_timeout_s(), self._options)))
+
+    def _send(self, host: str, receiver: str) -> None:
+        self._sent[host] = content = self._content(host)
+        signed = self._links[host].sign(orders_topic(host), content, receiver)
+        self._publishers[host].publish(String(data=signed))
+
+    def _hear(self, host: str, message: String) -> None:
+        topic = reports_topic(host)
+        opened = self._links[host].open(topic, message.data)
+        if opened.content is not None:
+            for report, pid in read_json(HostReports, opened.content, topic):
+                self._bootstrap.reported(report, pid, host, clock.monotonic())
+        self._send(host, opened.sender)

@@ -1,0 +1,64 @@
+"""Names that two nodes serve, one of them a node of the machine: which of them answers is chance."""
+
+from collections.abc import Collection
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros.failures import few
+from im_core.ros.guard import GuardedNode
+from im_core.ros.heartbeats import LEASE_S
+from im_core.ros.servers import servers_of
+
+#: How often the graph is looked at [s].
+LOOK_S = 5.0
+#: Two nodes of one name may be one that was killed and the one in its place, for as long as the lease and a look [s].
+_SUCCESSION_S = LEASE_S + 2.0 * LOOK_S
+
+
+class SharedNames:
+    """Looks for services and actions of the machine that a second node serves; tells of them on ``/diagnostics``.
+
+    Args:
+        node: The bootstrap's.
+        nodes: Full names of the nodes of the machine.
+    """
+
+    def __init__(self, node: GuardedNode, nodes: Collection[str]) -> None:
+        self._node, self._nodes = node, frozenset(nodes)
+        self._since: dict[str, float] = {}
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos.STATUS)
+        #: One sentence for each node of the machine that does not serve alone, by its name.
+        self.sentences: dict[str, str] = {}
+
+    def look(self) -> bool:
+        """Look at the graph; whether anything changed."""
+        doubled = {name: servers_of(self._node, name) for name, _ in self._node.get_service_names_and_types()
+                   if self._node.count_services(name) > 1}  # fmt: skip
+        now = clock.monotonic()
+        self._since = {name: self._since.get(name, now) for name in doubled}
+        by_servers: dict[tuple[str, ...], list[str]] = {}
+        for name, servers in sorted(doubled.items()):
+            if len(set(servers)) > 1 or now - self._since[name] > _SUCCESSION_S:
+                by_servers.setdefault(tuple(servers), []).append(name)
+        sentences = {
+            server: f"{len(servers)} nodes serve {few(served)}: {few(servers)}; which of them answers is chance"
+            for servers, served in by_servers.items()
+            for server in servers
+            if server in self._nodes
+        }
+        changed, self.sentences = sentences != self.sentences, sentences
+        if sentences or changed:
+            self._tell(sentences)
+        return changed
+
+    def _tell(self, sentences: dict[str, str]) -> None:
+        level = DiagnosticStatus.WARN if sentences else DiagnosticStatus.OK
+        words = " / ".join(sentences.values()) or "each name is served once"
+        name = self._node.get_name()
+        status = DiagnosticStatus(level=level, name=f"{name}: served names", hardware_id=name, message=words)
+        message = DiagnosticArray(status=[status])
+        seconds = clock.wall()
+        message.header.stamp.sec, message.header.stamp.nanosec = int(seconds), int(seconds % 1.0 * 1e9)
+        self._publisher.publish(message)

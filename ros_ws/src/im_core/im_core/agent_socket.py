@@ -1,0 +1,134 @@
+"""Orders of an agent and reports of its tasks, through a socket that nobody else has an end of.
+
+The agent makes a pair of sockets for each process that it starts, and the process inherits one of them. Other users of
+the host and participants of DDS reach neither.
+"""
+
+import json
+import os
+import socket
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from typing import Self
+
+from im_core.arrivals import read_json
+
+#: The environment variable that tells a process the file descriptor of its end.
+VARIABLE = "IM_AGENT_SOCKET"
+
+_LARGEST = 1 << 18
+_LONGEST_DETAIL = 10_000
+
+
+@dataclass(frozen=True)
+class Life:
+    """What an agent tells of the present life of a task.
+
+    Attributes:
+        incarnation: Number that the task drew when it started; 0: none is known yet.
+        pid: Its process, where that is of the same host as the agent; else 0.
+        starting: Whether the task has told that it is loaded or configured, and not yet that it is ready.
+    """
+
+    incarnation: int
+    pid: int
+    starting: bool
+
+
+@dataclass(frozen=True)
+class Order:
+    """What an agent tells its processes.
+
+    Attributes:
+        phase: The last phase of the start-up that all tasks may enter, of :class:`im_core.startup.StartupPhase`.
+        lives: The lives of all tasks of the machine, by name.
+    """
+
+    phase: int
+    lives: dict[str, Life]
+
+    def text(self) -> str:
+        """The order as JSON; see :meth:`AgentSocket.orders`."""
+        return _json(self)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a task tells its agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of its nets by name."""
+
+    task: str
+    incarnation: int
+    phase: int
+    detail: str
+    nets: dict[str, str] = field(default_factory=dict)
+
+
+class AgentSocket:
+    """One end of the socket between an agent and a process.
+
+    Args:
+        end: The end.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+
+    @classmethod
+    def pair(cls) -> tuple[Self, int]:
+        """Make a new socket: the agent's end, and the file descriptor of the other, for a child."""
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        return cls(ours), theirs.detach()
+
+    @classmethod
+    def inherited(cls) -> Self | None:
+        """The end that an agent has given to this process, None if there is none; children of this one get none."""
+        descriptor = os.environ.pop(VARIABLE, "")
+        if not descriptor:
+            return None
+        return cls.of(int(descriptor))
+
+    @classmethod
+    def of(cls, descriptor: int) -> Self:
+        """The end of a file descriptor, which is its own from now on."""
+        os.set_inheritable(descriptor, False)
+        return cls(socket.socket(fileno=descriptor))
+
+    def close(self) -> None:
+        """Close this end."""
+        self._end.close()
+
+    def send(self, text: str) -> bool:
+        """Send a message if there is room for it now; whether there was. Nothing is waited for."""
+        try:
+            self._end.send(text.encode(), socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+        except OSError:  # the other process is stopped, and its queue full; or it has ended
+            return False
+        return True
+
+    def report(self, report: Report) -> None:
+        """Send a report to the agent. One for which there is no room is dropped: the next sign of life repeats it."""
+        self.send(_json(replace(report, detail=report.detail[:_LONGEST_DETAIL])))
+
+    def reports(self) -> Iterator[Report]:
+        """Take the reports that have come; nothing is waited for.
+
+        Raises:
+            DataError: One is none.
+        """
+        while True:
+            try:
+                told = self._end.recv(_LARGEST, socket.MSG_DONTWAIT)
+            except OSError:  # nothing more has come, or the process has ended
+                return
+            if not told:
+                return
+            yield read_json(Report, told.decode(), "the report of a task")
+
+    def orders(self) -> Iterator[Order]:
+        """Wait for each order of the agent, until the agent has ended; for a thread of its own."""
+        while told := self._end.recv(_LARGEST):
+            yield read_json(Order, told.decode(), "the order of an agent")
+
+
+def _json(value: Order | Report) -> str:
+    return json.dumps(asdict(value))

@@ -1,0 +1,46 @@
+"""Nodes that serve a service or an action: where two serve one name, either of them may answer, or both."""
+
+from rclpy.node import Node
+
+from im_core.errors import ImError
+from im_core.ros.failures import few
+
+#: How DDS names the topic of requests; of an action it is that of its goals.
+_REQUESTS = ("rq{}Request", "rq{}/_action/send_goalRequest")
+
+
+def servers_of(node: Node, name: str) -> list[str]:
+    """Find the nodes that serve a name, as the graph of ROS knows them now.
+
+    Args:
+        node: Whose view of the graph is asked.
+        name: Full name of a service or of an action.
+
+    Returns:
+        Full names of nodes, sorted; a name is there twice where two nodes have it, or one node serves twice.
+    """
+    ends = [end for topic in _REQUESTS for end in node.get_subscriptions_info_by_topic(topic.format(name), True)]
+    return sorted(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends)
+
+
+def doubt(node: Node, name: str) -> str:
+    """Say that a stranger may have answered: a clause, empty where the servers of a name are of one node name.
+
+    A node that was killed stays in the graph for the lease of DDS, beside the one that was started in its place.
+    """
+    servers = servers_of(node, name)
+    if len(set(servers)) < 2:
+        return ""
+    return f"who answered is unknown: {len(servers)} nodes serve {name}: {few(servers)}"
+
+
+def reason(node: Node, words: str, name: str) -> str:
+    """Complete the reason that a server gave for a failure: it is never empty, and says who may have answered."""
+    parts = (words or f"whoever serves {name} gave no reason", doubt(node, name))
+    return "; ".join(part for part in parts if part)
+
+
+def doubted(node: Node, error: ImError, name: str) -> ImError:
+    """The error that an answer of a server told of, with who may have answered."""
+    clause = doubt(node, name)
+    return ImError.restored(error.code, f"{error.message}; {clause}", error.facts) if clause else error
