@@ -24,7 +24,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.action import Move
 from im_msgs.msg import Marking
-from im_msgs.srv import ControlCommand, ControlNet
+from im_msgs.srv import ControlCommand, ControlNet, ListCommands
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import Answer, Answered, ModeSet, Outcome, PauseSet
 from im_pnt.execution.functions import idempotent, woken_by
@@ -94,6 +94,7 @@ class Server(PntNode):
     def phase_start(self) -> None:
         super().phase_start()
         if self.task_name == "front":
+            self.offer_commands()
             self.create_service(Trigger, "/front/serve", self._serve)
             self.create_service(Trigger, "/front/attach", self._attach)
 
@@ -251,6 +252,30 @@ def test_everything_may_die_at_once(machine):
     assert answer.success, answer.message
     assert machine.begun() == ["never", "never"]
     machine.until(lambda: not noted(machine.folder), "the command to be noted no more")
+
+
+def test_after_an_emergency_stop_a_command_that_comes_back_waits_until_it_is_resumed(machine):
+    machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.until(lambda: noted(machine.folder), "the note of the command")
+    (machine.folder / "estop").write_text("request on /mcs/estop")
+    machine.restart("front")
+    asking = machine.arm.create_client(ListCommands, "/front/list_commands")
+    control = machine.arm.create_client(ControlCommand, "/front/control_command")
+
+    def state():
+        with contextlib.suppress(WaitTimeoutError):  # the answer of a node that has just begun may be lost
+            told = call_blocking(asking, ListCommands.Request(), 4.0, "the list").commands
+            return [(each.command_id, each.state) for each in told]
+
+    machine.until(lambda: state() == [(1, "paused")], "the command to come back paused")
+    machine.allow("thought")
+    machine.allow("moved")
+    clock.sleep(2.0)
+    assert state() == [(1, "paused")]
+    resumed = call_blocking(control, ControlCommand.Request(command_id=1, request="resume"), 20.0, "the resumption")
+    assert resumed.success, resumed.message
+    assert machine.attach().success
 
 
 def behead(machine, name):
