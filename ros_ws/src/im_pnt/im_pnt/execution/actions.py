@@ -122,8 +122,10 @@ class Actions:
         if timeout is not None:
             activity.deadline = activity.began + timeout
         job = activity.lineage.job
-        if job is not None and job.unwanted and job.last_failure is not None:
-            self.cancel(activity, job.last_failure)
+        if job is not None and job.unwanted and (why := job.last_failure) is not None:
+            self.cancel(activity, why)
+            self.finish(activity, why, {})
+            return
         context, function = self._context(activity), self.functions.get(index)
         if function is None:
             self._rule.notifier.flush()

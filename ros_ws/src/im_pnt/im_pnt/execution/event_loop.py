@@ -294,6 +294,8 @@ class EventLoop:
                 self.actions.cancel(activity, error)
         for job in jobs:
             self.conflicts.wake_job(job)
+        if self.rule.held:  # what is to end is held no more
+            self.conflicts.wake("")
 
     def _ended(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
         rule, data = self.rule, None

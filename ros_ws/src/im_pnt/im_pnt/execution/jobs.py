@@ -206,7 +206,8 @@ class Job:
         last_failure: The last failure of an action done for it.
         progress: Progress 0..1, negative where unknown.
         cancelled: Whether it should come to an end early.
-        unwanted: Whether that was so before it was accepted: then its first action is to end as soon as it begins.
+        unwanted: Whether that was so before it was accepted, or while it was paused: nothing ran that could be called
+            off, so the next action fails and is not begun, unless one fails before.
         closed: Whether it has ended.
         number: Counts the jobs of its net from 1; 0 before the net has taken it.
         from_tape: Whether it came over the input tape: a command, or a request of another net that is one.

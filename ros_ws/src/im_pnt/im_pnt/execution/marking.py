@@ -141,6 +141,7 @@ class Enabling:
                     found.append(rival)  # noqa: PERF401 - a comprehension is a call more
         return list(dict.fromkeys(found)) if len(contended) > 1 else found
 
+
 _NOBODY: tuple[Job | None, ...] = (None,)
 
 

@@ -380,7 +380,6 @@ class PntNode(ManagedNode):
     def cancel(self, command_id: int, why: str = "cancelled by its client") -> None:
         """Asks a command to end early, also one that is paused; the nets decide how."""
         error = ImError(why, code="cancelled", command_id=command_id)
-        self.hold(command_id, False)
         for executor in self.exchange.nets.values():
             executor.post(CommandCancelled(command_id, error))
 
@@ -580,6 +579,10 @@ class PntNode(ManagedNode):
             self._journal.write()
 
     def _command_ended(self) -> None:
+        under_way = {command.job.command.id for command in self.commands.open()}
+        for executor in self.exchange.nets.values():
+            for number in [each for each in executor.rule.held if each > 0 and each not in under_way]:
+                executor.post(CommandHeld(number, False))  # one that was ended while it was paused
         self._scopes.tidy()
         self._notes.changed()
 

@@ -293,8 +293,8 @@ class FiringRule:
                 self.close(job, error)
             else:
                 self.pass_on(job, Tiding.CANCELLED, error)
+                job.unwanted = self._awaits_acceptance(job) or self.is_held(job)
                 job.cancelled = True
-                job.unwanted = self._awaits_acceptance(job)
                 job.last_failure = error
 
     def emit(self, transition: Transition, lineage: Lineage) -> None:
@@ -499,8 +499,6 @@ class FiringRule:
             self.record(PhaseFired(activity.number, name, error))
         self._leave_phase(activity)
         activity.state = state
-        if activity.lineage.job is not None:
-            activity.lineage.job.unwanted = False
         self.enabling.add_tokens(self._phases[activity.transition].places[state], 1)
         if state is ActivityState.IN_DOUBT:
             activity.doubt, activity.doubted = error, self.clock()
@@ -556,6 +554,8 @@ class FiringRule:
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
         failure = None if error is None else self._passed_on(activity, index, error)
+        if job is not None and error is not None:
+            job.unwanted = False
         if job is not None and failure is not None and not self._has_another_try(activity, index):
             job.last_failure = failure
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
