@@ -142,7 +142,7 @@ def test_in_another_run_nothing_begins_until_it_is_resumed_also_after_a_further_
 
 @pytest.mark.parametrize("steps", STEPS)
 def test_what_is_ended_while_it_is_paused_begins_nothing_more_of_its_work(steps):
-    """Its nets do not look whether they are cancelled: no action runs that could be called off, so the next one fails."""
+    """Its nets do not look for a cancellation: no action runs to be called off, so the next one fails."""
     machine = die_after(steps)
     done = list(machine.begun)
     machine.start("two")
