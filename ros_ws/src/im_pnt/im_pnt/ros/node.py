@@ -144,7 +144,7 @@ class PntNode(ManagedNode):
         )
         self._scopes = CommandScopes(self, self.dom, self.commands.scopes)
         run_folder = Path(self._journal_dir).parent if self._journal_dir else None
-        self._notes = CommandNotes(self, run_folder, self.commands.numbered)
+        self._notes = CommandNotes(self, run_folder, self.commands.noted)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(self, self._library, self.exchange.nets, self._publisher)
         around = Surroundings(self, self.functions, self.heartbeats, self.log, self._keep)
