@@ -4,7 +4,7 @@ import pytest
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 
-from im_core.agent_socket import Order
+from im_core.agent_socket import AgentOrder
 from im_core.ros.node import ManagedNode
 from im_core.startup import StartupPhase
 
@@ -92,7 +92,7 @@ def test_a_wrong_value_fails_the_node_with_a_sentence(ros, wait_until, given, se
 
 def test_what_a_deployment_gives_and_the_node_does_not_have_is_refused(ros, wait_until):
     node = Oven(standalone=False, haet=1.0)
-    node.alarms.after(0.0, lambda: node.obey(Order(int(StartupPhase.CONFIGURE), {})))
+    node.alarms.after(0.0, lambda: node.obey(AgentOrder(int(StartupPhase.CONFIGURE), {})))
     ros(node)
     wait_until(lambda: node.failed, "the node to refuse")
     assert node.failed.startswith("there is no parameter of /oven 'haet'; did you mean 'heat'? (known: fan, heat, ")

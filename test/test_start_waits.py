@@ -14,7 +14,7 @@ from im_bringup.ros import agent
 from im_bringup.tasks.deployment import options_text
 from im_bringup.tasks.signed_link import HostOrder, SignedLink, orders_topic, reports_topic
 from im_cell.robot import load_cell
-from im_core.agent_socket import Order
+from im_core.agent_socket import AgentOrder
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import qos
 from im_core.startup import START_TIMEOUT, UNPROVED, StartupPhase, patience_s
@@ -93,7 +93,7 @@ def test_the_agent_of_another_host_does_what_the_bootstrap_has_signed_and_nothin
     told = start.deployments.load(small_deployment).with_values(0.0, 7, None, unproved=True)
 
     def order(phase, options, by=link):
-        content = json.dumps(asdict(HostOrder(Order(int(phase), {}), 240.0, options)))
+        content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 240.0, options)))
         life = link.open(reports_topic("far"), asked[-1]).sender
         sent.append(by.sign(orders_topic("far"), content, life))
         orders.publish(String(data=sent[-1]))

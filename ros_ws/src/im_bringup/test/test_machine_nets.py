@@ -9,7 +9,7 @@ from im_bringup.machine import record as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.registry import Progress
 from im_core import clock
-from im_core.agent_socket import Report
+from im_core.agent_socket import TaskReport
 from im_core.errors import DataError
 from im_core.process import ChildProcess
 from im_core.startup import StartupPhase, net_digest, nets_sentence, nets_told
@@ -36,7 +36,7 @@ def machine_of(tmp_path, prover, *, unproved=False):
             detail = nets_sentence({"one": ["a", "b"], "two": ["c"]}.get(name, []))
             configured = progress is Progress.CONFIGURED
             digests = {net: net_digest(f"net: {net}") for net in nets_told(detail)} if configured else {}
-            value.reported(Report(name, 1, progress, detail if configured else "", digests), 7, "localhost", 0.0)
+            value.reported(TaskReport(name, 1, progress, detail if configured else "", digests), 7, "localhost", 0.0)
         value.poll(0.0)
     return value, nets
 

@@ -21,7 +21,7 @@ _LONGEST_DETAIL = 10_000
 
 
 @dataclass(frozen=True)
-class Life:
+class TaskLife:
     """What an agent tells of the present life of a task.
 
     Attributes:
@@ -36,7 +36,7 @@ class Life:
 
 
 @dataclass(frozen=True)
-class Order:
+class AgentOrder:
     """What an agent tells its processes.
 
     Attributes:
@@ -45,7 +45,7 @@ class Order:
     """
 
     phase: int
-    lives: dict[str, Life]
+    lives: dict[str, TaskLife]
 
     def text(self) -> str:
         """The order as JSON; see :meth:`AgentSocket.orders`."""
@@ -53,7 +53,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Report:
+class TaskReport:
     """What a task tells its agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of its nets by name."""
 
     task: str
@@ -105,11 +105,11 @@ class AgentSocket:
             return False
         return True
 
-    def report(self, report: Report) -> None:
+    def report(self, report: TaskReport) -> None:
         """Send a report to the agent. One for which there is no room is dropped: the next sign of life repeats it."""
         self.send(_json(replace(report, detail=report.detail[:_LONGEST_DETAIL])))
 
-    def reports(self) -> Iterator[Report]:
+    def reports(self) -> Iterator[TaskReport]:
         """Take the reports that have come; nothing is waited for.
 
         Raises:
@@ -122,13 +122,13 @@ class AgentSocket:
                 return
             if not told:
                 return
-            yield read_json(Report, told.decode(), "the report of a task")
+            yield read_json(TaskReport, told.decode(), "the report of a task")
 
-    def orders(self) -> Iterator[Order]:
+    def orders(self) -> Iterator[AgentOrder]:
         """Wait for each order of the agent, until the agent has ended; for a thread of its own."""
         while told := self._end.recv(_LARGEST):
-            yield read_json(Order, told.decode(), "the order of an agent")
+            yield read_json(AgentOrder, told.decode(), "the order of an agent")
 
 
-def _json(value: Order | Report) -> str:
+def _json(value: AgentOrder | TaskReport) -> str:
     return json.dumps(asdict(value))

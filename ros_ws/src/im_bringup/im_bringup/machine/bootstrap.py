@@ -12,7 +12,7 @@ from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
-from im_core.agent_socket import Order, Report
+from im_core.agent_socket import AgentOrder, TaskReport
 from im_core.arrivals import member
 from im_core.errors import NotFoundError
 from im_core.silence import Silence
@@ -143,7 +143,7 @@ class Bootstrap:
             if progress is Progress.FAILED:
                 self._agent.replace(name, pid, detail, now)
 
-    def reported(self, report: Report, pid: int, host: str, now: float) -> None:
+    def reported(self, report: TaskReport, pid: int, host: str, now: float) -> None:
         """Take a report that the agent of a host has of a task.
 
         Args:
@@ -174,9 +174,9 @@ class Bootstrap:
             if record.incarnation == incarnation:
                 self._silence.heard(name, record.pid, record.progress)
 
-    def order(self, host: str) -> Order:
+    def order(self, host: str) -> AgentOrder:
         """What the agent of a host is to have its tasks do."""
-        return Order(int(self.phase), self.registry.lives(host))
+        return AgentOrder(int(self.phase), self.registry.lives(host))
 
     def poll(self, now: float) -> list[Started | Died]:
         """Watch the processes and go on to the next phase when all tasks are there.

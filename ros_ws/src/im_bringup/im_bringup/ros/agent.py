@@ -21,7 +21,7 @@ from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.signed_link import HostOrder, SignedLink, agent_name, orders_topic, read_secret, reports_topic
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
-from im_core.agent_socket import Report
+from im_core.agent_socket import TaskReport
 from im_core.arrivals import member, read_json
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
@@ -57,7 +57,7 @@ class AgentNode(GuardedNode):
         self._upkeep = Upkeep(run_dir, names.results_dir(), deployment.keep, spared, self.log.warning)
         self._upkeep.start()
         self._link = SignedLink(secret, host)
-        self._reports: dict[str, tuple[Report, int]] = {}
+        self._reports: dict[str, tuple[TaskReport, int]] = {}
         self._report_at = 0.0
         self._started = False
         self.finished = False

@@ -17,7 +17,7 @@ from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import agent_socket, names, scheduling
 from im_core import pulse as pulse_memory
-from im_core.agent_socket import AgentSocket, Order, Report
+from im_core.agent_socket import AgentOrder, AgentSocket, TaskReport
 from im_core.errors import LinkError
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words, may_copy
@@ -192,13 +192,13 @@ class Agent:
                     events.append(Died(slot.command.tasks, f"{error.message}; tried again in {RESPAWN_DELAY_S:g} s"))
         return events
 
-    def order(self, order: Order) -> None:
+    def order(self, order: AgentOrder) -> None:
         """Have all processes follow an order, also those that are started from now on; the last one counts."""
         self._order = order.text()
         for slot in self._slots:
             self._tell(slot)
 
-    def reports(self) -> list[tuple[Report, int]]:
+    def reports(self) -> list[tuple[TaskReport, int]]:
         """What tasks of this host have reported since the last time, each with its process.
 
         Raises:

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from im_core.agent_socket import Order, Report
+from im_core.agent_socket import AgentOrder, TaskReport
 from im_core.arrivals import read_json
 from im_core.errors import ConfigError, DataError
 from im_core.files import FileError, read_bytes
@@ -43,13 +43,13 @@ class HostOrder:
         options: What the start was given, as of :func:`im_bringup.tasks.deployment.options_text`.
     """
 
-    order: Order
+    order: AgentOrder
     start_timeout_s: float
     options: str
 
 
 #: What an agent tells the bootstrap: the reports of its tasks, each with its process.
-HostReports = list[tuple[Report, int]]
+HostReports = list[tuple[TaskReport, int]]
 
 
 def orders_topic(host: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
-from im_core.agent_socket import Life
+from im_core.agent_socket import TaskLife
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.procfs import stat_fields
 from im_core.ros import qos
@@ -126,7 +126,7 @@ class Heartbeats:
             last = self._last[task] = Heartbeat(None, since=now, heard=now, pid=0, starting=False)
         return last
 
-    def _vouched(self, task: str) -> Life | None:
+    def _vouched(self, task: str) -> TaskLife | None:
         """What the agent tells of a task; None if it is none of the machine, or nobody tells."""
         return None if self._node.lives is None else self._node.lives.get(task)
 

@@ -15,7 +15,7 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
 from im_core import clock
-from im_core.agent_socket import AgentSocket, Life, Order, Report
+from im_core.agent_socket import AgentOrder, AgentSocket, TaskLife, TaskReport
 from im_core.arrivals import member
 from im_core.errors import ImError
 from im_core.process import dismiss_prepared
@@ -88,7 +88,7 @@ class ManagedNode(GuardedNode):
         if self._alone:
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
         self.nets: dict[str, str] = {}
-        self.lives: dict[str, Life] | None = None
+        self.lives: dict[str, TaskLife] | None = None
         self._agent: AgentSocket | None = None
         self._publish_status()
 
@@ -142,7 +142,7 @@ class ManagedNode(GuardedNode):
         self._agent, self.lives = agent, {}
         self._publish_status()
 
-    def obey(self, order: Order) -> None:
+    def obey(self, order: AgentOrder) -> None:
         """Follow an order of the agent; in the loop.
 
         Raises:
@@ -255,4 +255,4 @@ class ManagedNode(GuardedNode):
         message.stamp.nanosec = int((seconds % 1.0) * 1e9)
         self._status_publisher.publish(message)
         if self._agent is not None:
-            self._agent.report(Report(self.task_name, self.incarnation, self._phase, self._detail, self.nets))
+            self._agent.report(TaskReport(self.task_name, self.incarnation, self._phase, self._detail, self.nets))

@@ -22,7 +22,7 @@ from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
 from im_core import scheduling
-from im_core.agent_socket import AgentSocket, Order
+from im_core.agent_socket import AgentOrder, AgentSocket
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
@@ -258,7 +258,7 @@ def _serve(agent: AgentSocket | None, nodes: Sequence[ManagedNode]) -> None:
                 node.get_logger().warning("no agent has started this process, and it waits for one: standalone:=true")
         return
 
-    async def obey(node: ManagedNode, order: Order) -> None:
+    async def obey(node: ManagedNode, order: AgentOrder) -> None:
         node.obey(order)
 
     def listen() -> None:
