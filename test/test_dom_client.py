@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from shape_msgs.msg import SolidPrimitive
@@ -22,8 +23,9 @@ from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode
+from im_dom.store import ObjectStore
 from im_msgs.msg import NetDescription, ObjectChange
-from im_msgs.srv import AppendObject, GetObject, PutObject
+from im_msgs.srv import AppendObject, GetObject, ListObjects, PutObject
 
 
 class CountingDom(DomNode):
@@ -399,6 +401,44 @@ def test_a_store_that_cannot_be_read_is_not_taken_for_one_without_the_object(thr
         with pytest.raises(ImError, match="the disk does not answer"):
             mine.do(ask())
     assert not mine.do(ask())
+
+
+def test_an_object_that_is_damaged_is_named_to_all_who_look(tmp_path, monkeypatch, wait_until):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    store = ObjectStore(tmp_path / "dom.sqlite")
+    for name in ("whole", "lost"):
+        data = serialize_message(String(data=f"{name} {'-' * 100}"))
+        store.put(name, "std_msgs/msg/String", data, "", "test", 1)
+    store.close()
+    content = (tmp_path / "dom.sqlite").read_bytes()
+    (tmp_path / "dom.sqlite").write_bytes(content.replace(b"lost --", b"lost -+"))
+    rclpy.init(args=["--ros-args", "-p", "standalone:=true"])
+    try:
+        dom, mine = DomNode(), Client("mine")
+        heard, told = [], []
+        mine.dom.damaged = told.append
+        mine.create_subscription(DiagnosticArray, "/diagnostics", lambda array: heard.extend(array.status), qos.STATUS)
+        with spin_in_thread(dom, mine):
+            assert mine.do(mine.dom.get("whole", String)).data.startswith("whole")
+            with pytest.raises(ImError, match=r"'lost' cannot be read: in the object store .*dom.sqlite the bytes of"):
+                mine.do(mine.dom.get("lost", String))
+            assert not mine.do(mine.dom.is_valid("lost"))
+            assert len(told) == 2
+            answer = ask(mine, mine.dom._list, ListObjects.Request())
+            assert [info.name for info in answer.objects] == ["whole"]
+            assert answer.status.message == told[0]
+            found = wait_until(lambda: [each for each in heard if each.name == "dom: store"], "the diagnostics")[0]
+            assert "has what is whole of it, 1 objects; damaged: lost" in found.values[0].value
+            assert mine.do(mine.dom.put("lost", String(data="anew"))) == 2
+            assert mine.do(mine.dom.get("lost", String)).data == "anew"
+            # what comes about while the store is open is noticed where the bytes are read
+            dom.store._cache.update({"whole": None})
+            dom.store._db.execute("UPDATE versions SET data = zeroblob(length(data)) WHERE name = 'whole'")
+            with pytest.raises(ImError, match="'whole' cannot be read"):
+                mine.do(mine.dom.get("whole", String))
+            wait_until(lambda: any("'whole'" in each.message for each in heard), "the diagnostics")
+    finally:
+        rclpy.try_shutdown()
 
 
 def test_json_is_taken_as_it_is_given_out(three):

@@ -125,14 +125,15 @@ class WholeSqliteReader(Sqlite3Reader):
         Raises:
             ReaderError: The file is damaged, or there is no room for the copy.
         """
-        logs = [log for end in _LOGS if (log := self.path.with_name(f"{self.path.name}{end}")).exists()]
+        file = Path(str(self.path))
+        logs = [log for end in _LOGS if (log := file.with_name(f"{file.name}{end}")).exists()]
         if any(log.stat().st_size for log in logs):
             self._copy = TemporaryDirectory(prefix="im_bag_")
             try:
-                for path in (self.path, *logs):
+                for path in (file, *logs):
                     shutil.copyfile(path, Path(self._copy.name) / path.name)
-                self.path = Path(self._copy.name) / self.path.name
-                with closing(sqlite3.connect(self.path)) as db:
+                self.path = copy = Path(self._copy.name) / file.name
+                with closing(sqlite3.connect(copy)) as db:
                     db.execute("PRAGMA journal_mode=DELETE")
             except (OSError, sqlite3.Error) as error:
                 self._copy.cleanup()
