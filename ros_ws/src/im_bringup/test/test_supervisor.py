@@ -41,6 +41,9 @@ BOOTSTRAP = textwrap.dedent(
         os.kill(me.pid, signal.SIGKILL)
     if deed.startswith("end"):
         sys.exit(7)
+    if deed == "starve":
+        print("terminate called after throwing an instance of 'std::bad_alloc'", flush=True)
+        os.abort()
     if deed == "hang":
         Pulse.inherited().beat(Beat(3, 6.0, 5.0))
     time.sleep(600)
@@ -218,3 +221,13 @@ def test_a_task_that_waits_for_a_processor_is_not_silent(time, monkeypatch):
         time[0] += 0.5
         told[0] = Scheduled(told[0].ran_s + 0.01, told[0].queued_s + 0.49)
         assert silence.found(time[0]) == []
+
+
+def test_a_bootstrap_that_is_refused_memory_is_named(supervise, monkeypatch, tmp_path):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    log = tmp_path / "log" / "bootstrap.log"
+    log.parent.mkdir()
+    _, lives = supervise(machine.READY, "starve", "live", said=log)
+    until(lambda: len(lives()) == 2)
+    words = "the bootstrap asked for more memory than its limit; the machine is started again"
+    assert f"[supervisor]: {words}" in log.read_text()

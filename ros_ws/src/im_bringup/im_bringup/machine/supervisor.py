@@ -12,12 +12,14 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from im_bringup.tasks.memory_limit import refused
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
-from im_core import clock
+from im_core import clock, names
 from im_core import pulse as pulse_memory
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
@@ -77,7 +79,7 @@ class BootstrapKeeper:
             if self._stopped is not None:  # while it was being started
                 self._child.send_signal(self._stopped)
             failure, code = "", None
-            began = clock.monotonic()
+            began, log_begin = clock.monotonic(), _log_size()
             while code is None:
                 self._child.await_end(_LOOK_S)
                 code = self._child.poll()
@@ -85,7 +87,7 @@ class BootstrapKeeper:
                     code = self._end(self._child)
             if code >= 0 and not (code > 0 and self._tries and self._stopped is None):
                 return code
-            if self._stopped is not None or not self._make_way(failure or _how(code)):
+            if self._stopped is not None or not self._make_way(failure or _how(code, log_begin)):
                 return 1
         return 1
 
@@ -190,7 +192,19 @@ def _record() -> "MachineRecord | None":
         return None
 
 
-def _how(code: int) -> str:
+def _log_size() -> int:
+    log = _log()
+    return log.stat().st_size if log.exists() else 0
+
+
+def _log() -> Path:
+    """Where the bootstrap writes."""
+    return names.run_dir() / "log" / "bootstrap.log"
+
+
+def _how(code: int, log_begin: int) -> str:
+    if refused(code, _log(), log_begin):
+        return "asked for more memory than its limit"
     return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
 
