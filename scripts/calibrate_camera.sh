@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Calibrates cameras with the light on the arm: the ROS service call /dispatcher/calibrate_camera, with its progress.
+# Calibrates cameras with the light on the arm: `im run calibrate_camera`, with its progress.
 # The machine must run (scripts/start.sh).
 #
 #   scripts/calibrate_camera.sh                              the two ceiling cameras, the cell's own poses
@@ -9,10 +9,34 @@
 #
 # Cameras: ceiling_left ceiling_right wall table wrist_left.
 # The report, pictures and camera files are in results/<date>-<time>/; results/latest points to the newest.
+# Where a calibration is under way already, it says its number, and asks whether to attach to it.
 # Exit codes: 0 done, 1 the command failed (one sentence says why), 2 bad usage, 3 the machine does not run,
-# 130 interrupted (Ctrl-C ends the waiting, not the command).
+# 130 interrupted (Ctrl-C cancels the command and waits for its end).
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
+
+given=() json=0
+while (($#)); do
+  case "$1" in
+    --cameras)
+      [[ $# -gt 1 && "$2" != -* ]] || die 2 "--cameras: expected at least one argument"
+      given+=(--cameras)
+      shift
+      while (($#)) && [[ "$1" != -* ]]; do given+=("$1"); shift; done
+      ;;
+    --poses)
+      [[ $# -gt 1 ]] || die 2 "--poses: expected one argument"
+      given+=(--poses-file "$(realpath -m -- "$2")")
+      shift 2
+      ;;
+    --json) json=1; shift ;;
+    *) die 2 "there is no $1; there are --cameras, --poses and --json" ;;
+  esac
+done
 im_env
-exec "$IM_BRINGUP/calibrate_camera" "$@"
+if ((!json)); then exec "$IM_BRINGUP/run_command" calibrate_camera ${given[@]+"${given[@]}"}; fi
+code=0
+results="$("$IM_BRINGUP/run_command" calibrate_camera --json ${given[@]+"${given[@]}"})" || code=$?
+((code == 0)) || exit "$code"
+"$IM_VENV/bin/python" -c 'import json, sys; print(json.dumps(json.load(sys.stdin)["report"], indent=2))' <<<"$results"

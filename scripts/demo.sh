@@ -78,7 +78,7 @@ run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port
   started=0  # it says why, and has left nothing; a machine that runs already is not of this script
   exit "$code"
 }
-run "$IM_BRINGUP/calibrate_camera" ${poses:+--poses "$poses"}
+run "$IM_BRINGUP/run_command" calibrate_camera ${poses:+--poses-file "$(realpath -- "$poses")"}
 say ""
 say "against the truth, which only the testbed knows:"
 run "$IM_BRINGUP/truth_error"

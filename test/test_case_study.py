@@ -380,7 +380,7 @@ def test_a_command_survives_the_death_of_the_coordination_level_and_its_client_i
     thread.join(COMMAND_S)
     assert done, "the client did not end"
     assert done[0].returncode == 0, done[0].stderr
-    assert "the dispatcher was away and is back" in done[0].stderr
+    assert "the dispatcher died and is back; attaching to number" in done[0].stderr
     report = json.loads(done[0].stdout)
     assert report["points_used"] + len(report["points_rejected"]) == FEW
     folder = Path(os.environ["IM_RESULTS_DIR"]) / "latest"

@@ -1,4 +1,4 @@
-"""Clients of a dispatcher that was silent for a while, and then goes on: what was lost meanwhile is asked for again."""
+"""Clients of a dispatcher that dies and comes back: what was lost meanwhile is asked for again."""
 
 import io
 import json
@@ -15,7 +15,6 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from im_bringup.ros import dispatcher
-from im_bringup.ros.calibrate_camera import CalibrateCameraClient
 from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_bringup.ros.run_command import CommandClient
 from im_core import clock
@@ -25,23 +24,21 @@ from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedN
 from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Status, TaskStatus
-from im_msgs.srv import CalibrateCamera, ListCommands
+from im_msgs.srv import ListCommands
 from support.forgetful import forget
 
 RESULTS = {"message": "", "directory": "/results/1", "report": {"message": "fits"}}
 
 
 class Stopped(GuardedNode):
-    """A dispatcher as others see it that is stopped for a while: it says nothing, and its answers are lost."""
+    """A dispatcher as others see it, which a test lets forget what it was asked."""
 
     def __init__(self) -> None:
         super().__init__("dispatcher")
-        self.away = threading.Event()
         self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
-        self.incarnation, self.takes, self.cancelled, self.open = 7, True, [], []
+        self.incarnation, self.cancelled, self.open = 7, [], []
         self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
         self.create_timer(0.1, self._beat)
-        self.create_service(CalibrateCamera, "/dispatcher/calibrate_camera", self._lose)
         self.create_service(ListCommands, "/dispatcher/list_commands", self._list)
         GuardedActionServer(
             self, ExecuteCommand, "/dispatcher/execute", self._do,
@@ -49,13 +46,7 @@ class Stopped(GuardedNode):
         )  # fmt: skip
 
     def _beat(self):
-        if not self.away.is_set():
-            self._status.publish(TaskStatus(name="dispatcher", incarnation=self.incarnation, phase=TaskStatus.READY))
-
-    async def _lose(self, request, response):
-        if self.takes:
-            self.numbers.append(self.numbers[-1] + 1)
-        await Future()
+        self._status.publish(TaskStatus(name="dispatcher", incarnation=self.incarnation, phase=TaskStatus.READY))
 
     def _list(self, request, response):
         response.last = self.numbers[-1]
@@ -78,8 +69,7 @@ class Stopped(GuardedNode):
 
 
 @pytest.fixture
-def stopped(ros, monkeypatch):
-    monkeypatch.setattr(dispatcher, "LOSSY_S", 1.0)
+def stopped(ros):
     return ros(Stopped())
 
 
@@ -91,19 +81,6 @@ def ended(work):
     return done
 
 
-def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_had(ros, stopped, wait_until):
-    client = ros(CalibrateCameraClient(None))
-    done = ended(lambda: client.calibrate([], ""))
-    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
-    clock.sleep(0.5)
-    stopped.away.set()
-    clock.sleep(2.0)
-    assert not stopped.attached
-    stopped.away.clear()
-    (response,) = wait_until(lambda: done, "the answer")
-    assert (response.success, response.message, stopped.attached) == (True, "fits", [4])
-
-
 @pytest.mark.parametrize(
     ("opened", "why"),
     [
@@ -112,23 +89,27 @@ def test_the_answer_of_a_dispatcher_that_was_silent_is_sought_where_it_can_be_ha
         ([(7, "calibrate_camera"), (9, "calibrate_camera")], "which of the commands 7, 9 is this calibrate_camera is"),
     ],
 )
-def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, stopped, wait_until, opened, why):
+def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, wait_until, opened, why):
     """The last calibration that has ended may be of another day."""
-    client = ros(CalibrateCameraClient(None))
-    stopped.takes = False
+
+    class Dying(Stopped):
+        async def _do(self, handle):
+            return await Future()
+
+    node, client = ros(Dying()), ros(CommandClient())
 
     def calibrate():
         with pytest.raises(StateError) as refused:
-            client.calibrate([], "")
+            client.run(ExecuteCommand.Goal(symbol="calibrate_camera"), io.StringIO())
         return refused.value.message
 
     done = ended(calibrate)
-    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
-    clock.sleep(1.0)
-    stopped.numbers, stopped.open, stopped.incarnation = [3, *(number for number, _ in opened)], opened, 8
+    wait_until(lambda: node.begun, "the command")
+    clock.sleep(1.0)  # until it is known to be accepted
+    node.numbers, node.open, node.incarnation = [3, *(number for number, _ in opened)], opened, 8
     (message,) = wait_until(lambda: done, "the refusal")
     assert why in message
-    assert not stopped.attached
+    assert not node.attached
 
 
 def test_who_was_interrupted_while_the_dispatcher_was_away_cancels_when_it_is_back(ros, wait_until):
@@ -190,21 +171,6 @@ def test_a_command_whose_dispatcher_does_not_know_the_goal_any_more_is_attached_
     assert (result.success, node.attached) == (True, [4] * times)
 
 
-def test_a_calibration_whose_dispatcher_does_not_know_the_goal_any_more_is_attached_to_again(
-    ros, stopped, wait_until, monkeypatch
-):
-    client = ros(CalibrateCameraClient(None))
-    forget(monkeypatch, 1)
-    done = ended(lambda: client.calibrate([], ""))
-    wait_until(lambda: client.count_services("/dispatcher/calibrate_camera") and client._incarnation, "the dispatcher")
-    clock.sleep(0.5)
-    stopped.away.set()
-    clock.sleep(2.0)
-    stopped.away.clear()
-    (response,) = wait_until(lambda: done, "the answer")
-    assert (response.success, response.message, stopped.attached) == (True, "fits", [4, 4])
-
-
 def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypatch):
     """It warns on standard output of each timer beyond eight, as a program has that waits for long."""
     monkeypatch.setattr(signal, "signal", lambda *_: None)
@@ -264,9 +230,9 @@ def test_a_program_whose_output_goes_nowhere_waits_all_the_same(where, code, sai
 def test_a_machine_that_has_ended_is_not_waited_for(ros, monkeypatch):
     """Who had not found the dispatcher yet when the power went waited for a minute, and named nobody."""
     monkeypatch.setattr(dispatcher, "ALONE_S", 0.3)
-    client, began = ros(CalibrateCameraClient(None)), clock.monotonic()
-    with pytest.raises(LinkError, match="calibrate_camera is not there: the machine has ended, its bootstrap is gone"):
-        client.calibrate([], "")
+    client, began = ros(CommandClient()), clock.monotonic()
+    with pytest.raises(LinkError, match="list_commands is not there: the machine has ended, its bootstrap is gone"):
+        client.run(ExecuteCommand.Goal(symbol="calibrate_camera"), io.StringIO())
     assert clock.monotonic() - began < 0.5 * dispatcher.DISCOVERY_S
     monkeypatch.setattr(dispatcher.machine, "read", lambda: SimpleNamespace(alive=True, state="ready"))
     with pytest.raises(WaitTimeoutError, match="for what does not come"):

@@ -1,5 +1,8 @@
 """``im run``: what it prints and returns of how a command ended."""
 
+import json
+import os
+
 import pytest
 
 from im_bringup.ros import run_command
@@ -7,6 +10,7 @@ from im_bringup.ros.run_command import show
 from im_core.errors import DataError
 from im_core.ros.status import to_status
 from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType
 
 WIDTH = Argument("width", ArgumentType.NUMBER, unit="m", minimum=0.0, maximum=0.08)
@@ -42,6 +46,46 @@ def test_results_are_printed_as_they_are_asked_for(capsys):
     assert show(result, "im run close_gripper", False, begun=True) == 0
     assert show(result, "im run close_gripper", True, begun=True) == 0
     assert capsys.readouterr().out == 'im run close_gripper: done: {"width": 0.02}\n{"width": 0.02}\n'
+
+
+def test_of_a_calibration_its_report_is_told_in_short(capsys):
+    errors = {"reprojection_px": 0.1, "triangulation_mm": None}
+    camera = {"name": "wall", "K": [[900.0, 0, 320.0], [0, 901.0, 240.0]], "D": [0.01], "rms_px": 0.2}
+    report = {"message": "fits", "cameras": [camera], "points_used": 14, "points_rejected": [], "chi2_per_dof": 1.0}
+    report |= {"led_offset_m": [0.0, 0.0, 0.1], "expected_error": errors}
+    results = json.dumps({"report": report, "directory": "/results/1", "message": "the light is on"})
+    result = ExecuteCommand.Result(success=True, results=results)
+    assert show(result, "im run calibrate_camera", False, begun=True) == 0
+    told = capsys.readouterr().out
+    assert "im run calibrate_camera: done: fits; but the light is on\n" in told
+    assert "wall" in told
+    assert "report and pictures: /results/1\n" in told
+
+
+class UnderWay:
+    """A client that knows of one command."""
+
+    def __init__(self, state):
+        self.state = CommandState(command_id=7, symbol="calibrate_camera", state=state)
+
+    def pause(self, seconds):
+        """Nobody interrupts."""
+
+
+@pytest.mark.parametrize(("state", "told"), [("running", False), ("paused", True)])
+def test_a_command_that_is_under_way_is_offered_to_be_attached_to(state, told, monkeypatch, capsys):
+    client = UnderWay(state)
+    assert not run_command.offered(client, client.state), "nobody can answer here"
+    said = capsys.readouterr().err
+    assert f"number 7 is {state}: im run --attach 7 waits for it" in said
+    assert ("im run --resume 7 goes on with it" in said) == told
+    for answer, attaches in (("y\n", True), ("\n", False)):
+        reading, writing = os.openpty()
+        os.write(reading, answer.encode())
+        with os.fdopen(writing, "r") as terminal:
+            monkeypatch.setattr("sys.stdin", terminal)
+            assert run_command.offered(client, client.state) is attaches
+        os.close(reading)
 
 
 def test_long_results_are_cut_for_people_and_whole_as_json(capsys):

@@ -79,10 +79,11 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     """It finds what it would have found, within the noise that the testbed draws anew; starts may be killed, too."""
     poses = write_few_poses(tmp_path)
     machines("--fresh")
-    undisturbed = client("calibrate_camera", "--json", "--poses", poses)
+    calibrate = ("run_command", "calibrate_camera", "--json", "--poses-file", poses)
+    undisturbed = client(*calibrate)
     printed, said = undisturbed.communicate(timeout=COMMAND_S)
     assert undisturbed.returncode == 0, said
-    kill_everything_at(client("calibrate_camera", "--json", "--poses", poses), 4)
+    kill_everything_at(client(*calibrate), 40)
     (unfinished,) = open_commands.noted(names.run_dir())
     for seconds in (1.0, 4.0):
         die_starting(0.0, SEED, free_port(), seconds)
@@ -91,7 +92,7 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     ended = client("run_command", "--attach", unfinished.number, "--json")
     resumed, said = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, said
-    report, reference = json.loads(resumed)["report"], json.loads(printed)
+    report, reference = json.loads(resumed)["report"], json.loads(printed)["report"]
     assert report["points_used"] >= reference["points_used"] - 2  # an arm that comes from elsewhere may hide the light
     assert distance(report, reference) <= DEVIATIONS
 

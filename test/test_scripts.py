@@ -89,7 +89,8 @@ def test_scripts_are_executable_bash(name):
         ("start", ["--calibration", "docs"], "/docs: no calibration: it holds no <camera>.yaml, extr"),
         ("start", ["--speed"], "unrecognized arguments: --speed"),
         ("stop", ["now"], "unrecognized arguments: now"),
-        ("calibrate_camera", ["--camera"], "expected at least one argument"),
+        ("calibrate_camera", ["--cameras"], "--cameras: expected at least one argument"),
+        ("calibrate_camera", ["--json", "--camera", "wall"], "there is no --camera; there are --cameras, --poses and"),
         ("run", ["im_dm"], "run: there is no package with executables 'im_dm'; did you mean 'im_dom'?"),
         ("run", ["im_dom", "dm"], "run: there is no executable of im_dom 'dm'; did you mean 'dom'?"),
     ],
@@ -102,7 +103,7 @@ def test_bad_usage_is_refused_with_a_sentence(script, name, arguments, sentence)
 def test_without_a_machine_calibrate_camera_says_so(script):
     done = script("calibrate_camera")
     domain = os.environ["ROS_DOMAIN_ID"]
-    sentence = f"calibrate_camera: no machine runs in ROS domain {domain}; scripts/start.sh starts one\n"
+    sentence = f"im run: no machine runs in ROS domain {domain}; scripts/start.sh starts one\n"
     assert (done.returncode, done.stderr) == (3, sentence)
 
 
@@ -116,7 +117,7 @@ def test_an_option_that_pytest_does_not_have_is_refused_before_any_check(script)
 def test_run_lists_what_there_is(script):
     done = script("run")
     assert done.returncode == 0
-    assert "im_bringup: agent bootstrap calibrate_camera " in done.stdout
+    assert "im_bringup: agent bootstrap data_objects " in done.stdout
     assert "im_dom: dom\n" in done.stdout
     assert script("run", "im_dom").stdout == "dom\n"
 

@@ -44,10 +44,8 @@ class Command:
     """
 
     def __init__(self, poses: Path | None = None, number: int = 0) -> None:
-        module, *given = (
-            ("calibrate_camera", "--poses", str(poses)) if poses else ("run_command", "--attach", str(number))
-        )
-        argv = [sys.executable, "-m", f"im_bringup.ros.{module}", "--json", *given]
+        given = ("calibrate_camera", "--poses-file", str(poses)) if poses else ("--attach", str(number))
+        argv = [sys.executable, "-m", "im_bringup.ros.run_command", *given, "--json"]
         self.began = clock.monotonic()
         self._process = subprocess.Popen(
             argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -20,15 +20,18 @@ from bench.usage import cpu_s, memory_mib
 from im_bringup.calibration.truth import truth_error
 from im_bringup.machine import leftovers, stop
 from im_bringup.machine.start import start
-from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_bringup.ros.interruptible import InterruptibleNode
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.errors import StateError
 from im_core.ros import qos
 from im_core.ros.run import Spinner
 from im_msgs.msg import McsState
+from im_msgs.srv import CalibrateCamera
 
 START_S = 240.0
+COMMAND_S = 600.0
+"""Longest wait for a calibration [s]."""
 NODE = "import rclpy; from rclpy.node import Node; rclpy.init(); Node('bare')"
 
 
@@ -47,11 +50,12 @@ class Command:
     cpu_s: float
 
 
-class Bench(CalibrateCameraClient):
+class Bench(InterruptibleNode):
     """Commands the machine and listens to the servo."""
 
     def __init__(self) -> None:
-        super().__init__(progress=None)
+        super().__init__("bench")
+        self._calibration = self.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
         self.servo: McsState | None = None
         self.create_subscription(McsState, "/mcs/state", self._keep, qos.LATCHED)
 
@@ -68,7 +72,7 @@ class Bench(CalibrateCameraClient):
             StateError: The command failed.
         """
         before = cpu_by_process()
-        answer = self.calibrate([], str(poses or ""))
+        answer = self.ask(self._calibration, CalibrateCamera.Request(poses_file=str(poses or "")), COMMAND_S)
         if not answer.success:
             raise StateError(f"calibrate_camera failed: {answer.message}")
         used = sum(spent - before.get(pid, 0.0) for pid, spent in cpu_by_process().items())

@@ -12,7 +12,7 @@ import yaml
 from rclpy.action import ActionClient
 
 from im_bringup.machine import record as machine
-from im_bringup.ros.calibrate_camera import CalibrateCameraClient
+from im_bringup.ros.interruptible import InterruptibleNode
 from im_cell.robot import load_cell
 from im_core import clock, config
 from im_core.errors import StateError, WaitTimeoutError
@@ -42,15 +42,15 @@ class Outcome:
     duration_s: float
 
 
-class Commander(CalibrateCameraClient):
-    """Commands the dispatcher, through its service and its action.
+class Commander(InterruptibleNode):
+    """Commands the dispatcher, through its action.
 
     Args:
         seed: Of the random choices.
     """
 
     def __init__(self, seed: int) -> None:
-        super().__init__(progress=None)
+        super().__init__("soak")
         self._random = random.Random(seed)
         self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, "/dispatcher/execute")
         self._folder = tempfile.TemporaryDirectory(prefix="im_soak_")
@@ -66,9 +66,7 @@ class Commander(CalibrateCameraClient):
 
     def whole_calibration(self) -> Outcome:
         """Calibrate the ceiling cameras with all poses of the cell."""
-        began = clock.monotonic()
-        answer = self.calibrate([], "")
-        return Outcome("calibration", answer.success, answer.message, clock.monotonic() - began)
+        return self._outcome("calibration", {}, self._succeeded)
 
     def any_command(self) -> Outcome:
         """One of what a day brings."""

@@ -22,7 +22,6 @@ setup(
         "console_scripts": [
             "agent=im_bringup.ros.agent:main",
             "bootstrap=im_bringup.ros.launch:main",
-            "calibrate_camera=im_bringup.ros.calibrate_camera:main",
             "data_objects=im_bringup.ros.data_objects:main",
             "interfaces=im_bringup.ros.interfaces:main",
             "record=im_bringup.ros.record:main",

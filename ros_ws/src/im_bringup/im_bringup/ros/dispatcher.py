@@ -13,7 +13,6 @@ from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
 from im_core.errors import LinkError, StateError, WaitTimeoutError
 from im_core.ros import qos
-from im_core.ros.heartbeats import LEASE_S
 from im_core.ros.servers import reason
 from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
@@ -30,8 +29,6 @@ _POLL_S = 0.02
 BEGINS_S = 20.0
 #: Time after which a goal that met the server of a former life is sent again [s].
 ACCEPT_S = 2.0
-#: After a silence so long [s] an answer may be lost: it is near the lease after which DDS drops what it owes.
-LOSSY_S = 0.5 * LEASE_S
 #: What goes on where a user no longer waits.
 GOES_ON = "; the machine goes on with the command"
 
@@ -125,28 +122,24 @@ class DispatcherClient(InterruptibleNode):
             answer.result.status.message = reason(self, answer.result.status.message, ACTION)
         return answer.result
 
-    def _answer(self, future: Any, limit_s: float = math.inf, *, asked_once: bool = False) -> Any | None:
+    def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
         """The result of a future that the dispatcher completes, None if it was started again or does not in time.
 
         Args:
             future: It.
             limit_s: Longest wait [s].
-            asked_once: Whether nobody asks again, as for the answer of a service; None then also if that may be lost.
 
         Raises:
             KeyboardInterrupt: :meth:`interrupt` was called.
             LinkError: The dispatcher fell silent.
         """
-        begun, known, away = clock.monotonic(), self._incarnation, False
+        begun, known = clock.monotonic(), self._incarnation
         self._heard = begun
         while not future.done():
             self.pause(_POLL_S)
             if clock.monotonic() - begun > limit_s:
                 return None
             silent = clock.monotonic() - self._heard
-            if asked_once and away and silent < LOSSY_S:
-                return None
-            away = silent >= LOSSY_S
             if silent > ALONE_S and (why := _why_lost(silent)):
                 raise LinkError(f"the dispatcher is missing (last heard {silent:.1f} s ago){why}")
             if self._incarnation != known:

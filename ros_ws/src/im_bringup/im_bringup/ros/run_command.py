@@ -7,6 +7,7 @@ import argparse
 import contextlib
 import json
 import re
+import select
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
@@ -17,6 +18,7 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from unique_identifier_msgs.msg import UUID
 
+from im_bringup.calibration.summary import summary
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.ros.dispatcher import (
     ACCEPT_S,
@@ -41,6 +43,8 @@ from im_msgs.srv import ControlCommand
 LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
 ANSWER_S = 10.0
+ASKED_S = 0.05
+"""How often is looked whether a question was answered [s]."""
 MOST_NUMBER = 2**32 - 1
 #: Of results that a person is shown: a report of a calibration has 280,000 characters.
 MOST_SHOWN = 1000
@@ -231,7 +235,35 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
         print(f"im run: {error}", file=sys.stderr)
         return USAGE
     goal = ExecuteCommand.Goal(symbol=options.name, arguments=text, priority=max(-128, min(127, given.priority)))
-    return show(client.run(goal, _progress(given)), f"im run {options.name}", given.json, client.begun)
+    result = client.run(goal, _progress(given))
+    if not (result.success or client.begun) and (under_way := same_under_way(client, options.name)):
+        print(f"im run {options.name}: {result.status.message}", file=sys.stderr)
+        if not offered(client, under_way):
+            return FAILED
+        result = client.run(ExecuteCommand.Goal(attach=True, command_id=under_way.command_id), _progress(given))
+    return show(result, f"im run {options.name}", given.json, client.begun)
+
+
+def same_under_way(client: CommandClient, symbol: str) -> CommandState | None:
+    """Return the oldest command of a symbol that has not ended, None if there is none."""
+    return next((state for state in client.under_way() if state.symbol == symbol), None)
+
+
+def offered(client: CommandClient, state: CommandState) -> bool:
+    """Say how to attach to a command that is under way, and ask whether to, where somebody can answer.
+
+    Raises:
+        KeyboardInterrupt: Somebody interrupts the question.
+    """
+    number = state.command_id
+    resume = f"; im run --resume {number} goes on with it" if state.state == "paused" else ""
+    print(f"number {number} is {state.state}: im run --attach {number} waits for it{resume}", file=sys.stderr)
+    if not sys.stdin.isatty():
+        return False
+    print("attach to it? [y/N] ", end="", file=sys.stderr, flush=True)
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        client.pause(ASKED_S)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def _progress(options: argparse.Namespace) -> TextIO:
@@ -247,19 +279,30 @@ def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) ->
         as_json: Whether the results are printed as JSON.
         begun: Whether the command began; arguments that are refused before are bad usage.
     """
+    results = json.loads(result.results or "{}")
     if as_json:
         print(result.results or "{}")
     if not result.success:
-        print(f"{who}: {result.status.message}", file=sys.stderr)
+        print(f"{who}: {results.get('message', result.status.message)}", file=sys.stderr)
         if result.status.code == ArgumentError.default_code and not begun:
             return USAGE
         return INTERRUPTED if result.status.code == "cancelled" else FAILED
     if not as_json:
-        results = json.loads(result.results or "{}")
+        if isinstance(report := results.get("report"), dict) and report.get("cameras"):
+            return show_calibration(results, who)
         text = json.dumps(results, ensure_ascii=False)
         if len(text) > MOST_SHOWN:
             text = f"{text[:MOST_SHOWN]}... ({len(text)} characters; --json prints all)"
         print(f"{who}: done: {text}" if results else f"{who}: done")
+    return DONE
+
+
+def show_calibration(results: Mapping[str, Any], who: str) -> int:
+    """Print what a calibration has found; returns the exit code."""
+    report = results["report"]
+    print(f"\n{who}: done: {'; but '.join(filter(None, (report['message'], results.get('message'))))}")
+    print(summary(report))
+    print(f"report and pictures: {results['directory']}")
     return DONE
 
 

@@ -195,6 +195,11 @@ class Dispatcher(PntNode):
         Raises:
             StateError: It is refused; says who holds what, or that the cell does not hand it out yet.
         """
+        if symbol == calibrate_camera.SYMBOL and "group" not in arguments:
+            named = arguments.get("poses_file", "")
+            if isinstance(named, str):  # what is wrong otherwise the schema says
+                file = await run_in_thread(self, load_poses, named, timeout_s=READ_S)
+                arguments = {**arguments, "group": file.group}
         if symbol not in self._needs:
             running = self.commands.running(symbol)
             if running is not None:
@@ -227,9 +232,7 @@ class Dispatcher(PntNode):
         self, request: CalibrateCamera.Request, response: CalibrateCamera.Response
     ) -> CalibrateCamera.Response:
         try:
-            file = await run_in_thread(self, load_poses, request.poses_file, timeout_s=READ_S)
             arguments: dict[str, object] = {"cameras": list(request.cameras), "poses_file": request.poses_file}
-            arguments["group"] = file.group
             outcome = await self._run(calibrate_camera.SYMBOL, arguments)
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
