@@ -81,7 +81,7 @@ class Rates:
 
 
 def lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
-    """Observed firings for a command: of tokens alone, with an action each, and with guard, action and journal.
+    """Measure observed firings for a command: of tokens alone, with an action each, with guard, action and journal.
 
     SNAKES and pm4py move tokens alone. libpetri calls a Python function for each firing and has its in-memory event
     store on; its nets know no commands, and have neither guard nor journal.
@@ -152,6 +152,6 @@ def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
 
 
 def _against(name: str, rates: Rates, own: str, peers: str, peer: str) -> Line:
-    """Compares a rate of ours with that of a peer; if the peer could not be measured, the line says why."""
+    """Compare a rate of ours with that of a peer; if the peer could not be measured, the line says why."""
     baseline = rates.rate(peers)
     return Line(name, rates.rate(own), "1/s", baseline, peer if baseline is not None else rates.missing[peers])

@@ -15,7 +15,7 @@ _DISK_COMMITS = 300
 
 
 def lines(entries: int, folder: Path) -> list[Line]:
-    """Writes a journal for each firing of a ring, and for each hundred, and comes back from it.
+    """Write a journal for each firing of a ring, and for each hundred, and come back from it.
 
     Args:
         entries: How many, of each journal.
@@ -55,5 +55,5 @@ def lines(entries: int, folder: Path) -> list[Line]:
 
 
 def _journal(folder: Path, sync: Sync = Sync.OS) -> Journal:
-    """Opens a journal that is never compacted, so that each entry is read again."""
+    """Open a journal that is never compacted, so that each entry is read again."""
     return Journal(folder, "bench", sync=sync, compact_bytes=_NEVER_COMPACT)

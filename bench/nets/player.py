@@ -48,7 +48,7 @@ class Work(enum.StrEnum):
 
 
 def working(family: str, places: int, work: Work) -> Net:
-    """Returns a net of a family that works for a command, and whose transitions have work to do."""
+    """Return a net of a family that works for a command, and whose transitions have work to do."""
     net = commanded(_FAMILIES[family](places, work is not Work.NONE))
     if work is not Work.ALL:
         return net
@@ -60,7 +60,7 @@ def working(family: str, places: int, work: Work) -> Net:
 
 
 def commanded(net: Net) -> Net:
-    """Returns a net whose tokens belong to a command, but for those of its resources.
+    """Return a net whose tokens belong to a command, but for those of its resources.
 
     The command begins with :data:`SYMBOL` and may end, as verification demands, where the net is marked as at its
     beginning and the guard :data:`OVER` says so.
@@ -118,7 +118,7 @@ class Player:
         return self._calls[0] if self._acts else self.executor.sequence
 
     def fire(self, firings: int, turn: int = TURN) -> int:
-        """Fires so many times, or a few more, in turns as a node does, and writes the journal after each.
+        """Fire so many times, or a few more, in turns as a node does, and write the journal after each.
 
         Args:
             firings: How often.

@@ -173,7 +173,7 @@ class Actions:
             return
         self._timers.cancel(activity.timer)
         self._deferred.pop(activity.number, None)
-        learns = activity.state is ActivityState.ACTIVE and activity.transition in self._strategies
+        learns = activity.transition in self._strategies and activity.state is ActivityState.ACTIVE
         failure = self._rule.end_action(activity, error, results)
         if learns:
             self._learn(activity, failure is None)

@@ -263,6 +263,10 @@ class Lineage(NamedTuple):
     job: Job | None
     failure: ImError | None
 
+    def failing(self, failure: ImError | None) -> "Lineage":
+        """Return the lineage of the same job with another failure."""
+        return self if failure is self.failure else Lineage(self.job, failure)
+
 
 NO_LINEAGE = Lineage(None, None)
 
@@ -299,6 +303,7 @@ class Activity:
         lineage: What the tokens taken carried.
         began: When it began (monotonic) [s].
         deadline: When it comes in doubt (monotonic) [s], None: never.
+        place: Number of the place that its token is on.
         objects: Data objects that must be valid when it has succeeded.
         state: How far it is.
         cancelled: Whether it was asked to end early.
@@ -319,6 +324,7 @@ class Activity:
     action: Action
     lineage: Lineage
     began: float
+    place: int
     deadline: float | None = None
     objects: tuple[str, ...] = ()
     state: ActivityState = ActivityState.ACTIVE

@@ -117,7 +117,7 @@ class Enabling:
                 self.consider(transition)
 
     def allows(self, transition: int) -> bool:
-        """Whether the arcs of a transition let it fire, be it free or not."""
+        """Tell whether the arcs of a transition, free or not, let it fire."""
         return self.compiled.enabled(self.tokens, transition)
 
     def next_candidate(self) -> int | None:
@@ -224,7 +224,7 @@ class Tokens:
         Returns:
             The job, and the first failure that its tokens carried.
         """
-        failure = None
+        lineage = NO_LINEAGE
         for place, weight in self._compiled.inputs[transition]:
             queue = self.queues.get(place)
             if queue is not None:
@@ -232,28 +232,29 @@ class Tokens:
                     picked = [queue.popleft()]
                 else:
                     picked = self._pick(queue, weight, owner)
-                for job, why in picked:
+                for each in picked:
+                    job, why = each
                     if job is not None or why is not None:
                         self._named[place] -= 1
-                    if why is not None and failure is None and job is owner:
-                        failure = why
+                    if job is owner and lineage.failure is None:
+                        lineage = each
                 if not self._named[place]:
                     del self.queues[place], self._named[place]
             self.enabling.take_tokens(place, weight)
         for place in self._compiled.resets[transition]:
             self.enabling.take_tokens(place, self.enabling.tokens[place])
-        return NO_LINEAGE if owner is None and failure is None else Lineage(owner, failure)
+        return lineage
 
     def peek_inputs(self, transition: int, owner: Job | None) -> Lineage:
         """Returns what a firing for a job would take along."""
+        lineage = NO_LINEAGE
         for place, weight in self._carriers[transition]:
             left = weight
-            for job, failure in self.queues.get(place, ()):
-                if job is owner and left:
-                    if failure is not None:
-                        return Lineage(owner, failure)
+            for each in self.queues.get(place, ()):
+                if each.job is owner and left and lineage.failure is None:
+                    lineage = each
                     left -= 1
-        return NO_LINEAGE if owner is None else Lineage(owner, None)
+        return lineage
 
     def _pick(self, queue: deque[Lineage], count: int, owner: Job | None) -> list[Lineage]:
         """Takes the oldest tokens of a job from a queue, and then the oldest of nobody."""

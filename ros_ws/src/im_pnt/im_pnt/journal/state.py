@@ -218,7 +218,7 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
         case [int(number), str(transition), str(state), job, failure, doubt, None | list() as reply, *life]:
             lineage = _lineage_of(known, [job, failure])
             activity = rule.new_activity(transition, number, lineage)
-            activity.state = ActivityState(state)
+            rule.set_state(activity, ActivityState(state))
             activity.cancelled = activity.state is not ActivityState.ACTIVE
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:

@@ -191,7 +191,7 @@ def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
 
 
 def substitute(text: str, values: Mapping[str, Parameter]) -> str:
-    """Replaces every ``$(...)`` of a text by its value.
+    """Replace every ``$(...)`` of a text by its value.
 
     Raises:
         ExpressionError: One is not closed, or has no value.
@@ -211,7 +211,7 @@ def substitute(text: str, values: Mapping[str, Parameter]) -> str:
 
 
 def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
-    """Returns the value of an expression whose only names are parameters: a whole number, or a text.
+    """Return the value of an expression whose only names are parameters: a whole number, or a text.
 
     Raises:
         ExpressionError: It has none.

@@ -54,16 +54,23 @@ _PHASE_PLACES = {
 }
 
 
+# An attribute of an enumeration is looked up by Python code (before Python 3.12): what each firing needs has a name.
+_ACTIVE, _PLAIN, _START = ActivityState.ACTIVE, Role.PLAIN, Role.START
+_STARTED, _ENDED = Phase.START, Phase.END
+
+
 class _Phases(NamedTuple):
-    """What a transition with an action has in the expanded net; found once, not at each firing.
+    """Parts of a transition with an action in the expanded net; found once, not at each firing.
 
     Attributes:
         start: ``t.start``.
+        active: Number of ``t.active``.
         places: For each state of the action the number of the place that is marked then.
         objects: Data objects that the outputs of ``t.end`` stand for, as the net names them.
     """
 
     start: Transition
+    active: int
     places: Mapping[ActivityState, int]
     objects: tuple[str, ...]
 
@@ -158,7 +165,8 @@ class FiringRule:
     def _phases_of(self, start: Transition) -> _Phases:
         places = {state: self.place[name(start.origin)] for state, name in _PHASE_PLACES.items()}
         outputs = (self.net.places[name] for name in self.net.transitions[f"{start.origin}.end"].outputs)
-        return _Phases(start, places, tuple(place.data_object for place in outputs if place.data_object is not None))
+        named = tuple(place.data_object for place in outputs if place.data_object is not None)
+        return _Phases(start, places[ActivityState.ACTIVE], places, named)
 
     # What comes from outside.
 
@@ -367,7 +375,7 @@ class FiringRule:
         return owners
 
     def _narrowed_owners(self, index: int, owners: Sequence[Job | None]) -> Sequence[Job | None]:
-        """Returns those of some owners for whom a transition can fire whose tokens alone do not tell it."""
+        """Return the owners of tokens that a transition can fire for, where more than tokens decides that."""
         if index in self._finishing:
             return [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
         if index in self._to_commands:
@@ -376,7 +384,7 @@ class FiringRule:
         return [each for owner in owners for each in (waiting if owner is None else (owner,))]
 
     def first_owner(self, index: int) -> Job | None:
-        """Returns the first of :meth:`owners`; None also where there is none."""
+        """Return the first of :meth:`owners`; None also where there is none."""
         if not self.tokens.queues and index not in self.begins:
             return None
         owners = self.owners(index)
@@ -430,10 +438,26 @@ class FiringRule:
     def _move_on(self, index: int, lineage: Lineage) -> Activity | None:
         """Does what a firing does with the tokens that it has taken."""
         transition = self.transitions[index]
+        if transition.role is _START:
+            return self.begin(index, lineage, transition.symbol or "")
+        passed_on: ImError | None = None
+        if transition.role is not _PLAIN:
+            lineage, passed_on = self._take_role(transition, lineage)
+        self._give(index, lineage.failing(passed_on))
+        message = str(lineage.failure) if lineage.failure is not None else ""
+        symbol = transition.symbol or (transition.emit[0] if transition.emit else "")
+        self.notifier.note(transition.name, _ENDED, lineage, symbol=symbol, message=message)
+        self.emit(transition, lineage)
+        return None
+
+    def _take_role(self, transition: Transition, lineage: Lineage) -> tuple[Lineage, ImError | None]:
+        """Take or answer a request, or withdraw an object, for a transition that does more than move tokens.
+
+        Returns:
+            The lineage that it fires for, and the failure that its tokens carry on.
+        """
         passed_on: ImError | None = None
         match transition.role:
-            case Role.START:
-                return self.begin(index, lineage, transition.symbol or "")
             case Role.ACCEPT:
                 if lineage.job is not None:
                     self.ledger.serving[lineage.job.number] = lineage.job
@@ -451,12 +475,7 @@ class FiringRule:
                 passed_on = ImError(f"data object {name} lost its validity", code="data", object=name)
                 if lineage.job is not None:
                     lineage.job.last_failure = passed_on
-        self._give(index, Lineage(lineage.job, passed_on))
-        message = str(lineage.failure) if lineage.failure is not None else ""
-        symbol = transition.symbol or (transition.emit[0] if transition.emit else "")
-        self.notifier.note(transition.name, Phase.END, lineage, symbol=symbol, message=message)
-        self.emit(transition, lineage)
-        return None
+        return lineage, passed_on
 
     def _served(self, job: Job | None) -> Job | None:
         """Takes the request that a firing answers from those in service: the oldest, where its tokens are nobody's."""
@@ -467,9 +486,9 @@ class FiringRule:
     def begin(self, index: int, lineage: Lineage, symbol: str) -> Activity:
         """Marks ``t.active`` for tokens that were taken; returns the action that is to begin."""
         origin = self.transitions[index].origin
-        self.enabling.add_tokens(self._phases[origin].places[ActivityState.ACTIVE], 1)
-        self.notifier.note(origin, Phase.START, lineage, symbol=symbol)
+        self.notifier.note(origin, _STARTED, lineage, symbol=symbol)
         activity = self.new_activity(origin, self.notifier.sequence, lineage)
+        self.enabling.add_tokens(activity.place, 1)
         self.activities[activity.number] = activity
         return activity
 
@@ -479,10 +498,14 @@ class FiringRule:
         Raises:
             KeyError: The net as written has no such transition with an action.
         """
-        start, _, named = self._phases[transition]
+        start, active, _, named = self._phases[transition]
         assert start.action is not None
         objects = tuple(self.object_name(found, lineage.job) for found in named) if named else ()
-        return Activity(number, self.net.name, transition, start.action, lineage, self.clock(), objects=objects)
+        return Activity(number, self.net.name, transition, start.action, lineage, self.clock(), active, objects=objects)
+
+    def set_state(self, activity: Activity, state: ActivityState) -> None:
+        """Set the state of an action, and the place of its token."""
+        activity.state, activity.place = state, self._phases[activity.transition].places[state]
 
     def move(self, activity: Activity, state: ActivityState, error: ImError) -> None:
         """Fires ``t.cancel`` or ``t.lost`` of an activity.
@@ -497,9 +520,9 @@ class FiringRule:
             name = f"{name}.cancelling"
         if self.record is not None:
             self.record(PhaseFired(activity.number, name, error))
-        self._leave_phase(activity)
-        activity.state = state
-        self.enabling.add_tokens(self._phases[activity.transition].places[state], 1)
+        self.enabling.take_tokens(activity.place, 1)
+        self.set_state(activity, state)
+        self.enabling.add_tokens(activity.place, 1)
         if state is ActivityState.IN_DOUBT:
             activity.doubt, activity.doubted = error, self.clock()
         phase = Phase.DOUBT if state is ActivityState.IN_DOUBT else Phase.CANCEL
@@ -526,7 +549,7 @@ class FiringRule:
             except NetError as unfit:
                 error = error or unfit
         name = f"{activity.transition}.{'failed' if error else 'end'}"
-        if activity.state is not ActivityState.ACTIVE:
+        if activity.state is not _ACTIVE:
             name = f"{name}.{activity.state}"
         if error is not None and error.code == DOUBT_CODE and activity.state is ActivityState.IN_DOUBT:
             given_up = f"{activity.transition}.given_up"
@@ -560,13 +583,13 @@ class FiringRule:
             job.last_failure = failure
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
-        self._leave_phase(activity)
-        lineage = Lineage(job, failure)
+        self.enabling.take_tokens(activity.place, 1)
+        lineage = activity.lineage.failing(failure)
         self._give(index, lineage)
         transition = self.transitions[index]
         self.notifier.note(
             activity.transition,
-            Phase.FAILED if error else Phase.END,
+            Phase.FAILED if error else _ENDED,
             lineage,
             symbol=transition.emit[0] if transition.emit else "",
             duration=self.clock() - activity.began,
@@ -594,9 +617,6 @@ class FiringRule:
     def answering(self, activity: Activity) -> str:
         """Returns the transition as whose answer that of an action counts: of a further try, the first one."""
         return self._phases[activity.transition].start.retry_of or activity.transition
-
-    def _leave_phase(self, activity: Activity) -> None:
-        self.enabling.take_tokens(self._phases[activity.transition].places[activity.state], 1)
 
     def _give(self, index: int, lineage: Lineage) -> None:
         """Marks what a firing gives: its tokens belong to its job, where that has not ended."""
