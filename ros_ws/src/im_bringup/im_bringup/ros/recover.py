@@ -56,7 +56,7 @@ class RecoverClient(InterruptibleNode):
         self._reset = self.create_client(Trigger, "/mcs/reset")
         self._mcs_pid = 0
         self._failure = ""
-        self._tell, self._said = say, ""
+        self._tell, self._said = say, set[str]()
 
     def recover(self, timeout_s: float) -> str:
         """Bring the machine back.
@@ -160,8 +160,8 @@ class RecoverClient(InterruptibleNode):
         return f"ready: {len(tasks)} tasks{state}"
 
     def _say(self, sentence: str) -> None:
-        if sentence != self._said:
-            self._said = sentence
+        if sentence not in self._said:
+            self._said.add(sentence)
             self._tell(sentence)
 
     def _register(self, message: TaskRegistry) -> None:

@@ -345,7 +345,7 @@ def _explained(result: CommandResult, events: Sequence[str]) -> CommandResult:
     """Return a result that tells the events before its command failed."""
     if result.error is None or result.error.code == "cancelled":
         return result
-    untold = [event for event in events if event not in result.error.message]
+    untold = [event for event in events if event.partition(";")[0] not in result.error.message]
     if not untold:
         return result
     words = f"{result.error.message}; before that: {'; '.join(untold)}"
