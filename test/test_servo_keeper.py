@@ -1,12 +1,13 @@
 """What /mcs makes of the states that its servo tells: a loss that is over by itself, or a stop that stays."""
 
 import logging
-from pathlib import Path
+import re
 from types import SimpleNamespace
 
 import pytest
 
-from im_core.errors import StoreError
+from im_core.errors import StateError
+from im_mcs.protocol.channel import ServoChannel
 from im_mcs.ros.servo_keeper import ServoKeeper
 from im_mcs.state import Event, State
 
@@ -16,7 +17,9 @@ LOSS, ASKED = "the testbed is gone", "request on /mcs/estop"
 @pytest.fixture
 def keeper():
     """A keeper whose servo is estopped, and ``tell``: what that servo says."""
-    node = SimpleNamespace(get_logger=lambda: logging.getLogger("keeper"), wake=lambda: None)
+    node = SimpleNamespace(
+        get_logger=lambda: logging.getLogger("keeper"), wake=lambda: None, spawn=lambda work: work.close()
+    )
     keeper = ServoKeeper(node, SimpleNamespace(state="inactive"), None, 1.0, SimpleNamespace(), lambda: None)
     servo = SimpleNamespace(state=State.ESTOPPED, told=[])
     client = SimpleNamespace(
@@ -69,14 +72,16 @@ def test_a_servo_that_has_not_heard_of_a_stop_is_told_until_it_has(keeper):
     assert len(keeper.servo.told) == 1
 
 
-def test_a_stop_that_cannot_be_kept_on_the_disk_cuts_the_stop_circuits(keeper, monkeypatch):
-    async def full(*_, **__):
-        raise StoreError("no space left on device", file=Path("estop"), reason="no space left on device")
-
-    cut = []
-    keeper._circuits = SimpleNamespace(cut=lambda: cut.append(1) or "the stop circuit of testbed is cut")
-    monkeypatch.setattr("im_mcs.ros.servo_keeper.run_in_thread", full)
-    tell(keeper, ASKED, False)
-    with pytest.raises(StopIteration):
-        keeper._keep_mark().send(None)
-    assert cut == [1]
+def test_what_is_refused_after_the_death_of_the_node_names_that_death(keeper, monkeypatch):
+    monkeypatch.setattr(ServoChannel, "dead_owner", lambda _: 77)
+    again = ServoKeeper(keeper._node, keeper._lifecycle, None, 1.0, SimpleNamespace(), lambda: None)
+    death = "/mcs has died (process 77) and was started again"
+    assert again.reason == death
+    with pytest.raises(StateError, match="^" + re.escape(f"{death}; it is not configured yet, ask again")):
+        again.client()
+    refusal = StateError("move is refused in state cold", state="cold")
+    assert again.explain(refusal).message == f"{refusal.message}; the cause of this state: {death}"
+    again._owner = keeper._owner
+    again._take_state(State.ACTIVE, {"left": "active"}, "", False)
+    again.follow()
+    assert again.explain(refusal) is refusal, "work has begun anew"

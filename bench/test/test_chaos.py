@@ -8,10 +8,13 @@ import pytest
 from bench.chaos.command import Outcome
 from bench.chaos.faults import KINDS, ROLES, kill, stop
 from bench.chaos.records import BEGIN, END, Result, Verdict, append, document, read, table
-from bench.chaos.safety import Rest, Uncontrolled
+from bench.chaos.safety import Braking, Rest, Uncontrolled
 from bench.chaos.trial import judge
-from im_cell.link import ControlState
+from im_cell.link import ControlState, TickCommand
+from im_cell.robot import load_cell
 from im_core.files import FileError
+from im_sim.actuators import HoldingBrakes
+from im_sim.plant import Plant
 
 SERVO, TWO = kill(("servo",)), kill(("dom", "mcs"))
 
@@ -101,12 +104,12 @@ def control(tick, servo=7, losses=0, power=True, braked=False):
     return ControlState(tick, servo, losses, power, braked)
 
 
-def test_arms_without_control_may_move_for_half_a_second_and_no_longer():
+def test_arms_that_keep_their_power_may_move_for_half_a_second_and_no_longer():
     rest = Rest(control(1000), JOINTS, PERIOD_S)
     assert rest.finding(control(1000 + 100), MOVING) == ""
     assert rest.finding(control(1000 + 120), STILL) == ""
     assert rest.finding(control(1000 + 120), MOVING) == "0.54 s after the fault left_j2 still moves, -0.240"
-    assert "still moves" in rest.finding(control(5000, servo=0, losses=1, power=False), MOVING)
+    assert rest.finding(control(5000, servo=0, losses=1, power=False), MOVING) == "", "brakes stop it"
 
 
 @pytest.mark.parametrize("taken_over", [{"servo": 8, "losses": 1}, {"servo": 8}, {"losses": 1}])
@@ -117,10 +120,44 @@ def test_the_motion_of_the_next_command_is_none_of_the_fault_before_it(taken_ove
     assert rest.over
 
 
-def test_without_a_servo_power_is_off_and_brakes_hold_from_the_second_tick_on():
+def test_without_a_servo_power_is_off_from_the_second_tick_on():
     rule = Uncontrolled()
     assert rule.finding(control(10)) == ""
     assert rule.finding(control(11, servo=0)) == ""
-    assert rule.finding(control(13, servo=0, power=False, braked=True)) == ""
-    assert rule.finding(control(13, servo=0)) == "2 ticks without a servo: power on, brakes off"
+    assert rule.finding(control(13, servo=0, power=False)) == ""
+    assert rule.finding(control(13, servo=0)) == "2 ticks without a servo, and the power is on"
     assert rule.finding(control(14)) == rule.finding(control(15, servo=0)) == ""
+
+
+CELL = load_cell()
+
+
+def stopped(share, delay_s=CELL.brakes.delay):
+    """Whether arms at half speed come to rest by brakes that have a share of their stated torque; what is found."""
+    plant, rule = Plant(CELL, seed=1), Braking(CELL, CELL.period)
+    plant._actuators._brake_torques = share * CELL.per_joint("brake")
+    plant._brakes = HoldingBrakes(18, round(delay_s / CELL.period))
+    for _ in range(60):  # the brakes let go
+        plant.run_tick(TickCommand(np.zeros(18), True, np.zeros(18, dtype=bool), np.zeros(2), True, np.zeros(2)))
+    plant._world.reset(CELL.home, 0.5 * CELL.per_joint("limits.velocity"))
+    plant.q, plant.v = plant._world.state()
+    findings = []
+    for tick in range(300):
+        plant.run_tick(None)
+        told = ControlState(tick, 0, 1, plant.power, bool(plant.brakes.all()))
+        findings.append(rule.finding(told, plant.q, plant.v))
+    plant.close()
+    return np.abs(plant.v).max() < 1e-9, next(filter(None, findings), "")
+
+
+def test_arms_travel_as_far_as_their_brakes_let_them():
+    assert stopped(1.0) == (True, "")
+    assert "travelled" in stopped(0.7)[1], "brakes weaker than stated"
+    assert "ticks without power, and not every brake holds" in stopped(1.0, delay_s=2.0 * CELL.brakes.delay)[1]
+
+
+def test_a_motor_that_drives_against_the_brakes_is_seen():
+    rule, q, v = Braking(CELL, CELL.period), CELL.home.copy(), np.zeros(18)
+    assert rule.finding(control(1, power=False, braked=True), q, v) == ""
+    q[5] += 0.01
+    assert "left_j3 travelled 0.0100 with all brakes on" in rule.finding(control(2, power=False, braked=True), q, v)

@@ -2,17 +2,20 @@
 
 import os
 import signal
+import threading
 
 import pytest
 
 from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
 from im_core.ros.calls import call_blocking
-from im_mcs.client.stop_mark import StopMark
+from im_mcs.safety.stop_mark import StopMark
 from im_mcs.state import UNCONFIGURED_MESSAGE
+from im_msgs.action import Move
 from im_msgs.srv import InjectFault, ReserveGroup
 
 CAUSE = "request on /mcs/estop"
+GOALS = 1000
 
 
 @pytest.fixture
@@ -92,10 +95,10 @@ def test_a_servo_that_has_just_begun_to_hang_is_not_waited_for(client, panel, te
     try:
         answer = client.trigger("estop")
         assert answer.success
-        assert answer.message.startswith("MCS is estopped; the servo did not answer: ")
-        assert answer.message.endswith("the stop circuit of testbed is cut")
+        assert answer.message.startswith("MCS is estopped; the stop circuit of testbed is cut; power is ")
+        assert answer.message.endswith("; the servo has not answered")
         client.until(lambda: dead(testbed))
-        client.until(lambda: client.state() == "estopped")
+        client.until(lambda: client.state() == "estopped" and not client.states[-1].power)
         assert client.lifecycle() == "inactive"
         assert not client.trigger("reset").success
     finally:
@@ -142,3 +145,57 @@ def test_a_stop_that_was_asked_for_outlives_who_was_asked(client):
     assert client.trigger("reset").success
     assert later.read() == ""
     client.to_motion()
+
+
+def test_a_thousand_queued_goals_do_not_hold_an_emergency_stop_up(client, testbed):
+    client.to_motion()
+    far = client.home.copy()
+    far[0] += 0.5
+    results = [client.start_move(far, policy=Move.Goal.APPEND)[1] for _ in range(GOALS)]
+    files = set(evidence())
+    answer = client.trigger("estop")
+    assert (StopMark().read(), testbed.read_state().power) == (CAUSE, False), "before the answer"
+    assert answer.message.startswith("MCS is estopped; the stop circuit of testbed is cut; power is off, ")
+    ends = [result() for result in results]
+    assert all("emergency stop" in end.status.message for end in ends if not end.success)
+    assert not ends[-1].success
+    assert len(set(evidence()) - files) == 1, "of all goals"
+    assert client.trigger("reset").success
+
+
+def test_a_node_whose_loop_stands_still_answers_an_emergency_stop(client, testbed):
+    client.to_motion()
+    client.start_far_move(speed_scale=0.02)
+    going, answered = threading.Event(), threading.Event()
+
+    async def hang():
+        going.set()
+        assert answered.wait(60.0), "the emergency stop waits for the loop"
+
+    client.mcs.spawn(hang())
+    assert going.wait(60.0)
+    assert client.trigger("estop").success
+    assert (StopMark().read(), testbed.read_state().power) == (CAUSE, False)
+    answered.set()
+    client.until(lambda: client.state() == "estopped")
+
+
+def test_state_tells_the_power_of_a_servo_that_hangs_as_it_is(client, panel, testbed):
+    client.to_motion()
+    client.start_far_move(speed_scale=0.02)
+    pid = panel.servo_pid
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        client.until(lambda: dead(testbed))
+        since = len(client.states)
+        client.until(lambda: len(client.states) > since + 1)
+        assert not client.states[-1].power
+        assert client.states[-1].brakes
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    client.until(lambda: client.state() == "estopped")
+
+
+def evidence():
+    """Files with the last seconds before an abort."""
+    return (names.results_dir() / "mcs").glob("*.npz")

@@ -20,8 +20,9 @@ INSTANCE = f"im_mcs_process_{os.getpid()}"
 
 
 @pytest.fixture
-def turns(frictionless, cell, model, monkeypatch):
+def turns(frictionless, cell, model, monkeypatch, tmp_path):
     """A process whose turns the test makes, and its owner's end of the channel."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     made = []
 
     def make():

@@ -7,9 +7,9 @@ import pytest
 from im_cell.link import HostEnd, Sensors
 from im_core.config import package_file
 from im_core.errors import ConfigError
-from im_mcs.client.stop_circuits import StopCircuits
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.slots import Driver, Slot
+from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.testbed import Drive, TestbedInterface, load_driver
 from im_mcs.testbed.loopback import LoopbackDriver
 

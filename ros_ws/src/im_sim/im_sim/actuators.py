@@ -10,7 +10,38 @@ from im_cell.robot import Cell
 from im_sim.dynamics import Dynamics
 from im_sim.friction import DryFriction
 
-BRAKE_FACTOR = 5.0  # a brake holds that many times the motor's largest torque
+
+class HoldingBrakes:
+    """Brakes that hold, or let go, a stated delay after the command: springs and coils take their time.
+
+    Args:
+        n: Number of joints.
+        delay_ticks: Ticks from a command until a brake obeys.
+
+    Attributes:
+        engaged: Which brakes hold, shape (n,); another array after every change.
+    """
+
+    def __init__(self, n: int, delay_ticks: int) -> None:
+        self.engaged = np.ones(n, dtype=np.bool_)
+        self._delay_ticks = delay_ticks
+        self._waited = np.zeros(n, dtype=np.intp)
+        self._agreed = self.engaged.tobytes()
+
+    @property
+    def obey(self) -> bool:
+        """Whether every brake is as it was told to be."""
+        return self._agreed != b""
+
+    def tick(self, commanded: NDArray[np.bool_]) -> None:
+        """Let a tick pass under a command, shape (n,); a command that is taken back starts its delay anew."""
+        if commanded.tobytes() == self._agreed:
+            return
+        self._waited = np.where(commanded != self.engaged, self._waited + 1, 0)
+        self.engaged = np.where(self._waited > self._delay_ticks, commanded, self.engaged)
+        differ = commanded != self.engaged
+        self._waited *= differ
+        self._agreed = b"" if differ.any() else commanded.tobytes()
 
 
 class Actuators:
@@ -49,16 +80,16 @@ class Actuators:
         self._held: bytes | None = None
         self._torque_limits = cell.per_joint("limits.torque")
         self._least_torques = -self._torque_limits
-        self._brake_torques = BRAKE_FACTOR * self._torque_limits
+        self._brake_torques = cell.per_joint("brake")
         n = len(self._viscous)
         self._friction = DryFriction(n)
         self._found: NDArray[np.float64] | None = None
         self.command(np.zeros(n), False, np.ones(n, dtype=np.bool_))
 
     def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
-        """Set the torques [Nm or N], shape (n,); beyond the motors' limits they are cut, NaN gives none.
+        """Set the torques [Nm or N], shape (n,), and which brakes hold, shape (n,).
 
-        Without power there is no torque.
+        Beyond the motors' limits torques are cut, NaN gives none. Without power there is no torque.
         """
         if power:
             if not math.isfinite(tau.dot(tau)):

@@ -39,7 +39,7 @@ class TickLoop:
         """Run until :meth:`stop`."""
         while not self._stopped:
             if self._link.factor == 0.0:
-                if not self._link.await_demand(_DEMAND_WAIT_S):
+                if not self._plant.settling and not self._link.await_demand(_DEMAND_WAIT_S):
                     continue
             elif not self._link.servo_attached():
                 self._pace()

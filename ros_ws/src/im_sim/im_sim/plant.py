@@ -5,13 +5,15 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults, JawObject, Sensors, TickCommand
 from im_cell.robot import Cell
-from im_sim.actuators import Actuators
+from im_sim.actuators import Actuators, HoldingBrakes
 from im_sim.dynamics import Dynamics
 from im_sim.grippers import GripperJaws
 from im_sim.sensors import Encoders, Signals, WristWrenches
 from im_sim.world import World
 
 _AT_REST = 1e-12
+#: For how long arms that have lost their power want time to come to rest, at most [s].
+_SETTLE_S = 2.0
 
 
 class Plant:
@@ -25,6 +27,7 @@ class Plant:
         q: True positions, shape (n,) [rad or m].
         v: True velocities, shape (n,) [rad/s or m/s].
         power: Whether the motors have power.
+        settling: Whether the arms have lost their power and have not come to rest: time goes on for them.
     """
 
     def __init__(self, cell: Cell, seed: int) -> None:
@@ -42,10 +45,12 @@ class Plant:
         self._n = len(cell.joints)
         self._dt_each = np.full(self._n, self._dt)
         self._held_brakes = np.ones(self._n, dtype=np.bool_)
+        self._brakes = HoldingBrakes(self._n, round(cell.brakes.delay / cell.period))
+        self._settle_ticks = round(_SETTLE_S / cell.period)
         self._faults, self._may_hold = Faults.none(self._n), self._held_brakes
-        self._tick = 0
+        self._tick = self._settled_at = 0
         self._stands = False
-        self.power = False
+        self.power = self.settling = False
         self.q, self.v = self._world.state()
         self._feel(self.q, self.v)
 
@@ -97,23 +102,26 @@ class Plant:
             self._actuators.prepare(self.q, self.v)
 
     def run_tick(self, command: TickCommand | None) -> None:
-        """One tick under a command; without one, power is off. Without power every brake is engaged.
+        """One tick under a command; without one, power is off. Without power every brake is told to hold.
 
         What stands still after a step, with every joint stuck, is not stepped again before the next tick, nor, without
         power, before anything else is commanded.
         """
-        held_before = self._actuators.brakes
-        if command is None:
-            self._actuators.command(np.zeros(self._n), False, self._may_hold)
-            self.power = False
-        else:
-            self.power = command.power and not self._faults.power_loss
-            held = command.brakes | self._faults.brake_stuck if self.power else self._held_brakes
-            self._actuators.command(command.tau, self.power, held & self._may_hold)
+        held_before, powered_before = self._actuators.brakes, self.power
+        self.power = command is not None and command.power and not self._faults.power_loss
+        self._brakes.tick(command.brakes if command is not None and self.power else self._held_brakes)
+        held = self._brakes.engaged | self._faults.brake_stuck
+        tau = np.zeros(self._n) if command is None else command.tau
+        self._actuators.command(tau, self.power, held & self._may_hold)
+        if command is not None:
             self._grippers.command(command.gripper, command.gripper_force)
         self._tick += 1
+        if powered_before and not self.power:
+            self._settled_at = self._tick + self._settle_ticks
         if not self._stands or self.power or held_before.tobytes() != self._actuators.brakes.tobytes():
             self._move()
+        unpowered = not self.power and self._tick < self._settled_at
+        self.settling = unpowered and not (self._stands and self._brakes.obey)
         if self._grippers.step(self._period):
             self._dynamics.carry(self._grippers.held())
             self._stands = False

@@ -10,6 +10,7 @@ CELL = load_cell()
 N = len(CELL.joints)
 HELD, FREE = np.ones(N, dtype=bool), np.zeros(N, dtype=bool)
 CLOSED = np.zeros(2)
+DELAY_TICKS = round(CELL.brakes.delay / CELL.period)
 ALL_FORCE = np.full(2, np.inf)
 REACHING = np.array([-0.6, 0.4, 0.3, 0.5, 0.6, -1.2, 0.3, 0.6, 0.2, 1.2, -0.3, -0.3, 0.5, 0.8, -1.0, 0.2, 0.5, 0.1])
 
@@ -25,8 +26,8 @@ def command(tau=None, brakes=FREE, power=True, gripper=CLOSED, force=ALL_FORCE):
     return TickCommand(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
 
 
-def place(plant, q):
-    plant._world.reset(q, np.zeros(N))
+def place(plant, q, v=None):
+    plant._world.reset(q, np.zeros(N) if v is None else v)
     plant.q, plant.v = plant._world.state()
 
 
@@ -56,7 +57,7 @@ def test_what_stands_without_power_is_stepped_again_once_it_may_move(plant):
     assert len(steps) == steps_before, "nothing moves, and nothing is simulated"
     plant.run_tick(command(brakes=HELD))
     assert len(steps) > steps_before
-    for _ in range(20):
+    for _ in range(DELAY_TICKS + 20):
         plant.run_tick(command())
     assert np.abs(plant.q - stood).max() > 1e-3, "it falls"
 
@@ -100,17 +101,85 @@ def test_more_torque_than_friction_moves_and_viscous_friction_bounds_the_speed(p
     assert 0.05 < plant.v[joint] < 10.0 / CELL.joints[joint].viscous
 
 
-def test_brakes_stop_a_moving_arm_within_a_few_ticks(plant):
+def release(plant):
+    """Let the brakes go, at home."""
+    for _ in range(DELAY_TICKS + 1):
+        plant.run_tick(command(gravity(CELL.home)))
+    assert not plant.brakes.any()
+
+
+def test_a_brake_lets_go_and_holds_a_delay_after_its_command(plant):
     tau = gravity(CELL.home)
-    tau[[3, 8]] += [80.0, 15.0]
-    for _ in range(40):
-        plant.run_tick(command(tau))
-    assert plant.v[3] > 0.3
-    for _ in range(8):
+    for brakes in (FREE, HELD):
+        for _ in range(DELAY_TICKS):
+            plant.run_tick(command(tau, brakes))
+            assert (plant.brakes != brakes).all()
+        plant.run_tick(command(tau, brakes))
+        assert (plant.brakes == brakes).all()
+
+
+def test_a_command_that_is_taken_back_begins_its_delay_anew(plant):
+    for brakes in (FREE, HELD, FREE):
+        for _ in range(DELAY_TICKS):
+            plant.run_tick(command(brakes=brakes))
+            assert plant.brakes.all()
+
+
+def test_without_power_the_arm_moves_on_until_the_brakes_hold_and_stops_as_their_torque_says(plant):
+    """One joint, whose travel is known: constant speed, then constant deceleration."""
+    release(plant)
+    v = np.zeros(N)
+    v[0] = 0.5
+    place(plant, CELL.home, v)
+    track = CELL.joints[0]
+    model = pin.buildModelFromXML(urdf(CELL))
+    mass = pin.crba(model, model.createData(), CELL.home)[0, 0] + track.rotor_inertia
+    drag = track.coulomb_positive + 0.5 * track.viscous
+    delay_s = DELAY_TICKS * CELL.period
+    slower = 0.5 - drag / mass * delay_s
+    travel = 0.5 * (0.5 + slower) * delay_s + 0.5 * slower**2 * mass / (track.brake + track.coulomb_positive)
+    settled = 0
+    for _ in range(200):
         plant.run_tick(None)
+        settled += not plant.settling
+    assert plant.q[0] - CELL.home[0] == pytest.approx(travel, rel=0.03)
     assert np.abs(plant.v).max() < 1e-9
-    assert plant.brakes.all()
-    assert not plant.power
+    assert settled > 0, "time is not wanted any more"
+
+
+def test_brakes_take_the_energy_of_the_arms_with_the_torque_that_is_stated(plant):
+    release(plant)
+    place(plant, REACHING, 0.4 * CELL.per_joint("limits.velocity"))
+    while not plant.brakes.all():
+        plant.run_tick(None)
+    model = pin.buildModelFromXML(urdf(CELL))
+    data = model.createData()
+    inertia = pin.crba(model, data, plant.q)
+    inertia = np.triu(inertia) + np.triu(inertia, 1).T + np.diag(CELL.per_joint("rotor_inertia"))
+    energy = 0.5 * plant.v @ inertia @ plant.v + pin.computePotentialEnergy(model, data, plant.q)
+    way = np.zeros(N)
+    while plant.settling:
+        before = plant.q
+        plant.run_tick(None)
+        way += np.abs(plant.q - before)
+    taken = energy - pin.computePotentialEnergy(model, data, plant.q)
+    brake = CELL.per_joint("brake")
+    dry = np.maximum(CELL.per_joint("coulomb_positive"), CELL.per_joint("coulomb_negative"))
+    viscous = CELL.per_joint("viscous") * 0.4 * CELL.per_joint("limits.velocity")
+    assert brake @ way <= taken * 1.02
+    assert taken <= (brake + dry + viscous) @ way * 1.02
+
+
+def test_brakes_hold_twice_what_any_joint_carries():
+    model = pin.buildModelFromXML(urdf(CELL))
+    for side in CELL.sides:
+        payload = pin.Inertia(2.5, np.array([0.0, 0.0, CELL.gripper.reach]), np.zeros((3, 3)))
+        frame = model.frames[model.getFrameId(f"{side}_wrist")]
+        model.inertias[frame.parentJoint] += frame.placement.act(payload)
+    data, random = model.createData(), np.random.default_rng(0)
+    lower, upper = CELL.per_joint("limits.lower"), CELL.per_joint("limits.upper")
+    loads = [pin.computeGeneralizedGravity(model, data, random.uniform(lower, upper)) for _ in range(3000)]
+    assert (CELL.per_joint("brake") >= 2.0 * np.abs(loads).max(axis=0)).all()
 
 
 def test_power_off_means_no_torque_and_brakes_whatever_is_commanded(plant):

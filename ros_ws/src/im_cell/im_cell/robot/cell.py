@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from im_cell.robot.parameters import (
     ArmModel,
     Box,
+    BrakeSpec,
     Camera,
     Capsule,
     Cart,
@@ -45,6 +46,7 @@ class Cell(Model):
     cart: Cart
     sides: dict[str, Side]
     encoder: EncoderSpec
+    brakes: BrakeSpec
     gripper: Gripper
     wrist_sensor: WristSensor
     led: Led

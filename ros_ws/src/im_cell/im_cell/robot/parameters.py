@@ -51,12 +51,14 @@ class Motor(Model):
         gear: Motor turns per joint turn, negative if they turn opposite ways [1 or rad/m].
         viscous: Friction by speed [Nm s].
         coulomb: Friction torque turning forwards (> 0) and backwards (< 0) [Nm].
+        brake: Torque of the holding brake on the motor's shaft [Nm].
     """
 
     inertia: NonNegative
     gear: Number
     viscous: NonNegative
     coulomb: tuple[NonNegative, Annotated[float, Field(le=0.0, ge=-_LARGEST)]]
+    brake: NonNegative
 
     @field_validator("gear")
     @classmethod
@@ -175,6 +177,17 @@ class EncoderSpec(Model):
 
     counts_per_turn: Annotated[int, Field(gt=0)]
     noise_counts: NonNegative
+
+
+class BrakeSpec(Model):
+    """The holding brakes of all joints; ``source`` as of an arm.
+
+    Attributes:
+        delay: Time from a command, or the loss of power, until a brake holds or lets go [s].
+    """
+
+    source: Source
+    delay: NonNegative
 
 
 class SensorSpec(Model):

@@ -29,6 +29,7 @@ class Joint:
         rotor_inertia: Reflected to the joint [kg m2 or kg].
         viscous: Reflected friction by speed [Nm s/rad or N s/m].
         coulomb_positive, coulomb_negative: Magnitudes of reflected dry friction by direction [Nm or N].
+        brake: Reflected torque of the holding brake [Nm or N].
         resolution: Of the encoder [rad or m].
         noise: Standard deviation of the encoder before quantisation [rad or m].
     """
@@ -45,6 +46,7 @@ class Joint:
     viscous: float
     coulomb_positive: float
     coulomb_negative: float
+    brake: float
     resolution: float
     noise: float
 
@@ -87,7 +89,7 @@ def joints_of(name: str, side: Side, cart: Cart, arm: ArmModel, counts: int, noi
             name=f"{name}_{joint_name}", kind=kind, axis=axis, parent=links[0], child=links[1], xyz=pose[0],
             rpy=pose[1], limits=limits, rotor_inertia=gear**2 * motor.inertia, viscous=gear**2 * motor.viscous,
             coulomb_positive=gear * forwards, coulomb_negative=-gear * backwards,
-            resolution=resolution, noise=noise_counts * resolution,
+            brake=gear * motor.brake, resolution=resolution, noise=noise_counts * resolution,
         )  # fmt: skip
 
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

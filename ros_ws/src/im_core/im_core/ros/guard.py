@@ -311,7 +311,8 @@ class GuardedActionServer(ActionServer):
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[[Any], Any] | None) -> None:
         """As in rclpy, whose executor looks at every goal that waits after every event; the node's loop does not."""
-        self._guard.begin(self._execute_goal(execute_callback or self._execute_callback, goal_handle))
+        run: Callable[..., Coroutine[object, object, None]] = self._execute_goal  # rclpy says no types
+        self._guard.begin(run(execute_callback or self._execute_callback, goal_handle))
 
     async def execute(self, taken_data: Any) -> None:
         """As in rclpy, which calls it for every request."""

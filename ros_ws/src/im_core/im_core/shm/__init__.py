@@ -9,9 +9,9 @@ a name left behind by a dead owner is replaced by the next creator and refused t
 - :class:`MessageRing`: JSON messages from one writer to one reader, in order.
 """
 
-from im_core.shm.block import SharedBlock
+from im_core.shm.block import SharedBlock, dead_owner
 from im_core.shm.ring import MessageRing
 from im_core.shm.semaphore import Semaphore
 from im_core.shm.snapshot import Snapshot
 
-__all__ = ["MessageRing", "Semaphore", "SharedBlock", "Snapshot"]
+__all__ = ["MessageRing", "Semaphore", "SharedBlock", "Snapshot", "dead_owner"]

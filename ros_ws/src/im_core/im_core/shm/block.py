@@ -170,6 +170,31 @@ def _open(name: str) -> tuple[mmap.mmap | None, str]:
     return memory, ""
 
 
+def dead_owner(name: str) -> int:
+    """Find the process that created a block and died without removing it; 0 where there is none.
+
+    Args:
+        name: Name given by the creator.
+
+    Raises:
+        LinkError: The block is another user's.
+    """
+    try:
+        with own_names(_KIND, name):
+            shared = posix_ipc.SharedMemory(f"/{name}")
+    except posix_ipc.ExistentialError:
+        return 0
+    try:
+        head = os.pread(shared.fd, _HEADER.itemsize, 0)
+    finally:
+        shared.close_fd()
+    if len(head) < _HEADER.itemsize:
+        return 0
+    header = np.frombuffer(head, dtype=_HEADER, count=1)[0]
+    owner = ProcessId(int(header["pid"]), int(header["start"]))
+    return 0 if owner.alive() else owner.pid
+
+
 def _refuse_if_in_use(name: str) -> None:
     memory, _ = _open(name)
     if memory is None:

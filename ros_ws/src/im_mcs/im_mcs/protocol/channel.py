@@ -5,7 +5,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot
+from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot, dead_owner
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
 from im_mcs.protocol.evidence import RecordLayout
@@ -160,6 +160,11 @@ class ServoChannel:
             SharedBlock.attach(f"{prefix}_evidence", timeout_s),
             record_layout(config),
         )
+
+    @staticmethod
+    def dead_owner(instance: str) -> int:
+        """Find the process of an owner that died in the possession of a channel; 0 where there is none."""
+        return dead_owner(f"{instance}_mcs_evidence")
 
     def close(self) -> None:
         """Release everything; the owner removes the names."""

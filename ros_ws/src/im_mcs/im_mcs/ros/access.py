@@ -230,7 +230,7 @@ class McsAccess:
             self._shown_tick = tick
             self._changed()
         if reply.error is not None:
-            raise await self._with_evidence(client, reply.error, reply.results)
+            raise await self._with_evidence(client, self.keeper.explain(reply.error), reply.results)
         return reply.results
 
     async def transition(self, event: Event, client: str, group: str = "", owner: str = "") -> str:

@@ -21,7 +21,7 @@ from im_mcs.protocol.channel import ServoChannel
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.safety.stop_mark import StopLatch, StopMark
-from im_mcs.state import UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
+from im_mcs.state import POWERED, UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
 from im_mcs.testbed.driver import PowerReading, asks_for_time
 
 FINALIZED_MESSAGE = (
@@ -133,6 +133,8 @@ class ServoKeeper:
         self._testbed_lost = self._servo_lost = False
         self._silence_s = silence_s
         self._reason = ""
+        died = ServoChannel.dead_owner(names.instance())
+        self._death = f"/mcs has died (process {died}) and was started again" * bool(died)
         self._hang: LinkError | None = None
         self._config_file = config_file
         self._changed = changed
@@ -150,8 +152,9 @@ class ServoKeeper:
         """Why MCS is in its state, e.g. what caused an emergency stop; who does not answer, if so; or empty."""
         if self._owner is not None and self._hang is None:
             linked = self._owner.client.snapshot()["linked"]
-            return self._reason or self._stop.cause or ("" if linked else "the testbed does not answer")
-        what = self._reason if self._hang is None else self._hang.message
+            here = self._reason or self._stop.cause or ("" if linked else "the testbed does not answer")
+            return here or self._death
+        what = (self._reason or self._death) if self._hang is None else self._hang.message
         latched = f"an emergency stop is latched ({self._stop.cause}); reset it (/mcs/reset)"
         return "; ".join(filter(None, (what, latched if self._stop.cause else "")))
 
@@ -202,8 +205,16 @@ class ServoKeeper:
             raise StateError(FINALIZED_MESSAGE, state=State.UNCONFIGURED.value)
         if self._owner is None:
             reason = f" ({self.reason})" if self.reason else ""
-            raise StateError(UNCONFIGURED_MESSAGE + reason, state=State.UNCONFIGURED.value)
+            begins = f"{self.reason}; it is not configured yet, ask again"
+            told = begins if self._death and not self._reason else UNCONFIGURED_MESSAGE + reason
+            raise StateError(told, state=State.UNCONFIGURED.value)
         return self._owner.client
+
+    def explain(self, error: ImError) -> ImError:
+        """A refusal in the state in which the death of the last ``/mcs`` has left the machine names that death."""
+        if not self._death or error.facts.get("state") != State.COLD.value:
+            return error
+        return ImError.restored(error.code, f"{error.message}; the cause of this state: {self._death}", error.facts)
 
     def start_blocking(self, config: McsConfig) -> None:
         """Start the servo process and wait until it holds the testbed.
@@ -242,10 +253,12 @@ class ServoKeeper:
 
     def estop(self, reason: str) -> str:
         """Stop at once, whatever state MCS is in, and latch it; return what is so, as a sentence. From any thread."""
-        owner = self._owner
+        owner, hang = self._owner, self._hang
         said = self._stop.stop(reason, None if owner is None else owner.client)
         self._node.spawn(calling(self._follow_stop))
-        return f"MCS is {self.state.value}; {said}" if owner is not None else f"{self.reason}; {said}"
+        if owner is None:
+            return f"{self.reason}; {said}"
+        return f"MCS is {self.state.value}; {said}" + (f": {hang.message}" if hang is not None else "")
 
     def _follow_stop(self) -> None:
         """Let the node follow a stop that was asked for; in the loop."""
@@ -355,6 +368,8 @@ class ServoKeeper:
             lifecycle.follow("cleanup")
         while self._changes:
             state, groups, self._reason, lost = self._changes.popleft()
+            if state in POWERED:
+                self._death = ""
             if state is State.ESTOPPED:
                 # told again with each change of a group; a stop that somebody asked for before it is no loss
                 self._testbed_lost = lost and (self._testbed_lost or not self._stop.cause)

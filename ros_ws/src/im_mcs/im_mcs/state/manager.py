@@ -5,6 +5,7 @@ any group needs it.
 """
 
 from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -323,19 +324,15 @@ class StateManager:
                 f"disable_motion is refused while group '{moving}' moves; cancel the motion or wait for its end",
                 group=moving,
             )
-        if event is Event.POWER_ON:
-            self._require_secured(event, self._joints(groups) if self.power else None)
-            self.cause = ""
         self._begin(event, groups, reply)
 
     def reset(self, reply: OnEnd) -> None:
         """Start to end an emergency stop, as :meth:`begin`; nothing moves.
 
         Raises:
-            StateError: There is none, a reset is under way, or the testbed has not obeyed the stop.
+            StateError: There is none, or a reset is under way.
         """
         self.check(Event.RESET)
-        self._require_secured(Event.RESET, None)
         self._running.append(_Running(Event.RESET, (), self._reset(), reply))
 
     def _begin(self, event: Event, groups: Sequence[str], reply: OnEnd) -> None:
@@ -419,6 +416,13 @@ class StateManager:
             sentence = f"{event.value} is refused: the testbed reports the brake open of {which}"
             raise StateError(sentence, request=event.value, joints=which)
 
+    def _secure(self, event: Event, joints: NDArray[np.intp] | None) -> Generator[None, None, None]:
+        """Give brakes that are told to hold their time, then :meth:`_require_secured`."""
+        looked_at = np.arange(len(self.joints)) if joints is None else joints
+        with suppress(WaitTimeoutError):
+            yield from self._until(lambda: bool(self.measured.brakes[looked_at].all()), str)
+        self._require_secured(event, joints)
+
     def _named(self, ranks: NDArray[np.intp]) -> str:
         """Names of the joints with these ranks."""
         return ", ".join(self.joints[rank] for rank in ranks)
@@ -443,6 +447,8 @@ class StateManager:
 
     def _power_on(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
         """Power on, brakes on; where another group has let it go just now, it must have gone before."""
+        yield from self._secure(Event.POWER_ON, self._joints(groups) if self.power else None)
+        self.cause = ""
         secured = "the testbed to switch power off first"
         yield from self._until(lambda: self.power or not self.measured.power, lambda: secured)
         self._needing.update(groups)
@@ -517,6 +523,7 @@ class StateManager:
         What is judged are readings from after the request: of what has just been mended, the present ones are old.
         """
         yield from self._ticks(_FRESH_TICKS)
+        yield from self._secure(Event.RESET, None)
         if broken := ", ".join(self._arms.broken()):
             sentence = f"reset is refused while there is {broken}; the cause of the stop: {self.cause}"
             raise StateError(sentence, request=Event.RESET.value, broken=broken)
