@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from im_core.errors import StoreError
-from im_core.files import is_same, make_folder, write_whole
+from im_core.files import is_same, make_folder, make_mark, synchronise_mark, write_whole
 
 
 def test_text_and_bytes_replace_what_was_there(tmp_path):
@@ -105,3 +105,15 @@ def test_what_is_no_file_stays_what_it_is_and_a_new_version_has_the_rights_of_th
     private = write_whole(tmp_path / "private", "old")
     private.chmod(0o600)
     assert stat.S_IMODE(write_whole(private, "new").stat().st_mode) == 0o600
+
+
+def test_the_presence_of_a_mark_counts_and_the_first_one_stays(tmp_path):
+    mark = tmp_path / "mark"
+    make_mark(mark, "first")
+    make_mark(mark, "second")
+    synchronise_mark(mark)
+    assert mark.read_text() == "first"
+    with pytest.raises(StoreError, match="cannot be made"):
+        make_mark(tmp_path / "missing" / "mark", "")
+    with pytest.raises(StoreError, match="cannot be synchronised"):
+        synchronise_mark(tmp_path / "missing" / "mark")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from im_core import clock
 from im_core.errors import DataError, LinkError
 from im_core.procfs import ProcessId
-from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot
+from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot, dead_owner
 from im_core.shm_names import remove_all
 
 PREFIX = f"imtest{os.getpid()}_"
@@ -280,3 +280,15 @@ def test_semaphore_counts():
     owner.close()
     with pytest.raises(LinkError, match="does not exist"):
         Semaphore.attach(PREFIX + "semaphore", timeout_s=0.0)
+
+
+def test_the_owner_of_a_block_that_was_left_behind_is_found():
+    name = f"{PREFIX}left"
+    assert dead_owner(name) == 0
+    with SharedBlock.create(name, 8):
+        assert dead_owner(name) == 0, "the owner lives"
+    code = f"import os; from im_core.shm import SharedBlock; SharedBlock.create({name!r}, 8).publish(); os._exit(0)"
+    child = subprocess.Popen([sys.executable, "-c", code])
+    child.wait()
+    assert dead_owner(name) == child.pid
+    SharedBlock.create(name, 8).close()

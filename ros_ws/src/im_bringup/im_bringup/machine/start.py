@@ -319,7 +319,7 @@ def clear_the_way(fresh: bool) -> bool:
         shutil.rmtree(run_dir / folder, ignore_errors=True)
         preflight.check_folder(run_dir / folder)  # another user's is still there
     if (run_dir / names.ESTOP).exists():
-        say("start: somebody asked for an emergency stop: arms get no power until scripts/im recover resets it")
+        say("start: an emergency stop is kept from before: arms get no power until scripts/im recover resets it")
     return goes_on
 
 
