@@ -2,12 +2,15 @@
 
 import os
 import re
+import signal
 import socket
 import threading
+from types import SimpleNamespace
 
 import pytest
 
 from im_bringup.machine import start, start_mark, stop
+from im_bringup.machine.record import MachineRecord
 from im_bringup.machine.start_mark import end_start, only_one
 from im_core import clock
 from im_core.errors import StateError
@@ -81,10 +84,22 @@ def test_stop_ends_a_start_that_is_under_way_and_both_say_so(tmp_path, monkeypat
     assert capsys.readouterr().out == "stop: a start was under way, and has ended\n"
 
 
-def test_a_bootstrap_that_ended_in_order_was_stopped():
-    class Ended:
-        def poll(self):
-            return 0
+def test_a_machine_that_is_ready_is_kept_before_anything_is_said(tmp_path, monkeypatch, capsys):
+    """An interrupt that came later would take back what the exit code says; the caller decides what to do about it."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    ready = MachineRecord(2, 0, start.machine.READY, "START", 1, str(tmp_path), "d.yaml", 0.0, 1, 0)
+    monkeypatch.setattr(start.machine, "read", lambda: ready)
+    running, said = SimpleNamespace(poll=lambda: None), []
+    took = {"preflight": 0.0}
+    code = start.await_ready(
+        running, clock.monotonic(), 60.0, took, False, at_ready=lambda: said.append(capsys.readouterr().out)
+    )
+    assert (code, said) == (0, ["start: start 1 tasks\n"])
+    assert "start: ready after" in capsys.readouterr().out
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
 
+
+def test_a_bootstrap_that_ended_in_order_was_stopped():
+    ended = SimpleNamespace(poll=lambda: 0)
     with pytest.raises(StateError, match=r"^the machine was stopped while it started$"):
-        start.await_ready(Ended(), clock.monotonic(), 60.0, {}, False)
+        start.await_ready(ended, clock.monotonic(), 60.0, {}, False)

@@ -106,7 +106,9 @@ def main() -> int:
         check_calibration(deployment, path)
         failure = 1
         with only_one() as mark:
-            return start(deployment, path, arguments.timeout, arguments.fresh, arguments.resume, mark.stop_asked)
+            # an interrupt after the machine is ready is ignored: the exit code says that it runs
+            asked = mark.stop_asked, ignore_interrupts
+            return start(deployment, path, arguments.timeout, arguments.fresh, arguments.resume, *asked)
     except KeyboardInterrupt:
         complain("\nstart: interrupted")
         return INTERRUPTED
@@ -174,6 +176,7 @@ def start(
     fresh: bool = True,
     resume: bool = False,
     stop_asked: Callable[[], bool] = lambda: False,
+    at_ready: Callable[[], None] = lambda: None,
 ) -> int:
     """Start the machine.
 
@@ -184,6 +187,7 @@ def start(
         fresh: Begin a new mission whatever became of the one before.
         resume: Go on at once with commands that had not ended; otherwise they come back paused.
         stop_asked: Whether the machine is to be stopped, though it is not yet ready.
+        at_ready: Called when the machine is ready, before anything is said of it.
 
     Returns:
         0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then.
@@ -207,7 +211,7 @@ def start(
         with interrupts_held():  # a process that is just forked has no mark yet by which it would be found and ended
             process = spawn_bootstrap(deployment, path, timeout_s, resume)
         try:
-            code = await_ready(process, began, timeout_s, took, goes_on, stop_asked)
+            code = await_ready(process, began, timeout_s, took, goes_on, stop_asked, at_ready)
             if code == 0 and goes_on:
                 print_unfinished(resume)
             return code
@@ -227,6 +231,7 @@ def await_ready(
     took: dict[str, float],
     goes_on: bool,
     stop_asked: Callable[[], bool] = lambda: False,
+    at_ready: Callable[[], None] = lambda: None,
 ) -> int:
     """Wait until all tasks are ready, and say what happens meanwhile.
 
@@ -237,6 +242,7 @@ def await_ready(
         took: How long its parts before have taken [s].
         goes_on: Whether a mission goes on.
         stop_asked: Whether the machine is to be stopped.
+        at_ready: Called when the machine is ready, before anything is said of it.
 
     Returns:
         0 if all tasks are ready, else 1; the machine is down again then.
@@ -260,7 +266,7 @@ def await_ready(
                 shown = record.phase
                 say(f"start: {shown.lower()} {record.tasks} tasks")
             if record.state == machine.READY:
-                ignore_interrupts()  # whoever asks for the end learns from the exit code that the machine runs
+                at_ready()
                 print_ready(record, clock.monotonic() - began)
                 print_parts({**took, **record.took})
                 return 0
