@@ -4,7 +4,7 @@
 #
 #   scripts/setup.sh            do what is missing; nothing when all is up to date
 #   scripts/setup.sh --clean    throw .venv and the build away first
-#   scripts/setup.sh --wheels DIR   install from the wheels in this folder only, without a network (docs/install.md)
+#   scripts/setup.sh --wheels DIR   install from the packages in this folder only, without a network (docs/install.md)
 #   scripts/setup.sh --help     this text
 #
 # It can be interrupted at any point and run again: a step counts as done only when its stamp is written, last of all.
@@ -21,7 +21,6 @@
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 
-readonly UV="uv==0.13.8"
 readonly NEEDED_MB=3000
 readonly INSTALLED="$IM_VENV/.im-installed"
 readonly BUILT="$IM_WS/install/.im-built"
@@ -150,14 +149,20 @@ check_disk() {
   ((free >= NEEDED_MB)) || die 4 "only $free MB are free on the disk of $IM_ROOT, needed are $NEEDED_MB MB"
 }
 
+# locked PATTERN [not]: the packages of the lock whose names begin so, or the others; each with its version and hashes.
+locked() {
+  awk -v pattern="^($1)" -v other="$(($# > 1))" '/^[^ ]/ { wanted = ($0 ~ pattern) != other } wanted' "$IM_ROOT/requirements.lock"
+}
+
 # The lock, without what a sourced ROS brings itself.
 lock() {
   if ros_is_sourced; then
-    grep -v -E '^(ros-|colcon-|catkin-pkg|empy|cmake|ninja|lark-parser|numpy)' "$IM_ROOT/requirements.lock"
+    locked 'uv==|ros-|colcon-|catkin-pkg|empy|cmake|ninja|lark-parser|numpy' not
   else
-    cat "$IM_ROOT/requirements.lock"
+    locked 'uv==' not
   fi
 }
+packages() { lock | grep -c '^[^ ]' || true; }
 
 make_venv() {
   rm -rf "$IM_VENV"
@@ -169,22 +174,25 @@ make_venv() {
 install_uv() {
   local source=()
   [[ -n "$wheels" ]] && source=(--no-index --find-links "$wheels")
-  "$IM_VENV/bin/python" -m pip install --disable-pip-version-check --quiet ${source[@]+"${source[@]}"} "$UV"
+  locked 'uv==' >"$IM_VENV/.im-uv"
+  "$IM_VENV/bin/python" -m pip install --disable-pip-version-check --quiet ${source[@]+"${source[@]}"} \
+    --require-hashes --requirement "$IM_VENV/.im-uv"
 }
 
 install_lock() {
   local source=()
   [[ -n "$wheels" ]] && source=(--offline --no-index --find-links "$wheels")
+  ros_is_sourced && source+=(--no-deps)  # some of them are that ROS's
   lock >"$IM_VENV/.im-lock"
   # Trust whom this computer trusts (a company's proxy has a certificate of its own), where it has certificates at all.
   [[ -e /etc/ssl/certs/ca-certificates.crt || -e /etc/pki/tls/certs/ca-bundle.crt ]] && export UV_SYSTEM_CERTS=1
   # Files are hard links into uv's cache, where they can be: underlay.py replaces files, it does not write into them.
   "$IM_VENV/bin/uv" pip install --python "$IM_VENV/bin/python" \
-    ${source[@]+"${source[@]}"} --requirement "$IM_VENV/.im-lock"
+    ${source[@]+"${source[@]}"} --require-hashes --requirement "$IM_VENV/.im-lock"
 }
 installed() {
   local folders=("$IM_VENV"/lib/python3*/site-packages/*.dist-info)
-  echo ", ${#folders[@]} of $(($(lock | grep -c .) + 2))"  # and pip and uv
+  echo ", ${#folders[@]} of $(($(packages) + 2))"  # and pip and uv
 }
 
 make_underlay() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/underlay.py" "$IM_VENV"; }
@@ -317,15 +325,15 @@ fi
 
 kind=wheels
 if ros_is_sourced; then kind="ros:$AMENT_PREFIX_PATH"; else leave_ros; fi
-wanted="$( { echo "$kind $UV"; cat "$IM_ROOT/requirements.lock" "$IM_ROOT"/scripts/{underlay,im_rosidl}.py; } | sha256sum | cut -d' ' -f1)"
+wanted="$( { echo "$kind"; cat "$IM_ROOT/requirements.lock" "$IM_ROOT"/scripts/{underlay,im_rosidl}.py; } | sha256sum | cut -d' ' -f1)"
 if [[ ! -x "$IM_VENV/bin/python" || "$(cat "$INSTALLED" 2>/dev/null)" != "$wanted $IM_VENV" ]]; then
   check_machine
   check_disk
   say "setup: Python is $("$python" -c 'import sys; print(sys.executable, sys.version.split()[0])'); ROS comes from ${kind%%:*}"
   [[ -z "$wheels" ]] || say "setup: packages come from $wheels, none from the network"
   step "making .venv" : make_venv
-  step "installing $UV" : install_uv
-  step "installing $(lock | grep -c .) locked packages" installed install_lock
+  step "installing $(locked 'uv==' | sed -n '1s/ .*//p')" : install_uv
+  step "installing $(packages) locked packages" installed install_lock
   [[ "$kind" == wheels ]] && step "making .venv an underlay" : make_underlay
   write_stamp "$INSTALLED" "$wanted $IM_VENV"
 fi

@@ -156,7 +156,7 @@ def test_from_a_folder_of_wheels_nothing_comes_from_the_network(computer):
     done = computer.run("setup", "--wheels", str(folder))
     assert done.returncode == 0, done.stderr
     assert f"setup: packages come from {folder}, none from the network\n" in done.stdout
-    assert f"--no-index --find-links {folder} uv==" in computer.called("-m pip install")
+    assert f"--no-index --find-links {folder} --require-hashes --requirement" in computer.called("-m pip install")
     assert f"--offline --no-index --find-links {folder} " in computer.called("uv pip install")
 
 
