@@ -1,12 +1,16 @@
 """What holds for all tests, those of the packages and those with nodes."""
 
+import os
 import signal
+import tempfile
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from im_core import clock
 from im_core.end_signals import heed_end_signals
+
+os.environ["IM_FOLDERS"] = tempfile.gettempdir()  # paths in messages may be of the folders of tests
 
 # A verdict is of the code: not of how fast this computer is, nor of which cases are drawn today.
 # ``--hypothesis-profile default`` draws other cases each time.

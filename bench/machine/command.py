@@ -24,6 +24,7 @@ from im_bringup.ros.interruptible import InterruptibleNode
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.errors import StateError
+from im_core.message_paths import hand_over
 from im_core.ros import qos
 from im_core.ros.run import Spinner
 from im_msgs.msg import McsState
@@ -72,7 +73,8 @@ class Bench(InterruptibleNode):
             StateError: The command failed.
         """
         before = cpu_by_process()
-        answer = self.ask(self._calibration, CalibrateCamera.Request(poses_file=str(poses or "")), COMMAND_S)
+        given = str(hand_over(poses)) if poses else ""
+        answer = self.ask(self._calibration, CalibrateCamera.Request(poses_file=given), COMMAND_S)
         if not answer.success:
             raise StateError(f"calibrate_camera failed: {answer.message}")
         used = sum(spent - before.get(pid, 0.0) for pid, spent in cpu_by_process().items())

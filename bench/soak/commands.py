@@ -16,6 +16,7 @@ from im_bringup.ros.interruptible import InterruptibleNode
 from im_cell.robot import load_cell
 from im_core import clock, config
 from im_core.errors import StateError, WaitTimeoutError
+from im_core.message_paths import hand_over
 from im_core.ros.guard import GuardedActionClient
 from im_msgs.action import ExecuteCommand
 
@@ -121,7 +122,7 @@ class Commander(InterruptibleNode):
         path = Path(self._folder.name) / f"from_{first}.yaml"
         some = {**self._poses, "poses": self._poses["poses"][first : first + _FEW]}
         path.write_text(yaml.safe_dump(some), encoding="utf-8")
-        return str(path)
+        return str(hand_over(path))
 
     def _outcome(
         self,

@@ -6,7 +6,7 @@ request, a net file put together) tells what is wrong with :func:`faults`.
 
 import importlib.resources
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +16,18 @@ import pydantic
 
 from im_core.errors import ConfigError, nearest
 from im_core.files import MEBIBYTE, FileError, read_text
-from im_core.yamltext import Location, RepeatedKeyError, Value, YamlError, as_data, find, read_yaml
+from im_core.yamltext import (
+    Location,
+    Quotation,
+    RepeatedKeyError,
+    Value,
+    YamlError,
+    as_data,
+    find,
+    quoted_text,
+    read_yaml,
+    shortened,
+)
 
 
 class Model(pydantic.BaseModel):
@@ -71,10 +82,15 @@ class Fault:
     @property
     def sentence(self) -> str:
         """What is wrong, with the value and the nearest right name."""
+        return self.told(quoted_text)
+
+    def told(self, quote: Callable[[str], str]) -> str:
+        """What is wrong, with the value as a function quotes it, and the nearest right name."""
         hint = nearest(str(self.location[-1]), self.known) if self.known else ""
         value = self.value
         if isinstance(value, (int, float, str, bool)) and repr(value) not in self.words:
-            return f"{value!r}: {self.words}{hint}"
+            shown = quote(value) if isinstance(value, str) else repr(value)
+            return f"{shown}: {self.words}{hint}"
         return f"{self.words}{hint}"
 
 
@@ -117,19 +133,19 @@ def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
         root = read_yaml(text, name)
         data = as_data(root)
     except RepeatedKeyError as error:
-        raise _config_error((error.place, (*error.location, error.place.text), "given twice")) from error
+        raise _config_error(model, (error.place, (*error.location, error.place.text), "given twice")) from error
     except YamlError as error:
-        raise _config_error((error.place, error.location, error.sentence)) from error
+        raise _config_error(model, (error.place, error.location, error.sentence)) from error
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
-        told = ((find(root, fault.location).value, fault.location, fault.sentence) for fault in faults(error, model))
-        raise _config_error(*told) from error
+        told = ((find(root, fault.location).value, fault.location, fault) for fault in faults(error, model))
+        raise _config_error(model, *told) from error
 
 
 def fault_in(path: Path, location: Location, sentence: str) -> ConfigError:
     """The error for a field of a YAML file that could be read, about what its model alone cannot judge."""
-    return _config_error((find(read_yaml(_text(path), str(path)), location).value, location, sentence))
+    return _config_error(None, (find(read_yaml(_text(path), str(path)), location).value, location, sentence))
 
 
 def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> list[Fault]:
@@ -145,6 +161,9 @@ def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> 
         below: Location = getattr(context.get("error"), "location", ())
         known = _keys(model, each["loc"][:-1]) if each["type"] == "extra_forbidden" else ()
         words = each["msg"].removeprefix("Value error, ")
+        for said in context.values():
+            if isinstance(said, str):  # such as the tag of a union, which the file has chosen
+                words = words.replace(said, shortened(said))
         told.append(Fault(each["type"], (*each["loc"], *below), each["input"], words, context, known))
     # pydantic leaves wrong elements out, and then finds the list too short
     wrong = {fault.location[:end] for fault in told for end in range(len(fault.location))}
@@ -155,7 +174,7 @@ def field_name(location: Location) -> str:
     """``("slots", 3, "limits")`` as ``slots[3].limits``."""
     text = ""
     for key in location:
-        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else str(key)
+        text += f"[{key}]" if isinstance(key, int) else f".{shortened(key)}" if text else shortened(key)
     return text
 
 
@@ -166,15 +185,31 @@ def _text(path: Path) -> str:
         raise ConfigError(error.message, file=str(path)) from error
 
 
-def _config_error(*told: tuple[Value, Location, str]) -> ConfigError:
-    """Makes the error that says what is wrong at some places, a line each; its facts are those of the first."""
-    lines = []
-    for place, location, sentence in told:
-        field = f"{field_name(location)}: " if location else ""
+def _config_error(
+    model: type[pydantic.BaseModel] | None, *told: tuple[Value, Location, "str | Fault"]
+) -> ConfigError:
+    """Makes the error that says what is wrong at some places, a line each; its facts are those of the first.
+
+    Args:
+        model: The model of the file, whose own keys are told in full; None: all keys are.
+        told: Place, location, and what is wrong there.
+    """
+    lines, quote = [], Quotation()
+    for place, location, wrong in told:
+        field = f"{_shown_field(location, model, quote)}: " if location else ""
+        sentence = wrong if isinstance(wrong, str) else wrong.told(quote)
         lines.append(f"{place.file}:{place.line}: {field}{sentence}")
     first, location, _ = told[0]
     field = field_name(location)
     return ConfigError("\n".join(lines), file=first.file, line=first.line, column=first.column, field=field)
+
+
+def _shown_field(location: Location, model: type[pydantic.BaseModel] | None, quote: Quotation) -> str:
+    """A location as text; keys that the file has chosen are quoted within the limit of the error."""
+    if model is None:
+        return field_name(location)
+    own = (isinstance(part, int) or part in _keys(model, location[:at]) for at, part in enumerate(location))
+    return field_name(tuple(part if known else quote.cut(str(part)) for part, known in zip(location, own, strict=True)))
 
 
 def _keys(model: type[pydantic.BaseModel], location: Location) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
 #: Of the names that exist: how long and how many may be to be compared with one that does not, and how many are listed.
-_LONGEST_NAME, _MOST_COMPARED, _MOST_NAMES = 100, 1000, 30
+_LONGEST_NAME, _MOST_COMPARED, _MOST_NAMES = 60, 1000, 30
 
 
 class ImError(Exception):
@@ -150,7 +150,8 @@ class NotFoundError(ImError):
         near = _closest(name, names)
         hint = f"; did you mean '{near}'?" if near else ""
         listed = _listed(names)
-        super().__init__(f"there is no {kind} {name!r}{hint}{listed}", kind=kind, name=name, known=names[:_MOST_NAMES])
+        shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
+        super().__init__(f"there is no {kind} {shown!r}{hint}{listed}", kind=kind, name=name, known=names[:_MOST_NAMES])
 
 
 def printable(text: str) -> str:

@@ -27,7 +27,8 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_SHOWN = 60
+SHOWN = 60
+"""Characters that an error quotes of a file: it may be answered to a process that may not read the file."""
 #: Texts that a reader of YAML takes for something else unless they are quoted: ours, one of YAML 1.1, that of rcl.
 _TAKEN = re.compile(r"[-+.\d].*|~|null|true|false|yes|no|on|off|y|n|inf|infinity|nan(\(.*\))?", re.IGNORECASE)
 
@@ -81,9 +82,31 @@ class Value:
         return "nothing" if self.is_null else quoted_text(self.text)
 
 
-def quoted_text(text: str) -> str:
+def quoted_text(text: str, most: int = SHOWN) -> str:
     """Returns the beginning of a text in quotes."""
-    return repr(text if len(text) <= _SHOWN else text[:_SHOWN] + "...")
+    return repr(shortened(text, most))
+
+
+def shortened(text: str, most: int = SHOWN) -> str:
+    """Returns a text, or its beginning with dots behind it."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+class Quotation:
+    """Quotes parts of a file for one error: :data:`SHOWN` characters altogether."""
+
+    def __init__(self) -> None:
+        self._left = SHOWN
+
+    def __call__(self, text: str) -> str:
+        """Returns the beginning of a text in quotes."""
+        return repr(self.cut(text))
+
+    def cut(self, text: str) -> str:
+        """Returns the beginning of a text."""
+        shown = shortened(text, self._left)
+        self._left -= min(self._left, len(text))
+        return shown
 
 
 def scalar(text: str, near: Value, *, quoted: bool = True) -> Value:
@@ -129,7 +152,7 @@ class RepeatedKeyError(YamlError):
     def __init__(self, first: Value, second: Value, location: Location) -> None:
         where = f"line {first.line}" if first.file == second.file else f"{first.file}:{first.line}"
         where += first.note if first.note != second.note else ""
-        super().__init__(second, f"'{second.text}' is there twice; the first is in {where}", location)
+        super().__init__(second, f"{quoted_text(second.text)} is there twice; the first is in {where}", location)
 
 
 class Found(NamedTuple):
@@ -293,13 +316,13 @@ class _Composer:
                 self._alias(event)
             case yaml.ScalarEvent():
                 if event.tag not in _STRING_TAGS:
-                    raise self._error(event, f"tag '{event.tag}' is not allowed")
+                    raise self._error(event, f"tag {quoted_text(event.tag)} is not allowed")
                 quoted = event.style in ("'", '"', "|", ">") or event.tag is not None
                 value = Value(Kind.SCALAR, self._file, *_position(event), text=event.value, quoted=quoted)
                 self._complete(value, 1, event.anchor)
             case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
                 if event.tag not in (None, "!"):
-                    raise self._error(event, f"tag '{event.tag}' is not allowed")
+                    raise self._error(event, f"tag {quoted_text(event.tag)} is not allowed")
                 if len(self._open) >= MAX_DEPTH:
                     raise self._error(event, f"values nest deeper than {MAX_DEPTH}")
                 self._open.append(_Open(event))
@@ -318,9 +341,9 @@ class _Composer:
 
     def _alias(self, event: yaml.AliasEvent) -> None:
         if any(event.anchor == each.event.anchor for each in self._open):
-            raise self._error(event, f"alias '*{event.anchor}' contains itself")
+            raise self._error(event, f"alias {quoted_text('*' + event.anchor)} contains itself")
         if event.anchor not in self._anchors:
-            raise self._error(event, f"there is no anchor '&{event.anchor}' before this alias")
+            raise self._error(event, f"there is no anchor {quoted_text('&' + event.anchor)} before this alias")
         self._complete(*self._anchors[event.anchor], None)
 
     def _complete(self, value: Value, size: int, anchor: str | None) -> None:

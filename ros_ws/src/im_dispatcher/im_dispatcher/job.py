@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from im_core.errors import DataError, NotFoundError, StateError
-from im_dispatcher.poses_file import PosesFile, load_poses
+from im_dispatcher.poses_file import PosesFile, load_named_poses
 
 #: Cameras that are calibrated where none is named.
 CEILING = ("ceiling_left", "ceiling_right")
@@ -44,7 +44,7 @@ class CalibrationOrder:
 def order_of(
     arguments: Mapping[str, object],
     known_cameras: Sequence[str],
-    load: Callable[[str], PosesFile] = load_poses,
+    load: Callable[[str], PosesFile] = load_named_poses,
 ) -> CalibrationOrder:
     """Reads and checks what a command asks for.
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from im_core.config import Model, load_model, package_file
+from im_core.message_paths import message_folders, resolve_below
 from im_core.yamltext import control_character
 
 #: The cell's own poses, for the two ceiling cameras.
@@ -69,13 +70,27 @@ class PosesFile(Model):
         return value
 
 
-def load_poses(path: str | Path | None) -> PosesFile:
-    """Read a poses file.
+def load_named_poses(path: str) -> PosesFile:
+    """Read the poses file that a message names; it is of the package, or below the folders that messages may name.
 
     Args:
-        path: The file; empty or None for the cell's own.
+        path: The file; empty for the cell's own.
+
+    Raises:
+        DataError: It is outside of those folders.
+        ConfigError: It is missing, empty, or malformed; names file and line.
+    """
+    own = package_file(*OWN_POSES)
+    return load_poses(resolve_below(path, [*message_folders(), own.parent], "poses_file") if path else own)
+
+
+def load_poses(path: str | Path) -> PosesFile:
+    """Read a poses file of this computer's user.
+
+    Args:
+        path: The file.
 
     Raises:
         ConfigError: It is missing, empty, or malformed; names file and line.
     """
-    return load_model(path or package_file(*OWN_POSES), PosesFile)
+    return load_model(path, PosesFile)

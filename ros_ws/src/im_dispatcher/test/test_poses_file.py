@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from im_core.errors import ConfigError
-from im_dispatcher.poses_file import PosesFile, WristPose, load_poses
+from im_dispatcher.poses_file import PosesFile, WristPose, load_named_poses, load_poses
 
 HEAD = "group: left\nframe: world\nposes:\n"
 POSE = "  - {{name: {name}, position_m: [0.1, 0.2, 1.0], orientation_xyzw: [0, 0, 0, 1]}}\n"
@@ -19,7 +19,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_the_cells_own_poses_are_forty() -> None:
-    assert len(load_poses(None).poses) == 40
+    assert len(load_named_poses("").poses) == 40
 
 
 def test_poses_are_read_in_order(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 def test_poses_that_are_read_again_and_again_stay_the_same() -> None:
     """They are stored with the command, and a mission that is run again reads them once more or less often."""
-    own = load_poses(None)
+    own = load_named_poses("")
     rng = np.random.default_rng(4)
     drawn = [
         WristPose(name=str(number), position_m=(0.0, 0.0, 1.0), orientation_xyzw=tuple(each / np.linalg.norm(each)))

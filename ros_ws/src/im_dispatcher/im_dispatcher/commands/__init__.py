@@ -10,7 +10,10 @@ from pathlib import Path
 
 from im_core import plugins
 from im_core.errors import ConfigError, NotFoundError
+from im_core.message_paths import message_folders, resolve_below
 from im_dispatcher.command import CommandDescription
+from im_pnt.model.net import Net
+from im_pnt.netfile import load_net
 
 NETS = Path(__file__).parent.parent / "nets"
 
@@ -49,6 +52,22 @@ def net_files(named: Iterable[str]) -> list[Path]:
     if not files:
         raise ConfigError(f"no command is named: give net files, folders of them, or names of {', '.join(shipped())}")
     return files
+
+
+def load_named_net(path: str) -> Net:
+    """Read the net file that a message names; it is shipped, or below the folders that messages may name.
+
+    Args:
+        path: The file, as of :func:`im_pnt.netfile.load_net`. What it includes lies below the same folders.
+
+    Raises:
+        DataError: It is outside of those folders.
+        NetFileError: It is not a net.
+    """
+    folders = [*message_folders(), NETS]
+    name, mark, part = path.partition("#")
+    place = resolve_below(name, folders, "net_file")
+    return load_net(f"{place}{mark}{part}", folders)
 
 
 def installed() -> list[CommandDescription]:

@@ -15,7 +15,7 @@ from im_core.names import results_dir
 from im_dispatcher.command import CommandDescription, CommandHost
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
-from im_dispatcher.poses_file import PosesFile, load_poses
+from im_dispatcher.poses_file import PosesFile, load_named_poses
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes, failed, make_directory, succeeded, write_report
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt.execution.jobs import Job
@@ -309,7 +309,7 @@ class CalibrateCamera:
 
 
 def _poses_text(path: str) -> str:
-    return load_poses(path).model_dump_json()
+    return load_named_poses(path).model_dump_json()
 
 
 def _new_directory() -> str:

@@ -16,8 +16,8 @@ from im_dispatcher.cell.line import WaitingLine, reason
 from im_dispatcher.cell.needs import Needs
 from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
-from im_dispatcher.commands import calibrate_camera, installed, net_files, shipped
-from im_dispatcher.poses_file import load_poses
+from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
+from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.ros.host import DispatcherHost
 from im_msgs.msg import CalibrationReport
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
@@ -28,7 +28,7 @@ from im_pnt.journal.journal import fingerprint
 from im_pnt.mission.host import Host
 from im_pnt.model.arguments import Busy
 from im_pnt.model.net import Net
-from im_pnt.netfile import load_net, parse_net
+from im_pnt.netfile import parse_net
 from im_pnt.ros.node import CommandOutcome, OpenCommand, PntNode, ProgressListener
 from im_pnt.ros.node_host import NodeHost
 from im_pnt.verification import Verification
@@ -198,7 +198,7 @@ class Dispatcher(PntNode):
         if symbol == calibrate_camera.SYMBOL and "group" not in arguments:
             named = arguments.get("poses_file", "")
             if isinstance(named, str):  # what is wrong otherwise the schema says
-                file = await run_in_thread(self, load_poses, named, timeout_s=READ_S)
+                file = await run_in_thread(self, load_named_poses, named, timeout_s=READ_S)
                 arguments = {**arguments, "group": file.group}
         if symbol not in self._needs:
             running = self.commands.running(symbol)
@@ -250,7 +250,7 @@ class Dispatcher(PntNode):
         try:
             if bool(request.net_yaml) == bool(request.net_file):
                 raise ArgumentError("load_net needs either net_file or net_yaml")
-            read, told = (parse_net, request.net_yaml) if request.net_yaml else (load_net, request.net_file)
+            read, told = (parse_net, request.net_yaml) if request.net_yaml else (load_named_net, request.net_file)
             require_wait(request.wait)
             net = await run_in_thread(self, read, told, timeout_s=READ_S)
             report = await self.load_net(net, request.wait)

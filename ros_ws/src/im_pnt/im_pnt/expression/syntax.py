@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from im_core.errors import nearest
+from im_core.yamltext import quoted_text, shortened
 from im_pnt.expression.errors import ExpressionError
 
 LONGEST = 500
@@ -158,11 +159,11 @@ class _Parser:
     def whole(self) -> Node:
         node = self._either()
         if self._at < len(self._tokens):
-            raise self._error(f"nothing should follow before '{self._tokens[self._at][1]}'")
+            raise self._error(f"nothing should follow before {quoted_text(self._tokens[self._at][1], 20)}")
         return node
 
     def _error(self, sentence: str) -> ExpressionError:
-        return ExpressionError(f"'{self._text[:100]}': {sentence}")
+        return ExpressionError(f"{quoted_text(self._text, 40)}: {sentence}")
 
     def _next(self, *wanted: str) -> str | None:
         if self._at < len(self._tokens):
@@ -271,25 +272,25 @@ class _Parser:
             return self._called(text) if self._next("(") else self._named(text)
         if text in ("true", "false"):
             return Literal(text == "true")
-        raise self._error(f"a value is missing before '{text}'")
+        raise self._error(f"a value is missing before {quoted_text(text, 20)}")
 
     def _number(self, text: str) -> int | float:
         if text.isdigit():
             return int(text)
         number = float(text)
         if number in (float("inf"), float("-inf")):
-            raise self._error(f"{text} is too large")
+            raise self._error(f"{shortened(text, 20)} is too large")
         return number
 
     def _named(self, text: str) -> Node:
         what, known = ("value", ROOTS) if self._parameters is None else ("parameter", self._parameters)
         if text not in known:
-            raise self._error(f"there is no {what} '{text}'{nearest(text, known)}")
+            raise self._error(f"there is no {what} {quoted_text(text, 20)}{nearest(text, known)}")
         return Name(text)
 
     def _called(self, function: str) -> Node:
         if function not in FUNCTIONS:
-            raise self._error(f"there is no function '{function}'{nearest(function, FUNCTIONS)}")
+            raise self._error(f"there is no function {quoted_text(function, 20)}{nearest(function, FUNCTIONS)}")
         arguments = self._list(")")
         least, most = FUNCTIONS[function]
         if not least <= len(arguments) <= most:

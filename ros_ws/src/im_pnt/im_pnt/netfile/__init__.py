@@ -5,6 +5,7 @@ checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`
 :mod:`~im_pnt.netfile.writer` writes one.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from im_pnt.model.net import Net
@@ -19,11 +20,12 @@ __all__ = ["PNML_SUFFIXES", "describe", "load_net", "parse_net", "schema_text", 
 PNML_SUFFIXES = (".pnml", ".xml")
 
 
-def load_net(path: str | Path) -> Net:
+def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     """Reads a net file.
 
     Args:
         path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML. ``FILE#net`` is one of several.
+        within: Folders that included files lie below; empty: they may lie anywhere.
 
     Returns:
         The net; its names are consistent, its behaviour is not verified.
@@ -37,7 +39,7 @@ def load_net(path: str | Path) -> Net:
         from im_pnt.pnml import load_pnml
 
         return load_pnml(file)
-    return read_net(assemble(read_values(read_text(file), str(file)), file))
+    return read_net(assemble(read_values(read_text(file), str(file)), file, within))
 
 
 def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:

@@ -26,16 +26,17 @@ def _faults(net: Net, name: str, assumption: Assumption) -> Iterator[tuple[str, 
             known = {*remote, *net.services}
             yield "", f"there is no remote place and no service '{shown_name(name)}'{nearest(name, known)}"
         elif assumption.returns is not None:
-            yield "returns", f"'{name}' is a service, to which no token comes back"
+            yield "returns", f"'{shown_name(name)}' is a service, to which no token comes back"
         return
     if name in net.services:
-        yield "", f"'{name}' is a remote place and a service; rename one of them"
+        yield "", f"'{shown_name(name)}' is a remote place and a service; rename one of them"
     for marking in _marked_by(net, name):
-        yield "", f"{marking} marks '{name}' too; what is assumed of a place is that other nets mark it"
+        yield "", f"{marking} marks '{shown_name(name)}' too; what is assumed of a place is that other nets mark it"
         break
     tokens = net.places[name].tokens
     if assumption.at_most is not None and assumption.at_most < tokens:
-        yield "at_most", f"{assumption.at_most} is less than the {tokens} tokens that are in '{name}' at first"
+        less = f"{assumption.at_most} is less than the {tokens} tokens"
+        yield "at_most", f"{less} that are in '{shown_name(name)}' at first"
     sent = {target for transition in net.transitions.values() for target in transition.remote_outputs}
     if assumption.returns is not None and assumption.returns not in sent:
         near = nearest(str(assumption.returns), map(str, sent))

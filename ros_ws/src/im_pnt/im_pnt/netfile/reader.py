@@ -129,7 +129,7 @@ class _Reader:
             for kind, new, known in (("place", more, places), ("transition", made[1:], written)):
                 for part in new:
                     if part.name in known:
-                        sentence = f"makes a {kind} '{part.name}', and there is one of that name"
+                        sentence = f"makes a {kind} '{shown_name(part.name)}', and there is one of that name"
                         raise self._error(("transitions", name, "tries"), sentence)
             places.update((place.name, place) for place in more)
             transitions.update((each.name, each) for each in made)
@@ -147,7 +147,8 @@ class _Reader:
             if transition.symbol is not None:
                 other = first.setdefault(transition.symbol, transition)
                 if (other.symbol_of, other.symbol_expires) != (transition.symbol_of, transition.symbol_expires):
-                    sentence = f"says of '{transition.symbol}' something else than transition '{other.name}' does"
+                    read, by = shown_name(transition.symbol), shown_name(other.name)
+                    sentence = f"says of '{read}' something else than transition '{by}' does"
                     raise self._error(("transitions", name, "symbol"), sentence)
 
     def _require_arguments(self, places: Mapping[str, Place]) -> None:
@@ -177,7 +178,8 @@ class _Reader:
         for symbol, command in self._file.commands.items():
             here: Location = ("commands", symbol)
             if symbol not in begun:
-                sentence = f"no transition begins a command with the symbol '{symbol}'{nearest(symbol, begun)}"
+                hint = nearest(symbol, begun)
+                sentence = f"no transition begins a command with the symbol '{shown_name(symbol)}'{hint}"
                 raise self._error(here, sentence, key=True)
             schema = self._schema((*here, "arguments"), command.arguments)
             busy = Busy(command.busy)
@@ -267,11 +269,11 @@ class _Reader:
             self._known(at, name)
             place = self._file.places[name]
             if not place.resource or place.remote:
-                sentence = f"'{name}' may hold what belongs to a command; it must be `resource: true`, and not `remote`"
-                raise self._error(at, sentence)
+                sentence = "may hold what belongs to a command; it must be `resource: true`, and not `remote`"
+                raise self._error(at, f"'{shown_name(name)}' {sentence}")
             if place.capacity is None:
-                sentence = f"'{name}' must have a `capacity`: of places without bound it is undecidable what they reach"
-                raise self._error(at, sentence)
+                sentence = "must have a `capacity`: of places without bound it is undecidable what they reach"
+                raise self._error(at, f"'{shown_name(name)}' {sentence}")
             ways *= place.capacity + 1
         if len(set(names)) < len(names):
             raise self._error(location, "names a place twice")
@@ -329,7 +331,7 @@ class _Reader:
         for section, names in sections:
             for name in names:
                 if not is_name(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
-                    sentence = f"'{name}' is not a name that a net with actions or services can have"
+                    sentence = f"'{shown_name(name)}' is not a name that a net with actions or services can have"
                     raise self._error((section, name), sentence, key=True)
 
     def _error(self, location: Location, sentence: str, *, key: bool = False) -> NetFileError:

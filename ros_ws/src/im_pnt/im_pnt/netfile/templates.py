@@ -1,12 +1,13 @@
 """A net file put together: included files read, templates copied where they are used."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-from im_core.errors import nearest
-from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
+from im_core.errors import DataError, nearest
+from im_core.message_paths import resolve_below
+from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, quoted_text, scalar, sequence
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text, evaluate
@@ -23,12 +24,13 @@ _MAPPINGS = ("places", "services", "commands", "transitions")
 _SECTIONS = (*_MAPPINGS, "rest")
 
 
-def assemble(root: Value, file: Path | None) -> Value:
+def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Value:
     """Reads what a net file includes, and copies the templates that it uses.
 
     Args:
         root: The file as written.
         file: Where it is; None: nowhere, and it can include nothing.
+        within: Folders that included files lie below; empty: they may lie anywhere.
 
     Returns:
         The same net without ``include``, ``templates`` and ``use``.
@@ -39,7 +41,7 @@ def assemble(root: Value, file: Path | None) -> Value:
     fragment = FragmentFile.model_fields.keys()
     if not {key.text for key, _ in root.pairs} & {"include", "templates", "use"}:
         return root
-    assembly = _Assembly()
+    assembly = _Assembly(within)
     own = {key: value for key, value in read_data(root).items() if key in fragment}
     assembly.add(root, own, () if file is None else (file,))
     assembly.copy()
@@ -65,7 +67,8 @@ class _Template:
 class _Assembly:
     """Sections of all files and copies."""
 
-    def __init__(self) -> None:
+    def __init__(self, within: Sequence[Path]) -> None:
+        self._within = within
         self.sections: dict[str, list[tuple[Value, Value]]] = {}
         self.rest: list[Value] | None = None
         self._templates: dict[str, _Template] = {}
@@ -84,7 +87,7 @@ class _Assembly:
                 other = self._templates[name]
                 first = find(other.root, other.location)
                 line = (first.key or first.value).line
-                sentence = f"template '{name}' is there twice; the first is in {other.root.file}:{line}"
+                sentence = f"template {quoted_text(name)} is there twice; the first is in {other.root.file}:{line}"
                 raise complaint_at(root, location, sentence, key=True)
             self._templates[name] = _Template(template, root, location)
         self._uses += [(root, ("use", rank), use) for rank, use in enumerate(fragment.use)]
@@ -94,7 +97,7 @@ class _Assembly:
         """Makes the copies of templates; all of them are known now."""
         for root, location, use in self._uses:
             if use.template not in self._templates:
-                sentence = f"there is no template '{use.template}'{nearest(use.template, self._templates)}"
+                sentence = f"there is no template {quoted_text(use.template)}{nearest(use.template, self._templates)}"
                 raise complaint_at(root, (*location, "template"), sentence)
             template = self._templates[use.template]
             for sections in _copies(root, location, use, template):
@@ -119,8 +122,14 @@ class _Assembly:
 
     def _include(self, root: Value, location: Location, name: str, chain: tuple[Path, ...]) -> None:
         if not chain:
-            raise complaint_at(root, location, f"'{name}' cannot be included: this net is a text without a file")
+            sentence = f"{quoted_text(name)} cannot be included: this net is a text without a file"
+            raise complaint_at(root, location, sentence)
         path = chain[-1].parent / name
+        if self._within:
+            try:
+                resolve_below(str(path), self._within, "include")
+            except DataError as error:
+                raise complaint_at(root, location, error.message) from error
         real = path.resolve() if "\0" not in name and not _loops(path) else path
         way = [each.resolve() for each in chain]
         if real in way:
@@ -155,7 +164,7 @@ def _copies(root: Value, location: Location, use: UseFile, template: _Template) 
     name, parameters = use.template, dict.fromkeys(template.file.parameters)
     for key in use.given:
         if key not in parameters:
-            sentence = f"template {name} has no parameter '{key}'{nearest(key, parameters)}"
+            sentence = f"template {name} has no parameter {quoted_text(key)}{nearest(key, parameters)}"
             raise complaint_at(root, (*location, "with", key), sentence, key=True)
     for parameter in parameters:
         if parameter not in use.ranges and parameter not in use.given:

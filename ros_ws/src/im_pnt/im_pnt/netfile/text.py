@@ -11,6 +11,7 @@ from im_core.config import Fault, faults, field_name
 from im_core.errors import nearest
 from im_core.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
 from im_pnt.errors import NetFileError
+from im_pnt.netfile.schema.names import shown_name
 from im_pnt.netfile.schema.scalars import WrongKeyError, written
 
 MAX_YAML = 4 * files.MEBIBYTE
@@ -132,7 +133,7 @@ def _told(root: Value, fault: Fault, base: Location) -> NetFileError:
         case "missing":
             return complaint_at(root, at[:-1], f"'{at[-1]}' is missing")
         case "extra_forbidden":
-            sentence = f"'{at[-1]}' is not a known key{nearest(str(at[-1]), fault.known)}"
+            sentence = f"'{shown_name(str(at[-1]))}' is not a known key{nearest(str(at[-1]), fault.known)}"
             found = find(root, at)
             return complaint(found.key or found.value, sentence, found.location[:-1])
         case "greater_than_equal":

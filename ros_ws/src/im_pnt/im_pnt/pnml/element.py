@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from im_core.yamltext import Kind, Value
+from im_core.yamltext import Kind, Value, shortened
 from im_pnt.errors import NetFileError
 from im_pnt.model.net import LARGEST
 
@@ -51,7 +51,7 @@ class Element:
         """Makes the error that names this element, its file and line."""
         identity = f" '{self.attributes['id'][:60]}'" if "id" in self.attributes else ""
         place = self.place
-        return NetFileError(place.file, place.line, f"{self.tag}{identity}: {message}", place.column)
+        return NetFileError(place.file, place.line, f"{shortened(self.tag)}{identity}: {message}", place.column)
 
 
 def parse_xml(data: bytes, file: str) -> Element:
@@ -119,8 +119,8 @@ def check_children(element: Element, namespace: str, known: frozenset[str]) -> N
         if child.namespace not in ("", namespace) or child.tag in known:
             continue
         if child.tag in _COLOURED or child.first("structure") is not None:
-            raise child.error(f"is of a coloured net (in {element.tag}); place/transition nets are read")
-        raise child.error(f"is not understood in {element.tag}; allowed are {', '.join(sorted(known))}")
+            raise child.error(f"is of a coloured net (in {shortened(element.tag)}); place/transition nets are read")
+        raise child.error(f"is not understood in {shortened(element.tag)}; allowed are {', '.join(sorted(known))}")
 
 
 class _Builder:

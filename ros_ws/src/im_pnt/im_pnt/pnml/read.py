@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from im_core.errors import nearest
-from im_core.yamltext import Value, as_data, mapping, scalar
+from im_core.yamltext import Value, as_data, mapping, quoted_text, scalar, shortened
 from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
 from im_pnt.netfile.schema.names import MAX_NAME, as_name
@@ -56,9 +56,10 @@ def _chosen(root: Element, nets: list[Element], wanted: str, file: Path) -> Elem
         for net in nets:
             if wanted in (net.attributes.get("id"), label_text(net, "name")):
                 return net
-        raise root.error(f"there is no net '{wanted}'{nearest(wanted, names)}")
+        raise root.error(f"there is no net {quoted_text(wanted)}{nearest(wanted, names)}")
     if len(nets) > 1:
-        raise root.error(f"holds {len(nets)} nets: {', '.join(names[:30])}; say which, as in {file}#{names[0]}")
+        listed = shortened(", ".join(names[:30]), 40)
+        raise root.error(f"holds {len(nets)} nets: {listed}; say which, as in {file}#{shortened(names[0], 20)}")
     return nets[0]
 
 

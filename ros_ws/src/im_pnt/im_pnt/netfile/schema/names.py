@@ -2,6 +2,8 @@
 
 import re
 
+from im_core.yamltext import shortened
+
 MAX_NAME = 200
 """Longest name [characters]."""
 
@@ -22,4 +24,4 @@ def as_name(text: str) -> str:
 
 def shown_name(name: str) -> str:
     """Returns a name for messages, the beginning of a long one."""
-    return name if len(name) <= MAX_NAME else name[:60] + "..."
+    return shortened(name)

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from im_core.config import FieldError
 from im_pnt.expression.syntax import WORDS
+from im_pnt.netfile.schema.names import shown_name
 from im_pnt.netfile.schema.scalars import as_list, as_mapping, as_number, as_text, shown
 from im_pnt.netfile.schema.values import ONE_TEXT, FilePart, Named, Names, Text
 
@@ -75,7 +76,7 @@ class TemplateFile(FilePart):
         seen = set(WORDS)
         for rank, name in enumerate(self.parameters):
             if name in seen:
-                sentence = f"'{name}' cannot be a parameter here: it is there twice, or an operator"
+                sentence = f"'{shown_name(name)}' cannot be a parameter here: it is there twice, or an operator"
                 raise FieldError(("parameters", rank), sentence)
             seen.add(name)
         return self

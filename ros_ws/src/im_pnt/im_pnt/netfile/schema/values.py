@@ -120,7 +120,7 @@ class Named:
                 if not is_name(name):
                     raise WrongKeyError((name,), f"'{shown_name(name)}' is not a name ({NAME_RULE})")
                 if name in self.reserved:
-                    raise WrongKeyError((name,), f"the name '{name}' belongs to the coordination structure")
+                    raise WrongKeyError((name,), f"the name '{shown_name(name)}' belongs to the coordination structure")
         return entries
 
 

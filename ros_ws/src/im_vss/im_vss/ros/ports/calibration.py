@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from im_calibration import Calibration
 from im_core.errors import DataError
+from im_core.message_paths import message_folders, resolve_below
 from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejection, Spot
 from im_msgs.msg import Observation as ObservationMessage
 from im_msgs.srv import Calibrate
@@ -31,9 +33,14 @@ class CalibratePort(Port):
         """Cameras, observations and known lengths.
 
         Raises:
-            DataError: An observation or a known length is malformed.
+            DataError: An observation or a known length is malformed, or the folder is outside of those that messages
+                may name.
         """
-        return from_request(message)
+        request = from_request(message)
+        if request.directory is None:
+            return request
+        directory = resolve_below(str(request.directory), message_folders(), "directory")
+        return replace(request, directory=directory)
 
     def answer(self, result: CalibrateResult, response: Calibrate.Response) -> None:
         """The report."""

@@ -1,0 +1,71 @@
+"""Paths of files and folders that messages name: they lie below configured folders, whoever sends the message."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from im_core.errors import DataError
+from im_core.files import make_folder, read_bytes, write_whole
+from im_core.names import results_dir, run_dir
+from im_core.yamltext import quoted_text
+
+#: Names more folders, separated by colons.
+MORE_FOLDERS = "IM_FOLDERS"
+
+
+def message_folders() -> list[Path]:
+    """Folders that paths in messages lie below: the results, what clients handed over, and those of ``IM_FOLDERS``.
+
+    Raises:
+        StoreError: One of the machine's own cannot be made.
+        DataError: No message can carry its name.
+    """
+    more = os.environ.get(MORE_FOLDERS, "").split(os.pathsep)
+    return [results_dir(), _handed_over(), *(Path(each) for each in more if each)]
+
+
+def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
+    """Resolve a path that a message names, links followed.
+
+    Args:
+        path: The path; a relative one is of the first folder. Whether there is such a file is not told.
+        folders: Folders that it may be in, however deep.
+        what: Field of the message, for errors.
+
+    Returns:
+        The path without links: read or write this one.
+
+    Raises:
+        DataError: It leads out of all folders.
+    """
+    shown = quoted_text(path)
+    if "\0" in path:
+        raise DataError(f"{what}: {shown} is no path", what=what)
+    place = Path(os.path.realpath(folders[0] / path))
+    if not any(place.is_relative_to(os.path.realpath(folder)) for folder in folders):
+        allowed = ", ".join(map(str, folders))
+        raise DataError(f"{what}: {shown} is outside of {allowed}; {MORE_FOLDERS} of the machine names more", what=what)
+    return place
+
+
+def hand_over(path: Path) -> Path:
+    """Copy a file of a client to where the machine may read it.
+
+    Args:
+        path: The file, wherever it is.
+
+    Returns:
+        The copy, for a message to the machine of this run folder; the same content has one copy.
+
+    Raises:
+        FileError: The file cannot be read.
+        StoreError: The copy cannot be written.
+    """
+    content = read_bytes(path)
+    folder = make_folder(_handed_over() / hashlib.sha256(content).hexdigest()[:16])
+    return write_whole(folder / path.name, content)
+
+
+def _handed_over() -> Path:
+    return make_folder(run_dir() / "given")
