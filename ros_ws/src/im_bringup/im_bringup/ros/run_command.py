@@ -10,6 +10,7 @@ import re
 import select
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, TextIO
 from uuid import uuid4
 
@@ -31,7 +32,8 @@ from im_bringup.ros.dispatcher import (
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, USAGE, talk
 from im_core.arrivals import read_json
 from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
-from im_core.files import write_whole
+from im_core.files import FileError, write_whole
+from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionClient
@@ -227,8 +229,8 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
     try:
         command = CommandParser(command_told(client.commands(), options.name))
         arguments, given = command.read(texts)
-        text = require_text(json.dumps(arguments, allow_nan=False), "the arguments")
-    except NotFoundError as error:
+        text = require_text(json.dumps(handed_over(arguments), allow_nan=False), "the arguments")
+    except (NotFoundError, FileError, StoreError) as error:
         print(f"im run: {error.message}", file=sys.stderr)
         return USAGE
     except ValueError as error:
@@ -242,6 +244,19 @@ def _do(client: CommandClient, options: argparse.Namespace, texts: Sequence[str]
             return FAILED
         result = client.run(ExecuteCommand.Goal(attach=True, command_id=under_way.command_id), _progress(given))
     return show(result, f"im run {options.name}", given.json, client.begun)
+
+
+def handed_over(arguments: Mapping[str, object]) -> dict[str, object]:
+    """Copy the files of ``*_file`` arguments to a folder of the machine, and return the arguments with the copies.
+
+    Raises:
+        FileError: A file cannot be read.
+        StoreError: A copy cannot be written.
+    """
+    return {
+        name: str(hand_over(Path(value))) if name.endswith("_file") and isinstance(value, str) and value else value
+        for name, value in arguments.items()
+    }
 
 
 def same_under_way(client: CommandClient, symbol: str) -> CommandState | None:

@@ -23,13 +23,14 @@ One tick, period 4.5 ms, is one handshake::
 asked by ``request_time(ticks)``, or an exposure is pending. A client that first sends its message to the servo
 and then calls ``request_time(1)`` is therefore heard at a tick that does not depend on anybody's speed.
 
-*Watchdog.* A servo that does not answer a tick within 0.5 s of wall time (0.05 s while the stop circuit is cut), or dies,
-is declared gone: power off, brakes on, physics goes on alone, at clock factor 0 until the arms rest. A servo that comes back late gets a :class:`~im_core.errors.LinkError` from
-``wait_state`` or ``write_command`` and must ``attach_servo`` again. When physics is gone, ``wait_state``, ``expose``
-and ``wait_tick`` raise the same error, and one attaches anew.
+*Watchdog.* A servo that does not answer a tick within 0.5 s of wall time (0.05 s while the stop circuit is cut), or
+dies, is declared gone: power off, brakes on, physics goes on alone, at clock factor 0 until the arms rest. A servo
+that comes back late gets a :class:`~im_core.errors.LinkError` from ``wait_state`` or ``write_command`` and must
+``attach_servo`` again. When physics is gone, ``wait_state``, ``expose`` and ``wait_tick`` raise the same error, and
+one attaches anew.
 
-*Brakes.* ``brakes[i]`` true: the joint is held, a stated delay later. Without power all torques are zero and all brakes are
-told to hold, whatever the command says; ``TickState.power`` and ``TickState.brakes`` tell what is so.
+*Brakes.* ``brakes[i]`` true: the joint is held, a stated delay later. Without power all torques are zero and all
+brakes are told to hold, against any command; ``TickState.power`` and ``TickState.brakes`` have the true state.
 
 *Emergency stop.* ``cut`` at the :class:`StopEnd` is as if the servo commanded no power, until ``restore``; it needs no
 servo.
