@@ -275,7 +275,7 @@ def test_a_made_up_heartbeat_is_no_new_life_of_the_dispatcher(ros, monkeypatch):
 def test_a_command_that_fails_without_a_reason_says_so(ros):
     client = ros(CommandClient())
     for result, words in (
-        (ExecuteCommand.Result(), "whoever serves /dispatcher/execute gave no reason"),
+        (ExecuteCommand.Result(), "the server of /dispatcher/execute gave no reason"),
         (ExecuteCommand.Result(status=Status(message="no gas")), "no gas"),
     ):
         ended = client._result(SimpleNamespace(status=GoalStatus.STATUS_ABORTED, result=result))

@@ -122,7 +122,7 @@ def doubles(ros):
 def test_a_failure_names_all_who_may_have_answered(doubles, wait_until):
     expected = "who answered is unknown: 2 nodes serve /oven/heat: /impostor, /oven"
     wait_until(lambda: doubt(doubles, "/oven/heat") == expected, "both servers in the graph")
-    assert reason(doubles, "", "/oven/heat") == f"whoever serves /oven/heat gave no reason; {expected}"
+    assert reason(doubles, "", "/oven/heat") == f"the server of /oven/heat gave no reason; {expected}"
     error = doubted(doubles, StateError("no gas"), "/oven/heat")
     assert (error.code, error.message) == (StateError.default_code, f"no gas; {expected}")
     assert doubt(doubles, "/oven/get_parameters") == ""

@@ -1,4 +1,4 @@
-"""Orders of an agent and reports of its tasks, through a socket that nobody else has an end of.
+"""Orders of an agent and reports of its tasks, through a socket of which no other process has an end.
 
 The agent makes a pair of sockets for each process that it starts, and the process inherits one of them. Other users of
 the host and participants of DDS reach neither.

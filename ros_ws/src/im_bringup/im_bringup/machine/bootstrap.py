@@ -168,7 +168,7 @@ class Bootstrap:
         return self.phase is StartupPhase.CONFIGURE and done(self.phase, self.registry.records())
 
     def seen(self, name: str, incarnation: int) -> None:
-        """Take a sign of life that came over DDS, where anybody can make one up: it ends the silence of a task only."""
+        """Take a sign of life that came over DDS, perhaps made up: it ends the silence of a task, nothing else."""
         with suppress(NotFoundError):
             record = self.registry.find(name)
             if record.incarnation == incarnation:

@@ -1,4 +1,4 @@
-"""Messages between the bootstrap and the agent of another host, which anybody may read, and nobody else can make.
+"""Messages between the bootstrap and the agent of another host: every participant can read them, none can forge them.
 
 Each message is signed with a secret that the hosts share. It names the present lives of its sender and of its receiver
 and has a number: what was recorded, of this run or of a former one, is not taken a second time.

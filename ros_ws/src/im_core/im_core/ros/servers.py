@@ -1,4 +1,4 @@
-"""Nodes that serve a service or an action: where two serve one name, either of them may answer, or both."""
+"""Nodes that serve a service or an action: where two nodes serve one name, either of them may answer."""
 
 from rclpy.node import Node
 
@@ -35,12 +35,12 @@ def doubt(node: Node, name: str) -> str:
 
 
 def reason(node: Node, words: str, name: str) -> str:
-    """Complete the reason that a server gave for a failure: it is never empty, and says who may have answered."""
-    parts = (words or f"whoever serves {name} gave no reason", doubt(node, name))
+    """Complete the reason that a server gave for a failure: it is never empty, and names all servers."""
+    parts = (words or f"the server of {name} gave no reason", doubt(node, name))
     return "; ".join(part for part in parts if part)
 
 
 def doubted(node: Node, error: ImError, name: str) -> ImError:
-    """The error that an answer of a server told of, with who may have answered."""
+    """The error that an answer of a server told of, with the names of all servers."""
     clause = doubt(node, name)
     return ImError.restored(error.code, f"{error.message}; {clause}", error.facts) if clause else error
