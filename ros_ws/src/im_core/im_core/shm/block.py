@@ -180,10 +180,12 @@ def dead_owner(name: str) -> int:
         LinkError: The block is another user's.
     """
     try:
-        with own_names(_KIND, name):
-            shared = posix_ipc.SharedMemory(f"/{name}")
+        require_own(SHM / name)
+        shared = posix_ipc.SharedMemory(f"/{name}")
     except posix_ipc.ExistentialError:
         return 0
+    except (OSError, posix_ipc.PermissionsError) as error:
+        raise LinkError(f"shared memory '{name}' cannot be opened: {error}", name=name) from error
     try:
         head = os.pread(shared.fd, _HEADER.itemsize, 0)
     finally:
