@@ -341,9 +341,9 @@ class _Composer:
 
     def _alias(self, event: yaml.AliasEvent) -> None:
         if any(event.anchor == each.event.anchor for each in self._open):
-            raise self._error(event, f"alias {quoted_text('*' + event.anchor)} contains itself")
+            raise self._error(event, f"alias {quoted_text(f'*{event.anchor}')} contains itself")
         if event.anchor not in self._anchors:
-            raise self._error(event, f"there is no anchor {quoted_text('&' + event.anchor)} before this alias")
+            raise self._error(event, f"there is no anchor {quoted_text(f'&{event.anchor}')} before this alias")
         self._complete(*self._anchors[event.anchor], None)
 
     def _complete(self, value: Value, size: int, anchor: str | None) -> None:
