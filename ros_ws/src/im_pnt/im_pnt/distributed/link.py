@@ -324,13 +324,13 @@ class Link:
         """Takes a packet of a process that knows the present life of this one."""
         sender, incoming, base = packet.sender, peer.incoming, packet.base
         self._stirred[sender] = peer
-        stranger = not (incoming.epoch or incoming.parted)
-        begins = packet.epoch > incoming.epoch or incoming.parted
+        parted, stranger = incoming.parted, not incoming.epoch
+        begins = packet.epoch > incoming.epoch
         if begins:
             self._begin(sender, peer, packet.epoch, packet.journal)
         self._heard(sender)
         missed = base - 1 - incoming.floor
-        jumps = missed > 0 and (not begins or (stranger and self._came_back))
+        jumps = missed > 0 and not parted and (not begins or (stranger and self._came_back))
         why = f"it lacks {missed} messages that {sender} has sent, and that were acknowledged to it"
         if jumps and not self._came_back:
             self._observer.troubled("", f"a packet of {sender} was dropped: {self.name} has not come back, and {why}")
@@ -341,11 +341,11 @@ class Link:
         if jumps and self._came_back:
             if peer.outgoing.question is not None:  # how far the other has taken is to be known before
                 return
-            self._fall_back(why)
+            self._fall_back(why, self.epoch)
         if self.epoch != life:  # the other sends again what it sent to the former life
             return
-        if missed > 0:
-            self._happens(peer, NumbersSkipped(sender, base - 1))
+        if missed > 0 or (parted and not begins):
+            self._happens(peer, NumbersSkipped(sender, max(base - 1, incoming.floor)))
         incoming.told(base)
         self._take(sender, peer, packet.messages)
         self._express.keep_head(packet.head(self.name), peer)
@@ -431,7 +431,7 @@ class Link:
             case [int(floor), list()] if floor > sent and self._came_back:
                 if sent > outgoing.floor:
                     self._happens(peer, MessagesAcknowledged(sender, sent))
-                self._fall_back(f"{sender} has taken {floor} messages, and it knows of {sent}")
+                self._fall_back(f"{sender} has taken {floor} messages, and it knows of {sent}", self.epoch)
             case _:
                 text = f"{sender} acknowledged {str(ack)[:200]}, and {outgoing.last} messages were sent to it"
                 self._observer.troubled("", text)
@@ -446,7 +446,7 @@ class Link:
 
     def _begin(self, node: str, peer: Peer, epoch: int, journal: bool) -> None:
         """Another life of a process: the first that is heard of, or one that has lost its journal."""
-        lost = peer.incoming.epoch != 0 and not peer.incoming.parted
+        lost = peer.incoming.epoch != 0
         self._express.forget_heads()
         self._happens(peer, LifeBegun(node, epoch, journal))
         peer.outgoing.hurry()
@@ -461,11 +461,16 @@ class Link:
         self._void(peer, [number for number, message in in_flight if message.kind is not MessageKind.TOKEN])
         self._reset(peer.name, why, [message for _, message in in_flight])
 
-    def _fall_back(self, why: str) -> None:
-        """Begin another life: the others remember more than the journal."""
+    def _fall_back(self, why: str, after: int) -> None:
+        """Begin a life later than another: the others remember more than the journal."""
         text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
         self._observer.forgot(f"{text}; what happened since is forgotten, and what was asked is given up")
-        self._live_anew(self.epoch, text)
+        self._live_anew(after)
+        self._came_back = False
+        self.fell_back(self.epoch)
+        for peer in list(self.peers.values()):
+            if peer.incoming.epoch:
+                self._part(peer, text)
 
     def _overtake(self, sender: str, known: int) -> None:
         """Begin a life later than one that another process remembers of this one."""
@@ -473,25 +478,25 @@ class Link:
         if now < self._overtake_at or began_at(known) + 1 >= began_at(MOST_EPOCH):
             return
         self._overtake_at = now + OVERTAKE_EVERY_S
-        text = f"{self.name} was known to {sender} in a later life than this one"
-        self._observer.forgot(f"{text} (an old copy of its journal, its clock gone back, or a twin)")
-        self._live_anew(known, text)
+        why = f"{self.name} was known to {sender} in a later life than this one"
+        if self._came_back:
+            self._fall_back(why, known)
+        else:
+            self._observer.troubled("", f"{why} (clock gone back, or a twin)")
+            self._live_anew(known)
 
-    def _live_anew(self, after: int, why: str) -> None:
-        """Begin a life later than another, tell all processes, and give up what was asked before."""
+    def _live_anew(self, after: int) -> None:
+        """Begin a life later than another, and tell all processes."""
         self._express.forget_heads()
         raised = EpochRaised(new_epoch(after))
         if self.record is not None:
             self.record(raised)
         self.replay(raised)
-        self._came_back = False
-        self.fell_back(self.epoch)
-        for node, peer in list(self.peers.items()):
+        for node, peer in self.peers.items():
+            peer.incoming.parted = self._came_back  # else nothing is forgotten here
             peer.outgoing.question = None
             peer.outgoing.hurry()
             self._answer(node, peer.incoming.epoch)
-            if peer.incoming.epoch:
-                self._part(peer, why)
 
     # What happens to the streams, now and when a journal is replayed.
 

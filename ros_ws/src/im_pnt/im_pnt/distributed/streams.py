@@ -183,8 +183,8 @@ class Incoming:
         early: Messages that came before others of smaller numbers; not taken yet.
         untold: Messages taken since the last acknowledgement.
         ack_at: When an acknowledgement is due [s], None: nothing to tell.
-        parted: Whether this process has begun another life since it last heard the sender: the sender may have counted
-            further than this process remembers.
+        parted: Whether this process has begun another life and has not heard the sender since: the sender may have
+            counted further than this process remembers.
     """
 
     epoch: int = 0
@@ -203,7 +203,7 @@ class Incoming:
 
     def move(self, floor: int) -> None:
         """Waits for nothing up to a number any more."""
-        self.floor = floor
+        self.floor, self.parted = floor, False
         self.early = {number: fields for number, fields in self.early.items() if number > floor}
 
     def take_message(self, refusal: str, clock: Callable[[], float]) -> None:
@@ -300,7 +300,7 @@ class Peer:
             case LifeBegun(_, epoch, journal):
                 self.keeps_journal = journal
                 incoming.begin(epoch)
-            case NumbersSkipped(_, floor) if floor > incoming.floor:
+            case NumbersSkipped(_, floor) if floor >= incoming.floor:
                 incoming.move(floor)
             case _:
                 raise ValueError(f"{entry} does not fit the stream")

@@ -330,8 +330,8 @@ def _peer(peer: Peer) -> dict[str, object]:
     refused = [[number, reason] for number, reason in incoming.refused.items()]
     waiting = [json.loads(sent.text) for sent in outgoing.waiting.values()]
     heard = [incoming.epoch, incoming.floor, refused]
-    told = {"journal": peer.keeps_journal, "parted": incoming.parted}
-    return {"heard": heard, "last": outgoing.last, "waiting": waiting, **told}
+    parted = {"parted": True} if incoming.parted else {}
+    return {"heard": heard, "last": outgoing.last, "waiting": waiting, "journal": peer.keeps_journal, **parted}
 
 
 def _peer_of(name: str, state: Mapping[str, object]) -> Peer:
