@@ -46,6 +46,8 @@ class StillArms:
     def settled(self, groups):
         return True
 
+    def forget_stop(self) -> None: ...
+
     def broken(self):
         return []
 
