@@ -69,7 +69,7 @@ trap interrupt INT TERM HUP
 "$IM_ROOT/scripts/setup.sh"
 im_env
 if ((record)); then  # before the machine: what is volatile reaches only who is there
-  "$IM_BRINGUP/record" &
+  "$IM_BAG/record" &
   recorder=$!
 fi
 started=1

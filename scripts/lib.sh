@@ -6,6 +6,8 @@ IM_VENV="$IM_ROOT/.venv"
 IM_WS="$IM_ROOT/ros_ws"
 # Executables of im_bringup.
 IM_BRINGUP="$IM_WS/install/im_bringup/lib/im_bringup"
+# Recorder and replay of im_bag.
+IM_BAG="$IM_WS/install/im_bag/lib/im_bag"
 export IM_ROOT
 
 say() { printf '%s\n' "$*"; }

@@ -14,4 +14,4 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_BRINGUP/record" "$@"
+exec "$IM_BAG/record" "$@"

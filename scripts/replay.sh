@@ -46,4 +46,4 @@ case "$doing" in
   --mission) exec "$IM_ROOT/scripts/im" pnt mission "$@" ;;
   --recalibrate) exec "$IM_BRINGUP/run" im_vss recalibrate --recalibrate "$@" ;;
 esac
-exec "$IM_BRINGUP/replay" "$@"
+exec "$IM_BAG/replay" "$@"

@@ -11,14 +11,14 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from im_bringup.bag import BagReader, BagWriter, Delivery
-from im_bringup.bag import writer as bag_writer
-from im_bringup.ros import replay
-from im_core.bag.files import METADATA
-from im_core.bag.reading import messages_of
+from im_bag import BagReader, BagWriter, Delivery
+from im_bag import writer as bag_writer
+from im_bag.files import METADATA
+from im_bag.reading import messages_of
+from im_bag.ros import replay
 from im_core.errors import DataError
-from im_pnt.ros import rerun
 from im_pnt_analysis.cli import main as pnt
+from im_pnt_node.ros import rerun
 from im_vss.ros import recalibrate
 
 RECORDED = Path(__file__).parent / "data" / "bags" / "faults"

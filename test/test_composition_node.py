@@ -14,8 +14,8 @@ from im_bringup.machine import leftovers
 from im_bringup.machine import record as machine
 from im_core.ros import qos
 from im_pnt.netfile import load_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import SearchLimits, verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 NOTHING = SearchLimits(states=1, seconds=0.0)
 RING = """
@@ -64,7 +64,7 @@ def test_what_runs_without_proof_is_said_in_diagnostics(hurried, ros, wait_until
 PROGRAM = """#!{python}
 import sys
 from im_core.ros import run
-from im_pnt.ros.node import PntNode
+from im_pnt_node.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 sys.exit(run.main(lambda: PntNode("{name}", ["{file}"], verifier=verify_to_load)))
 """

@@ -16,9 +16,9 @@ from im_dispatcher.ros import node as dispatcher_node
 from im_dispatcher.ros.node import Dispatcher
 from im_msgs.srv import LoadNet
 from im_pnt.execution.events import ObjectInvalidated, PauseSet
-from im_pnt.journal.journal import fingerprint
 from im_pnt.netfile import parse_net, yaml_text
-from im_pnt.ros.node import PntNode
+from im_pnt_node.journal.journal import fingerprint
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 SHADOW = """

@@ -16,7 +16,7 @@ from im_dispatcher.command import joined
 from im_dispatcher.commands import installed
 from im_dispatcher.ros.host import DispatcherHost
 from im_pnt.model.action import FunctionAction
-from im_pnt.ros.rerun import installed_nets
+from im_pnt_node.ros.rerun import installed_nets
 
 
 class Objects(dict):

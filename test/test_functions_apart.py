@@ -12,12 +12,12 @@ from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_pnt.errors import NetFileError
-from im_pnt.mission.rerun import NodeRerun
-from im_pnt.mission.stream import streams_of
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.rerun import RosMessages, RosWorld
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.rerun.rerun import NodeRerun
+from im_pnt_node.rerun.stream import streams_of
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.rerun import RosMessages, RosWorld
 
 NET = """
 net: bench

@@ -32,15 +32,17 @@ MESSAGES = {
 MAY_IMPORT = {
     "im_core": set(),
     "im_cell": {"im_core"},
+    "im_bag": {"im_core"},
     "im_pnt": {"im_core"},
-    "im_pnt_analysis": {"im_core", "im_pnt"},
+    "im_pnt_node": {"im_core", "im_bag", "im_pnt"},
+    "im_pnt_analysis": {"im_core", "im_bag", "im_pnt"},
     "im_pnt_display": {"im_core", "im_pnt", "im_pnt_analysis"},
     "im_dom": {"im_core"},
-    "im_dispatcher": {"im_core", "im_cell", "im_pnt", "im_pnt_analysis"},
-    "im_coordinators": {"im_core", "im_cell", "im_calibration", "im_pnt", "im_pnt_analysis"},
-    "im_mcs": {"im_core", "im_cell"},
-    "im_calibration": {"im_core", "im_cell"},
-    "im_vss": {"im_core", "im_cell", "im_calibration"},
+    "im_dispatcher": {"im_core", "im_cell", "im_pnt", "im_pnt_node", "im_pnt_analysis"},
+    "im_coordinators": {"im_core", "im_cell", "im_calibration", "im_pnt", "im_pnt_node", "im_pnt_analysis"},
+    "im_mcs": {"im_core", "im_bag", "im_cell"},
+    "im_calibration": {"im_core", "im_bag", "im_cell"},
+    "im_vss": {"im_core", "im_bag", "im_cell", "im_calibration"},
     "im_sim": {"im_core", "im_cell"},
     "im_bringup": {"im_core", "im_cell"},
 }
@@ -52,6 +54,8 @@ LIBRARIES = {
     "pinocchio": ("im_cell", "im_mcs", "im_sim"),
     "ruckig": ("im_mcs",),
     "coal": ("im_mcs", "im_coordinators"),
+    "mcap": ("im_bag",),
+    "posix_ipc": ("im_core",),
     # im_sim/cameras: the lens warps and blurs every frame; nothing else is as fast, or gives the same pixels
     "cv2": ("im_calibration", "im_vss", "im_sim/cameras"),
 }
@@ -137,7 +141,9 @@ def test_shells_of_other_packages_are_not_imported(package):
     def forbidden(_, module):
         top, _, rest = module.partition(".")
         foreign = top in PACKAGES and top not in (package, "im_core")
-        return foreign and rest.partition(".")[0] == "ros" and not (top == "im_pnt" and rest.startswith("ros.node"))
+        return (
+            foreign and rest.partition(".")[0] == "ros" and not (top == "im_pnt_node" and rest.startswith("ros.node"))
+        )
 
     assert not offences(package, forbidden)
 
@@ -158,12 +164,12 @@ OPEN_FILES = {
     "im_core/files.py": "the reader",
     "im_core/jsontext.py": "the reader of JSON",
     "im_core/yamltext.py": "the reader of YAML",
-    "im_core/bag/reading.py": "the reader of bags",
-    "im_core/bag/storage.py": "a private copy of a file of a bag, for SQLite to take up its log",
-    "im_core/bag/files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
-    "im_bringup/bag/writer.py": "what it writes itself",
+    "im_bag/reading.py": "the reader of bags",
+    "im_bag/storage.py": "a private copy of a file of a bag, for SQLite to take up its log",
+    "im_bag/files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
+    "im_bag/writer.py": "what it writes itself",
     "im_bringup/ros/interruptible.py": "standard output of the program",
-    "im_pnt/journal/ended.py": "what it writes itself",
+    "im_pnt_node/journal/ended.py": "what it writes itself",
     "im_pnt/execution/strategies.py": "a folder, to lock what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/process.py": "logs and standard input of children",
@@ -171,7 +177,7 @@ OPEN_FILES = {
     "im_bringup/machine/members.py": "/proc",
     "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
-    "im_pnt/journal/folder.py": "the node's own journal, in a folder that it has locked",
+    "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",
     "im_dom/file.py": "the DOM's own data base",
     "im_dom/salvage.py": "the DOM's own data base, where it is damaged",
     "im_dom/transactions.py": "the DOM's own list of transactions",
@@ -304,7 +310,7 @@ def test_no_folders_import_each_other_in_a_circle():
 
 
 def rooms(graph):
-    """Whom the rooms of folders import: ``im_pnt.ros.commands`` is one; modules beside rooms are for themselves."""
+    """Find the imports of rooms of folders, such as ``im_pnt_node.ros.commands``; modules beside rooms stand alone."""
     room = {module: ".".join(module.split(".")[:3]) for module in graph}
     found = {}
     for module, others in graph.items():

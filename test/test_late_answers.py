@@ -10,10 +10,11 @@ from rclpy.service import Service
 from std_srvs.srv import Trigger
 
 from im_core import clock
-from im_core.ros import late_answers, qos
+from im_core.ros import qos
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.node import ManagedNode
+from im_core.ros.rclpy_fixes import late_answers
 from im_msgs.action import ExecuteCommand
 
 UNREACHED = "failed to send response (timeout): client will not receive response, at rmw_response.cpp:153"

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 import im_coordinators.ros.vision as vision
-from im_bringup.bag import BagWriter, Delivery
+from im_bag import BagWriter, Delivery
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
@@ -24,15 +24,15 @@ from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.notification import Nowhere
 from im_pnt.execution.operator import Mode
-from im_pnt.journal.state import net_state
-from im_pnt.mission.difference import Difference, first_difference
-from im_pnt.mission.entries import Entries
-from im_pnt.mission.rerun import NodeRerun
-from im_pnt.mission.stream import Turn, streams_of
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.journal.state import net_state
+from im_pnt_node.rerun.difference import Difference, first_difference
+from im_pnt_node.rerun.entries import Entries
+from im_pnt_node.rerun.rerun import NodeRerun
+from im_pnt_node.rerun.stream import Turn, streams_of
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from support.loop import in_loop
 
 BAGS = Path(__file__).parent / "data" / "bags"
@@ -251,7 +251,7 @@ def made(host):
 
 def walker_of(folder, text, make):
     """A node that runs a net, and keeps a journal; ``make`` makes its functions."""
-    from im_pnt.ros.node_host import NodeHost
+    from im_pnt_node.ros.node_host import NodeHost
 
     (folder / "walker.yaml").write_text(text, encoding="utf-8")
     host = NodeHost()

@@ -4,8 +4,8 @@ import pytest
 
 from im_core import clock
 from im_core.ros.node import ManagedNode
-from im_pnt.ros.execution import loop as net_loop
-from im_pnt.ros.execution.loop import NetLoop
+from im_pnt_node.ros.execution import loop as net_loop
+from im_pnt_node.ros.execution.loop import NetLoop
 
 FAULT = "what nobody thought of"
 

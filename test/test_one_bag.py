@@ -2,9 +2,9 @@
 
 import pytest
 
-from im_bringup.ros import replay
-from im_pnt.ros import rerun
+from im_bag.ros import replay
 from im_pnt_analysis.cli import main as pnt
+from im_pnt_node.ros import rerun
 from im_vss.ros import recalibrate
 
 

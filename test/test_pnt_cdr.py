@@ -7,7 +7,7 @@ from rclpy.serialization import deserialize_message
 
 from im_msgs.msg import Firing as FiringMessage
 from im_pnt.execution.notification import Firing, Phase
-from im_pnt.ros.cdr import encode_firing
+from im_pnt_node.ros.cdr import encode_firing
 
 
 @given(st.text(), st.text(), st.integers(0, 2**64 - 1), st.sampled_from(Phase), st.text(), st.text(), st.floats(0, 1e6))

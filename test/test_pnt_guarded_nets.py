@@ -10,8 +10,8 @@ from im_core.ros.node import ManagedNode
 from im_msgs.srv import GetObject
 from im_pnt.execution.functions import woken_by
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 ALONE = [Parameter("standalone", value=True)]

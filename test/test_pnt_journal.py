@@ -30,12 +30,12 @@ from im_pnt.execution.events import Answer, Answered, ModeSet, Outcome, PauseSet
 from im_pnt.execution.functions import idempotent, woken_by
 from im_pnt.execution.jobs import ActivityState
 from im_pnt.execution.operator import Mode
-from im_pnt.journal.folder import Folder
-from im_pnt.journal.log import look
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
-from im_pnt_analysis.cli.journal import described
+from im_pnt_node.cli.journal import described
+from im_pnt_node.journal.folder import Folder
+from im_pnt_node.journal.log import look
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 from support.warm import Copy, Warm
 
@@ -575,7 +575,7 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     tmp_path, ros, wait_until, monkeypatch
 ):
     """What was asked for is done; that it would not outlive the process is said."""
-    monkeypatch.setattr("im_pnt.ros.node.ANSWER_S", 0.2)
+    monkeypatch.setattr("im_pnt_node.ros.node.ANSWER_S", 0.2)
     (tmp_path / "think.yaml").write_text(THINK)
     node = Server("think", tmp_path)
     client = ManagedNode("client", parameter_overrides=[Parameter("standalone", value=True)])
@@ -620,7 +620,7 @@ transitions:
 
 def test_that_a_request_is_given_up_is_on_file_at_once(tmp_path, ros, wait_until, monkeypatch):
     """While something is not, the node neither acknowledges what it gets nor repeats what it has sent."""
-    monkeypatch.setattr("im_pnt.ros.node.TIDY_PERIOD_S", 0.1)
+    monkeypatch.setattr("im_pnt_node.ros.node.TIDY_PERIOD_S", 0.1)
     (tmp_path / "ask.yaml").write_text(ASK)
     node = ros(Server("ask", tmp_path))
     wait_until(lambda: node.ready, "the node")

@@ -4,8 +4,8 @@ import pytest
 from rclpy.parameter import Parameter
 
 from im_core.ros.calls import pause
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 CALLER = """

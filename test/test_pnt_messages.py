@@ -10,8 +10,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from im_core.errors import ConfigError, DataError, ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.values import ObjectPendingError
-from im_pnt.ros.messages import RosTypes, fill, plain_fields
-from im_pnt.ros.objects.objects import DomObjects
+from im_pnt_node.ros.messages import RosTypes, fill, plain_fields
+from im_pnt_node.ros.objects.objects import DomObjects
 
 
 def test_fields_of_messages_have_types():

@@ -11,10 +11,10 @@ from im_core.ros.node import ManagedNode
 from im_msgs.msg import NetDescription
 from im_pnt.errors import NetError
 from im_pnt.netfile import parse_net
-from im_pnt.ros.library import Library
-from im_pnt.ros.node import PntNode
 from im_pnt.verification import accept
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.library import Library
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 ALONE = [Parameter("standalone", value=True)]
@@ -90,7 +90,7 @@ def test_a_description_that_makes_no_sense_leads_no_request_anywhere(tmp_path, r
 
 
 def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_until, monkeypatch):
-    monkeypatch.setattr("im_pnt.ros.execution.transport.MOST_NETS", 2)
+    monkeypatch.setattr("im_pnt_node.ros.execution.transport.MOST_NETS", 2)
     asker, teller = ros(make_asker(tmp_path)), ros(Teller("teller"))
     wait_until(lambda: asker.ready, "the node")
     for net in ("marker", "feeder"):  # beside the asker itself
@@ -102,7 +102,7 @@ def test_so_many_nets_of_others_are_known_and_those_stay(tmp_path, ros, wait_unt
 
 
 def test_who_comes_late_is_told_of_all_nets_and_of_none_that_has_long_gone(tmp_path, ros, wait_until, monkeypatch):
-    monkeypatch.setattr("im_pnt.ros.reporting.publish.GONE_S", 0.2)
+    monkeypatch.setattr("im_pnt_node.ros.reporting.publish.GONE_S", 0.2)
     asker = ros(make_asker(tmp_path))
     wait_until(lambda: asker.ready, "the node")
     loaded = []

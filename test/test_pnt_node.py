@@ -15,8 +15,8 @@ from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.run import main, spin_in_thread
 from im_msgs.msg import Firing
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 NETS = {
     **{name: (Path(__file__).parent / "nets" / f"{name}.yaml").read_text() for name in ("front", "middle")},

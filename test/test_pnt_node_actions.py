@@ -30,11 +30,11 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.expression.scope import check_net
 from im_pnt.model.action import GoalAction
 from im_pnt.netfile import parse_net
-from im_pnt.ros.commands import notes
-from im_pnt.ros.execution.goals import GoalActions
-from im_pnt.ros.messages import RosTypes
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.commands import notes
+from im_pnt_node.ros.execution.goals import GoalActions
+from im_pnt_node.ros.messages import RosTypes
+from im_pnt_node.ros.node import PntNode
 from support.forgetful import forget
 from support.loop import in_loop
 
@@ -311,7 +311,7 @@ def test_a_server_whose_task_starts_is_asked_when_it_has_come_to_the_end_of_that
 
 def test_who_does_not_come_to_the_end_of_its_start_is_named(machine, monkeypatch, wait_until):
     node, hardware, _, _ = machine
-    monkeypatch.setattr("im_pnt.ros.execution.actions.patience_s", lambda: 1.0)
+    monkeypatch.setattr("im_pnt_node.ros.execution.actions.patience_s", lambda: 1.0)
     hardware._set_phase(TaskStatus.LOADED, "")
     wait_until(lambda: node.heartbeats.starting("hardware"), "the phase")
     message = run(node, "switch", on=True).status.message
@@ -442,7 +442,7 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
 
 
 def test_an_action_that_is_not_there_is_named(machine, monkeypatch):
-    monkeypatch.setattr("im_pnt.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("im_pnt_node.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)
     outcome = run(machine[0], "absent")
     assert "the action /nowhere/move is not there" in outcome.status.message
 

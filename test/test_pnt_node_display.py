@@ -15,10 +15,10 @@ from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Firing, GroupStatus, Marking, McsState, NetDescription, NetRefusal
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
 from im_pnt_display.ros.node import DisplayNode
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 NET = """

@@ -19,9 +19,9 @@ from im_msgs.srv import ControlNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
 from im_pnt_display.page.messages import counterexample
+from im_pnt_node.ros.node import PntNode
 
 WALKER = """
 net: walker
@@ -361,7 +361,7 @@ def test_a_net_that_was_loaded_later_is_there_after_a_restart(tmp_path):
 
 
 def test_files_of_nets_that_came_later_are_kept_as_far_as_somebody_may_need_them(machine, monkeypatch):
-    monkeypatch.setattr("im_pnt.ros.library.MOST_KEPT", 3)
+    monkeypatch.setattr("im_pnt_node.ros.library.MOST_KEPT", 3)
     _, walker = machine
     for number in range(6):
         changed = LAMP.replace("dim_done", f"[dim_done, dimmed_{number}]")

@@ -7,8 +7,8 @@ from std_srvs.srv import Trigger
 from im_core.errors import ImError
 from im_core.ros.node import ManagedNode
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 ALONE = [Parameter("standalone", value=True)]
 RING = """

@@ -11,8 +11,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from service_msgs.msg import ServiceEventInfo
 from tf2_msgs.msg import TFMessage
 
-from im_bringup.bag import BagWriter, Delivery
-from im_bringup.bag import writer as bag_writer
+from im_bag import BagWriter, Delivery
+from im_bag import writer as bag_writer
 from im_calibration import calibrate, report_of
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell

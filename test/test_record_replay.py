@@ -25,10 +25,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
-from im_bringup.bag import BagReader, BagWriter, Delivery
-from im_bringup.ros.record import BagRecorder, RecordedTopic
+from im_bag import BagReader, BagWriter, Delivery
+from im_bag.reading import messages_of, topics_of
+from im_bag.ros.recorder import BagRecorder, RecordedTopic
 from im_core import clock
-from im_core.bag.reading import messages_of, topics_of
 from im_core.errors import DataError, NotFoundError
 from im_core.ros import qos
 from im_core.ros.calls import pause

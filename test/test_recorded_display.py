@@ -8,11 +8,11 @@ from pathlib import Path
 import aiohttp
 import pytest
 
-from im_bringup.bag import BagReader, BagWriter
+from im_bag import BagReader, BagWriter
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT
-from im_pnt_analysis.timed.mission import mission_of
-from im_pnt_analysis.timed.recording import Described, Moment, NetRecording, RecordedMarking, recording_of
+from im_pnt_analysis.recorded.firings import mission_of
+from im_pnt_analysis.recorded.timeline import Described, Moment, NetRecording, RecordedMarking, recording_of
 from im_pnt_display import DisplayServer
 from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
 from im_pnt_display.page.site import RECORDED

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from im_bringup.bag.playback import JUMP_S, Controls
-from im_bringup.ros.replay import keys_pressed
+from im_bag.playback import JUMP_S, Controls
+from im_bag.ros.replay import keys_pressed
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from tf2_msgs.msg import TFMessage
 from im_cell.robot import load_cell
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import HEARTBEAT_PERIOD_S, STARTING_PERIOD_S, ManagedNode
-from im_core.ros.one_reader import shared_readers
+from im_core.ros.rclpy_fixes.one_reader import shared_readers
 from im_core.startup import STATUS_TOPIC
 from im_mcs.model import CellModel
 from im_mcs.ros.topics.publishers import Frames

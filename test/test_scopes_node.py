@@ -7,8 +7,8 @@ from std_msgs.msg import String
 from im_core.ros.run import spin_in_thread
 from im_dom.ros.node import DomNode, to_info
 from im_msgs.msg import ObjectChange
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 BOSS = """

@@ -24,7 +24,7 @@ def recorder(bag: Path) -> Iterator[ChildProcess]:
     Raises:
         WaitTimeoutError: It does not begin.
     """
-    child = ChildProcess.of_module("im_bringup.ros.record", ["-o", str(bag)], log=bag.with_suffix(".log"))
+    child = ChildProcess.of_module("im_bag.ros.recorder", ["-o", str(bag)], log=bag.with_suffix(".log"))
     try:
         deadline = clock.monotonic() + _BAG_S
         while not any(bag.glob("*.mcap")):

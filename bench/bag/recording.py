@@ -16,11 +16,11 @@ from bench.figures import Line
 from bench.machine.command import START_S, Bench
 from bench.sizes.commands import poses_file
 from bench.usage import cpu_s
+from im_bag.files import parts
 from im_bringup.machine import stop
 from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
-from im_core.bag.files import parts
 from im_core.errors import StateError
 from im_core.ros.graph import GraphWatch
 from im_core.ros.run import Spinner

@@ -24,7 +24,7 @@ from im_bringup.tasks import deployment as deployments
 from im_core import clock, names
 from im_core.config import package_file
 from im_core.errors import ImError, StateError
-from im_pnt.journal.log import Sync
+from im_pnt_node.journal.log import Sync
 
 #: The first poses of the cell, without those at which an arm that was interrupted elsewhere may hide the light.
 POSES, HIDING = 18, ("p09", "p10")

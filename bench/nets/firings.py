@@ -10,7 +10,7 @@ from bench.nets.peers import Peers, plain
 from bench.nets.player import Work
 from bench.nets.workers import Worker, number, own
 from im_core.errors import ImError
-from im_pnt_analysis.simulation.families import philosophers, ring
+from im_pnt.model.families import philosophers, ring
 
 SIZES = (10, 100, 1000)
 COMPARED = 100

@@ -6,8 +6,8 @@ from bench.figures import Line
 from bench.nets.player import Player, Work, working
 from im_core.clock import cpu, monotonic
 from im_core.errors import StateError
-from im_pnt.journal.journal import Journal
-from im_pnt.journal.log import Sync
+from im_pnt_node.journal.journal import Journal
+from im_pnt_node.journal.log import Sync
 
 PLACES = 10
 _NEVER_COMPACT = 1 << 40

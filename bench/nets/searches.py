@@ -13,10 +13,10 @@ from bench.nets.serving import serve
 from bench.nets.workers import number, own, own_path
 from im_core.clock import cpu, monotonic
 from im_core.errors import ImError, StateError
+from im_pnt.model.families import by_name
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.reachability import Search
-from im_pnt_analysis.simulation.families import by_name
 from im_pnt_analysis.structure.semiflows import p_semiflows
 from im_pnt_analysis.verify.problem import problem_of
 from im_pnt_analysis.verify.verdict import verify

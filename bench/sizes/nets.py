@@ -8,7 +8,7 @@ from bench.nets.player import Work
 from bench.nets.workers import number, own
 from bench.sizes.growth import growth
 from bench.yardstick import cpu_of
-from im_pnt_analysis.simulation.families import ring
+from im_pnt.model.families import ring
 from im_pnt_analysis.verify.verdict import verify
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from bench.bag.numbers import Numbers
 from bench.bag.recording import recorded
-from im_bringup.bag import BagWriter, Delivery, PartLimits
+from im_bag import BagWriter, Delivery, PartLimits
 
 
 def gaps(numbers, before, known):

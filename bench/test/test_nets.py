@@ -11,11 +11,11 @@ from bench.nets.player import SYMBOL, Player, Work, working
 from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
 from im_pnt.errors import NetError
-from im_pnt.journal.journal import Journal
 from im_pnt.model.compiled import compile_net
+from im_pnt.model.families import by_name, catching_philosophers, kanban, philosophers, ring
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.cli import main
-from im_pnt_analysis.simulation.families import by_name, catching_philosophers, kanban, philosophers, ring
+from im_pnt_node.journal.journal import Journal
 from support.fixtures import NETS
 
 NO_PEERS = Peers(None, Path(), "the peers could not be installed")

@@ -87,8 +87,8 @@ def dom(disk: Disk) -> None:
 
 def journal(disk: Disk) -> None:
     """The journal of a node."""
-    from im_pnt.journal.folder import Folder
-    from im_pnt.journal.log import Log, Sync
+    from im_pnt_node.journal.folder import Folder
+    from im_pnt_node.journal.log import Log, Sync
 
     folder = disk.folder / "journal"
     log = Log(Folder(folder), Sync.OS)
@@ -105,7 +105,7 @@ def journal(disk: Disk) -> None:
 
 def bag(disk: Disk) -> None:
     """A recording: what was complete before can be read."""
-    from im_bringup.bag import BagReader, BagWriter, Delivery, PartLimits
+    from im_bag import BagReader, BagWriter, Delivery, PartLimits
 
     writer = BagWriter(disk.folder / "bag", PartLimits(size_bytes=2000, free_bytes=0))
     writer.add_topic("/a", "std_msgs/msg/String", Delivery(reliable=True, latched=False, depth=1))

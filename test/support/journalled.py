@@ -4,17 +4,17 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import StateError
-from im_pnt.distributed.exchange import RETURN_TIMEOUT_S, Exchange
-from im_pnt.distributed.link import Link
-from im_pnt.distributed.packets import Message
 from im_pnt.execution.actions import FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions, GuardFunction
 from im_pnt.execution.notification import Observer
-from im_pnt.journal.folder import Files
-from im_pnt.journal.journal import COMPACT_BYTES, Journal
-from im_pnt.journal.log import Sync
 from im_pnt.model.net import Net
+from im_pnt_node.distributed.exchange import RETURN_TIMEOUT_S, Exchange
+from im_pnt_node.distributed.link import Link
+from im_pnt_node.distributed.packets import Message
+from im_pnt_node.journal.folder import Files
+from im_pnt_node.journal.journal import COMPACT_BYTES, Journal
+from im_pnt_node.journal.log import Sync
 
 
 class JournalledProcess:

@@ -7,8 +7,8 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 from im_core.ros.run import main
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 #: The objects for which a place of the net stands.
 OBJECTS = ("a", "b", "c")

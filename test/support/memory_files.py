@@ -4,7 +4,7 @@ import errno
 from random import Random
 
 from im_pnt.errors import JournalError
-from im_pnt.journal.folder import Growing
+from im_pnt_node.journal.folder import Growing
 
 #: What a disk writes at once [bytes].
 SECTOR = 512

@@ -4,7 +4,6 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
-from im_pnt.distributed.exchange import Exchange, Transport
 from im_pnt.execution.actions import ActionOwner, FunctionRunner, Perform, Spawn
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.executor import Executor
@@ -17,6 +16,7 @@ from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import Action, FunctionAction
 from im_pnt.model.net import Net
+from im_pnt_node.distributed.exchange import Exchange, Transport
 
 _MARKS = {Phase.START: "+", Phase.END: "", Phase.FAILED: "!", Phase.CANCEL: "~", Phase.DOUBT: "?"}
 

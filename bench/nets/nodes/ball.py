@@ -15,8 +15,8 @@ from bench.nets.serving import Handler
 from im_core.clock import cpu, monotonic
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 NETS = {
     "ping": """

@@ -18,10 +18,10 @@ from im_msgs.msg import Firing
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command
+from im_pnt.model.families import ACTION
 from im_pnt.netfile import yaml_text
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
-from im_pnt_analysis.simulation.families import ACTION
+from im_pnt_node.ros.node import PntNode
 
 PLACES = 100
 TOPIC = "/pnt/firings"

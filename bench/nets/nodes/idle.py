@@ -14,8 +14,8 @@ from bench.nets.serving import Handler
 from im_core.clock import cpu, sleep
 from im_pnt.execution.events import TokenArrived
 from im_pnt.execution.functions import ActionContext
-from im_pnt.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 
 NET = """
 net: {name}

@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer="im maintainers",
     maintainer_email="maintainers@example.org",
-    description="Deployment, bootstrap, task registry, recording and replay of the Intelligent Machine",
+    description="Deployment, bootstrap, task registry, start and stop of the Intelligent Machine",
     license="MIT",
     entry_points={
         "console_scripts": [
@@ -24,10 +24,8 @@ setup(
             "bootstrap=im_bringup.ros.launch:main",
             "data_objects=im_bringup.ros.data_objects:main",
             "interfaces=im_bringup.ros.interfaces:main",
-            "record=im_bringup.ros.record:main",
             "recover=im_bringup.ros.recover:main",
-            "replay=im_bringup.ros.replay:main",
-            "run=im_bringup.tasks.executables:main",
+            "run=im_core.executables:main",
             "run_command=im_bringup.ros.run_command:main",
             "shared_process=im_bringup.ros.shared_process:main",
             "start=im_bringup.machine.start:main",

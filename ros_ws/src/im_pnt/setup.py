@@ -16,7 +16,6 @@ setup(
     zip_safe=True,
     maintainer="im maintainers",
     maintainer_email="maintainers@example.org",
-    description="Petri net transducers in execution: nets from YAML and PNML, executed, distributed, journalled",
+    description="Petri net transducers in execution: nets from YAML and PNML, and executed",
     license="MIT",
-    entry_points={"console_scripts": ["pnt_node = im_pnt.ros.pnt_node:main"]},
 )

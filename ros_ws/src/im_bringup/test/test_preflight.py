@@ -177,7 +177,7 @@ def test_what_is_in_the_way_of_a_start_is_named(monkeypatch):
 
 @pytest.mark.parametrize("where", ["| true", "> /dev/full", ">&-"], ids=["no reader", "full disk", "closed"])
 def test_what_nobody_hears_ends_neither_a_start_nor_a_stop(where):
-    code = "from im_bringup.machine.output import *; say('one'); say('two'); complain('ended')"
+    code = "from im_core.output import *; say('one'); say('two'); complain('ended')"
     run = ["bash", "-c", f'set -o pipefail; "$0" -c "$1" {where}', sys.executable, code]
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "ended\n")

@@ -7,7 +7,7 @@ import tracemalloc
 
 import pytest
 
-from im_core.bag.reading import open_bag
+from im_bag.reading import open_bag
 from im_core.config import Model, load_model
 from im_core.errors import ConfigError
 from im_core.files import FileError, read_bytes, read_text

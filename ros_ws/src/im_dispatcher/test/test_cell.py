@@ -16,10 +16,10 @@ from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command, CommandResult
-from im_pnt.journal.state import restore_net, taken_over
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.journal.state import restore_net, taken_over
 from support.process import Process, hold
 
 NET = """
@@ -53,8 +53,7 @@ def made_of(*texts: str) -> tuple[list[Net], Needs, Net]:
 
 def test_a_symbol_begins_a_command_of_one_net_only():
     text = (
-        "net: {0}\nplaces: {{a: 1, b: }}\n"
-        "transitions: {{go: {{symbol: {1}, in: a, out: b}}, back: {{in: b, out: a}}}}"
+        "net: {0}\nplaces: {{a: 1, b: }}\ntransitions: {{go: {{symbol: {1}, in: a, out: b}}, back: {{in: b, out: a}}}}"
     )
     word = "{name: confirm, of: command}"
     Needs([parse_net(text.format(name, word)) for name in ("one", "other")], RESOURCES)

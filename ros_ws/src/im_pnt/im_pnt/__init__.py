@@ -1,36 +1,31 @@
 """Petri net transducers in execution (paper, section 6): what a user of the library may rely on.
 
 A net is loaded (:func:`load_net`, :func:`parse_net`), its :class:`Functions` are registered, and an :class:`Executor`
-runs it, whose :class:`FunctionRunner` does its actions; an :class:`Exchange` joins the nets of a process with each
-other and those of others, an :class:`Observer` is told of firings, and a :class:`Journal` brings them back.
-The ROS node that has all this is :class:`im_pnt.ros.node.PntNode`; it is not imported here, for it needs ROS.
+runs it, whose :class:`FunctionRunner` does its actions; an :class:`Observer` is told of firings.
+The package ``im_pnt_node`` joins nets with each other, keeps their journal, and makes ROS nodes of them.
 
-Knows ``im_core`` only. Inside, lower knows nothing of higher: ``model``, ``expression``, then ``netfile`` and
-``pnml``, then ``execution``, ``distributed``, ``journal``, ``ros``.
+Knows ``im_core`` only: no ROS, no disk, no network. Inside, lower knows nothing of higher: ``model``, ``expression``,
+then ``netfile`` and ``pnml``, then ``execution``.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from im_pnt.distributed.exchange import Exchange
     from im_pnt.errors import NetError, NetFileError
     from im_pnt.execution.actions import FunctionRunner
     from im_pnt.execution.executor import Executor
     from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
     from im_pnt.execution.notification import Firing, Observer
-    from im_pnt.journal.journal import Journal
     from im_pnt.model.net import Net
     from im_pnt.netfile import load_net, parse_net
 
 __all__ = [
     "ActionContext",
-    "Exchange",
     "Executor",
     "Firing",
     "FunctionRunner",
     "Functions",
-    "Journal",
     "Net",
     "NetError",
     "NetFileError",
@@ -42,13 +37,11 @@ __all__ = [
 ]
 
 _FACE = {
-    "distributed.exchange": ("Exchange",),
     "errors": ("NetError", "NetFileError"),
     "execution.actions": ("FunctionRunner",),
     "execution.executor": ("Executor",),
     "execution.functions": ("ActionContext", "Functions", "idempotent", "woken_by"),
     "execution.notification": ("Firing", "Observer"),
-    "journal.journal": ("Journal",),
     "model.net": ("Net",),
     "netfile": ("load_net", "parse_net"),
 }

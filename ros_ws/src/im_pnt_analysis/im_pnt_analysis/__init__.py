@@ -3,8 +3,8 @@
 For whoever writes nets or decides whether to load them. Knows ``im_core`` and the model, files and verdict types of
 ``im_pnt``; nothing of ROS. Folders, from the lowest: ``structure`` (what the arcs tell), ``composition`` (several nets
 as one, closed by their environment), ``search`` and ``symbolic`` (markings, listed or in decision diagrams),
-``verify`` (may they run: ``verify.verdict.verify``), ``timed`` (stochastic nets), ``simulation``, and the command
-``pnt`` in ``cli``.
+``verify`` (may they run: ``verify.verdict.verify``), ``timed`` (stochastic nets), ``recorded`` (nets out of bags),
+``simulation``, and the command ``pnt`` in ``cli``.
 """
 
 from importlib import import_module
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from im_pnt_analysis.timed.steady import steady_state
     from im_pnt_analysis.verify.load import verify_to_load
     from im_pnt_analysis.verify.report import Report
+    from im_pnt_analysis.verify.search_speed import search_speed
 
 __all__ = ["CommandDuration", "FiringSequence", "Report", "SearchLimits", "compare", "compose", "expected_command"]
-__all__ += ["replay", "simulate", "steady_state", "summarise", "verify_to_load"]
+__all__ += ["replay", "search_speed", "simulate", "steady_state", "summarise", "verify_to_load"]
 
 _FACE = {
     "composition.compose": ("compose",),
@@ -34,6 +35,7 @@ _FACE = {
     "timed.steady": ("steady_state",),
     "verify.report": ("Report",),
     "verify.load": ("verify_to_load",),
+    "verify.search_speed": ("search_speed",),
 }
 
 

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from im_core.errors import DataError
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
-from im_pnt_analysis.timed.mission import contents_of, mission_of
+from im_pnt_analysis.recorded.firings import contents_of, mission_of
 
 MESSAGES = Path(__file__).resolve().parents[2] / "im_msgs" / "msg"
 START, END, FAILED = range(3)

@@ -6,8 +6,8 @@ import pytest
 
 from im_pnt.netfile import parse_net
 from im_pnt_analysis.cli.fit import measured
+from im_pnt_analysis.recorded.firings import mission_from
 from im_pnt_analysis.timed.measurement import MeasuredFiring, estimate
-from im_pnt_analysis.timed.mission import mission_from
 
 START, END, FAILED, CANCEL = range(4)
 NET = parse_net("""

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from im_core.errors import DataError
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.netfile import parse_net
-from im_pnt_analysis.timed.mission import Mission, MissionTime
-from im_pnt_analysis.timed.recording import Described, Description, Moment, NetRecording, RecordedMarking
+from im_pnt_analysis.recorded.firings import Mission, MissionTime
+from im_pnt_analysis.recorded.timeline import Described, Description, Moment, NetRecording, RecordedMarking
 
 JOB = """
 net: job_net

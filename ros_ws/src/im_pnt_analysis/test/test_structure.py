@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
+from im_pnt.model.families import catching_philosophers, kanban
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.search.coverability import coverability
 from im_pnt_analysis.search.stubborn import find_deadlock, search
-from im_pnt_analysis.simulation.families import catching_philosophers, kanban
 from im_pnt_analysis.structure.reduction import reduce_for_deadlock
 from im_pnt_analysis.structure.siphons import emptied_siphon, siphons, traps
 from im_pnt_analysis.structure.state_equation import place_bounds, structurally_bounded

@@ -49,7 +49,7 @@ def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run_display(options: argparse.Namespace) -> int:
     """Show a recording until a signal asks to end."""
-    from im_pnt_analysis.timed.recording import recording_of  # the libraries of bags and of web pages take a while
+    from im_pnt_analysis.recorded.timeline import recording_of  # the libraries of bags and of web pages take a while
     from im_pnt_display.page.recording import RecordedNets
     from im_pnt_display.page.server import DisplayServer
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from im_core.bag.reading import messages_of, topics_of
+from im_bag.reading import messages_of, topics_of
 from im_core.errors import DataError, StateError
 from im_core.jsontext import JsonError, decode_json
 from im_vss.mounts import Pose, at_rest

@@ -11,19 +11,19 @@ from uuid import uuid4
 from im_bringup.machine import leftovers, mission, preflight, stop
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts, interrupt_once, interrupts_held
-from im_bringup.machine.output import complain, say
 from im_bringup.machine.record import MachineRecord
 from im_bringup.machine.start_mark import only_one
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
-from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.middleware import reach
 from im_core import clock, config, names, open_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
+from im_core.executables import path_of
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds
+from im_core.output import complain, say
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 

@@ -6,12 +6,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from im_bringup.machine import leftovers, mission, output
+from im_bringup.machine import leftovers, mission
 from im_bringup.machine import record as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
 from im_bringup.machine.start_mark import end_start
-from im_core import clock, names, open_commands
+from im_core import clock, names, open_commands, output
 from im_core.errors import DataError, LinkError
 from im_core.process import last_words
 

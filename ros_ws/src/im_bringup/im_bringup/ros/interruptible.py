@@ -12,10 +12,10 @@ from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
 from im_bringup.machine import record as machine
-from im_bringup.machine.output import complain
 from im_core import clock
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError, StoreError, WaitTimeoutError
+from im_core.output import complain
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
 

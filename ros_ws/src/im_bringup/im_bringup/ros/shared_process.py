@@ -13,8 +13,8 @@ from pathlib import Path
 
 from rclpy.utilities import remove_ros_args
 
-from im_bringup.tasks.executables import path_of
 from im_core.errors import ConfigError, ImError
+from im_core.executables import path_of
 from im_core.ros import run
 from im_core.ros.run import Program
 

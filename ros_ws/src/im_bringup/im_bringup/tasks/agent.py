@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
-from im_bringup.tasks.executables import path_of
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
@@ -19,6 +18,7 @@ from im_core import agent_socket, names, scheduling
 from im_core import pulse as pulse_memory
 from im_core.agent_socket import AgentOrder, AgentSocket, TaskReport
 from im_core.errors import LinkError
+from im_core.executables import path_of
 from im_core.files import make_folder, write_whole
 from im_core.process import ChildProcess, await_ends, last_words, may_copy
 from im_core.pulse import Pulse

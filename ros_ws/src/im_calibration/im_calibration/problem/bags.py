@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from im_bag.reading import BagMessage, messages_of, topics_of
 from im_calibration.problem.convert import dataset_head
 from im_cell.lens import LENSES, PLUMB_BOB
-from im_core.bag.reading import BagMessage, messages_of, topics_of
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from im_coordinators.established import lost
 from im_core import clock
 from im_core.errors import WaitTimeoutError
 from im_pnt.execution.functions import ActionContext
-from im_pnt.mission.host import Host
+from im_pnt_node.rerun.host import Host
 
 HEARD_S, PAUSE_S = 10.0, 0.02
 

@@ -6,10 +6,10 @@ from im_coordinators.ros.establishment import Establishment
 from im_core.config import package_file
 from im_core.ros import run
 from im_pnt.execution.functions import ActionContext, Functions
-from im_pnt.mission.host import Host
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.node_host import NodeHost
 
 
 class GripperCoordinator(PntNode):

@@ -25,10 +25,10 @@ from im_core.ros import qos, run
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions, idempotent, woken_by
-from im_pnt.mission.host import Host
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.node_host import NodeHost
 
 MCS_STATE = "/mcs/state"
 of_mcs = woken_by(f"topic:{MCS_STATE}")

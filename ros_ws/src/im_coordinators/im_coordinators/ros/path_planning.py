@@ -26,10 +26,10 @@ from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
-from im_pnt.mission.host import Host
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.node_host import NodeHost
 
 STATE, KINEMATICS, CHECK = "/mcs/get_group_state", "/mcs/inverse_kinematics", "/mcs/check_path"
 SERVICES = {STATE: GetGroupState, KINEMATICS: InverseKinematics, CHECK: CheckPath}

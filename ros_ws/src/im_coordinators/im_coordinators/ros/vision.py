@@ -18,10 +18,10 @@ from im_core.ros import qos, run
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
-from im_pnt.mission.host import Host
-from im_pnt.ros.node import PntNode
-from im_pnt.ros.node_host import NodeHost
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.node_host import NodeHost
 
 LIGHTS = "/testbed/lights"
 LONG_EXPOSURE = "long_exposure"

@@ -29,14 +29,15 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 
 from im_core.errors import FOREIGN, ImError, as_exception
-from im_core.ros import one_reader, qos
-from im_core.ros.action_events import ActionEvents
+from im_core.ros import qos
 from im_core.ros.callers import client_of, nodes_of, process_of, sender_of
 from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.interfaces import type_name
-from im_core.ros.late_answers import LateAnswers, unreached
 from im_core.ros.logger import Logger
 from im_core.ros.parameter_bounds import bounded
+from im_core.ros.rclpy_fixes import one_reader
+from im_core.ros.rclpy_fixes.action_events import ActionEvents
+from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.status import to_status
 
 INTERNAL = "internal"

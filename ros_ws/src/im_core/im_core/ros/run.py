@@ -27,10 +27,10 @@ from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.loop_watch import LoopWatch
 from im_core.pulse import Pulse
-from im_core.ros.backlog import new_readers, take_backlog
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
-from im_core.ros.one_reader import shared_readers
+from im_core.ros.rclpy_fixes.backlog import new_readers, take_backlog
+from im_core.ros.rclpy_fixes.one_reader import shared_readers
 
 # Without a time-out the events executor busy-loops; this one is never reached.
 FOREVER_S = 1e6
@@ -52,7 +52,8 @@ _gathered: ContextVar[list[Program] | None] = ContextVar("gathered", default=Non
 class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc]  # of C++: it has no types
     """The events executor, mended: what came while it began to listen is heard, and a task that raises ends nothing.
 
-    A task that raised would end its process by a segmentation fault; for the rest see :mod:`im_core.ros.backlog`.
+    A task that raised would end its process by a segmentation fault; for the rest see
+    :mod:`im_core.ros.rclpy_fixes.backlog`.
 
     Args:
         context: The context of its nodes.

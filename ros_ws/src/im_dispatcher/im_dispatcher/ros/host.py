@@ -13,9 +13,9 @@ from im_core.ros import qos
 from im_dispatcher.poses_file import PosesFile, WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes
 from im_msgs.msg import CalibrationReport, Firing, Rejection
-from im_pnt.mission.host import Host
 from im_pnt.model.net import Net
-from im_pnt.ros.node import PntNode
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import PntNode
 
 ValueT = TypeVar("ValueT")
 

@@ -24,15 +24,15 @@ from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Command, Job
-from im_pnt.journal.journal import fingerprint
-from im_pnt.mission.host import Host
 from im_pnt.model.arguments import Busy
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
-from im_pnt.ros.node import CommandOutcome, OpenCommand, PntNode, ProgressListener
-from im_pnt.ros.node_host import NodeHost
 from im_pnt.verification import Verification
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.journal.journal import fingerprint
+from im_pnt_node.rerun.host import Host
+from im_pnt_node.ros.node import CommandOutcome, OpenCommand, PntNode, ProgressListener
+from im_pnt_node.ros.node_host import NodeHost
 
 #: How long it may take to read a net [s].
 READ_S = 60.0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.bag.reading import messages_of
+from im_bag.reading import messages_of
 from im_core.errors import DataError
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from im_pnt_analysis.cli.terminal import OK
-from im_pnt_analysis.timed.mission import ActionTimes, Mission, RecordedFiring, Topic, contents_of, mission_of
+from im_pnt_analysis.recorded.firings import ActionTimes, Mission, RecordedFiring, Topic, contents_of, mission_of
 
 _DESCRIPTION = """Tells what a recording holds: topics with their longest silence; the time line of what fired, in
 testbed time, with the transition that each one waited for; events of nets that were not recorded; and the duration of

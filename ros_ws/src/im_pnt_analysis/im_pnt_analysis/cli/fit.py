@@ -12,10 +12,10 @@ from im_pnt.model.action import RequestAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.cli.terminal import OK
+from im_pnt_analysis.recorded.firings import Mission, mission_of
 from im_pnt_analysis.timed.durations import expected_command
 from im_pnt_analysis.timed.estimation import Interval
 from im_pnt_analysis.timed.measurement import MeasuredFiring, TransitionEstimate, estimate, with_estimates
-from im_pnt_analysis.timed.mission import Mission, mission_of
 from im_pnt_analysis.timed.rewrite import Rewritten, delay_text, rewrite
 
 _DESCRIPTION = """Estimates from bags how long transitions take (testbed time), how often their actions succeed, and

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 
-from im_core.bag.command_line import parsed
+from im_bag.command_line import parsed
 from im_core.errors import ImError
 from im_core.options import NumberParser
 from im_pnt_analysis.cli.extensions import extensions
@@ -33,26 +33,28 @@ Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wr
 _DRAW = """
   scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)
   scripts/im pnt display bags/demo                                the nets over a recording, on a web page"""
-_DRAWN = ("display", "draw")
 
 _COMMANDS = {
     "verify": "may the nets run?",
-    "run": "run nets",
     "prove": "may a machine start with them?",
     "simulate": "play a net",
     "time": "how fast is a net?",
     "convert": "YAML to PNML and back",
     "schema": "print the JSON schema",
-    "bench": "how fast are nets?",
-    "journal": "what does a node remember?",
     "bag": "what does a recording tell?",
     "fit": "take times and probabilities from recordings",
-    "mission": "does a recorded mission run as it did?",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 
-_OF_NODES = {"run": "im_pnt.ros.pnt_node", "mission": "im_pnt.ros.rerun"}
-"""Commands that need messages of ROS, and who has them."""
+_ELSEWHERE = {
+    "bench": "im_pnt_node",
+    "display": "im_pnt_display",
+    "draw": "im_pnt_display",
+    "journal": "im_pnt_node",
+    "mission": "im_pnt_node",
+    "run": "im_pnt_node",
+}
+"""Commands of packages above this one, which name themselves as entry points."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -68,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     raw = argparse.RawDescriptionHelpFormatter
     parser = NumberParser(prog="im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    if words[:1] and words[0] in _OF_NODES:
-        return int(import_module(_OF_NODES[words[0]]).main(words[1:], f"im pnt {words[0]}"))
+    for program in extensions("im_pnt.programs", *words[:1]) if words[:1] and words[0] in _ELSEWHERE else ():
+        return int(program(words[1:], f"im pnt {words[0]}"))
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, formatter_class=raw)
@@ -78,8 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if called not in _COMMANDS:
         for add in extensions("im_pnt.commands"):
             add(commands)
-        if called in _DRAWN and called not in commands.choices:
-            print(f"pnt: {called} is a command of the package im_pnt_display, which is not installed", file=sys.stderr)
+        if called in _ELSEWHERE and called not in commands.choices:
+            package = _ELSEWHERE[called]
+            print(f"pnt: {called} is a command of the package {package}, which is not installed", file=sys.stderr)
             return BAD_INPUT
     parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
     options = parsed(parser, words)

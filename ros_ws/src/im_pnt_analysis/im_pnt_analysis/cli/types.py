@@ -1,16 +1,12 @@
 """Values of nets against the types of ROS messages, where there is ROS: checked as a node does when it loads nets."""
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 
-from im_core import plugins
 from im_pnt.expression.scope import check_net
 from im_pnt.expression.types import MessageTypes
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
-
-_ROS = "rclpy"
-_TYPES = "im_pnt.ros.messages:RosTypes"
+from im_pnt_analysis.cli.extensions import extensions
 
 
 def checked_types(nets: Sequence[Net]) -> str:
@@ -29,9 +25,14 @@ def checked_types(nets: Sequence[Net]) -> str:
     named = any(isinstance(t.action, kinds) for net in nets for t in net.transitions.values())
     if not named and not any(place.object_type for net in nets for place in net.places.values()):
         return ""
-    if find_spec(_ROS) is None:
-        return f"not checked: there is no ROS here ({_ROS} is not found); a node checks them when it loads the nets"
-    types: MessageTypes = plugins.load(_TYPES, None, "types of messages")()  # type: ignore[operator]  # a class
+    later = "a node checks them when it loads the nets"
+    try:
+        makers = list(extensions("im_pnt.message_types"))
+    except ModuleNotFoundError as error:
+        return f"not checked: there is no ROS here ({error.name} is not found); {later}"
+    if not makers:
+        return f"not checked: the package im_pnt_node is not installed; {later}"
+    types: MessageTypes = makers[0]()
     for net in nets:
         check_net(net, types)
     return "values fit the types of the messages"

@@ -6,9 +6,9 @@ from typing import Any
 
 from im_core.errors import ImError
 from im_core.files import write_whole
+from im_pnt_analysis.recorded.firings import Mission
 from im_pnt_analysis.timed.durations import CommandDuration
 from im_pnt_analysis.timed.measurement import Comparison
-from im_pnt_analysis.timed.mission import Mission
 from im_pnt_analysis.timed.steady import SteadyState
 
 _BARS = 40

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from im_core.errors import DataError
 from im_pnt.execution.notification import Firing
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place
-from im_pnt_analysis.timed.recording import Described, Moment, NetRecording, NetState
+from im_pnt_analysis.recorded.timeline import Described, Moment, NetRecording, NetState
 from im_pnt_display.page.messages import firing_content
 from im_pnt_display.page.state import FIRINGS_KEPT, Change, net_content
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from im_bag.command_line import parsed
 from im_calibration import (
     SAME,
     Calibration,
@@ -23,7 +24,6 @@ from im_calibration.problem.problem import NOISE_SOURCES
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock
-from im_core.bag.command_line import parsed
 from im_core.errors import DataError, ImError
 from im_core.names import results_dir
 from im_vss.camera_book import CameraBook

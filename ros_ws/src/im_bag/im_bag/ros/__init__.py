@@ -1,0 +1,1 @@
+"""ROS shells of recordings: the recorder, and the replay onto topics."""

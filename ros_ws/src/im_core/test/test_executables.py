@@ -1,0 +1,67 @@
+import os
+import sys
+
+import pytest
+
+from im_core.errors import NotFoundError
+from im_core.executables import executables, main, packages, packages_with, path_of
+
+
+@pytest.fixture
+def workspaces(tmp_path, monkeypatch):
+    """A workspace with package ``near``, and below it an installation with ``near`` and ``far``."""
+    for prefix, package, name in (("ws/near", "near", "go"), ("ros", "near", "old"), ("ros", "far", "run")):
+        program = tmp_path / prefix / "lib" / package / name
+        program.parent.mkdir(parents=True)
+        program.write_text("#!/bin/sh\n")
+        program.chmod(0o755)
+        (program.parent / "data.txt").write_text("not a program")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path}/ws/near:{tmp_path}/ros")
+    monkeypatch.setenv("COLCON_PREFIX_PATH", f"{tmp_path}/ws")
+    return tmp_path
+
+
+def test_the_nearest_workspace_comes_first(workspaces):
+    assert executables("near") == ["go"]
+    assert path_of("near", "go") == workspaces / "ws/near/lib/near/go"
+    assert path_of("far", "run") == workspaces / "ros/lib/far/run"
+
+
+def test_only_packages_of_workspaces_are_listed(workspaces):
+    assert packages() == ["near"]
+
+
+def test_unknown_names_are_answered_with_the_known_ones(workspaces):
+    with pytest.raises(NotFoundError, match=r"no package with executables 'nears'; did you mean 'near'"):
+        executables("nears")
+    with pytest.raises(NotFoundError, match=r"no executable of near 'og' \(known: go\)|did you mean 'go'"):
+        path_of("near", "og")
+
+
+def add(workspaces, monkeypatch, package, name):
+    """A package of the workspace with that program."""
+    program = workspaces / "ws" / package / "lib" / package / name
+    program.parent.mkdir(parents=True, exist_ok=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{workspaces}/ws/{package}:{os.environ['AMENT_PREFIX_PATH']}")
+    return program
+
+
+def test_an_executable_that_moved_to_one_other_package_is_run_from_there(workspaces, monkeypatch, capsys):
+    moved = add(workspaces, monkeypatch, "other", "tool")
+    assert packages_with("tool") == ["other"]
+    ran = []
+    monkeypatch.setattr(os, "execv", lambda path, arguments: ran.append((path, arguments)))
+    monkeypatch.setattr(sys, "argv", ["run", "near", "tool", "--option"])
+    main()
+    assert ran == [(moved, [str(moved), "--option"])]
+    assert capsys.readouterr().err == "run: tool is in other\n"
+
+
+def test_an_executable_of_several_other_packages_is_not_guessed(workspaces, monkeypatch, capsys):
+    for package in ("one", "two"):
+        add(workspaces, monkeypatch, package, "tool")
+    monkeypatch.setattr(sys, "argv", ["run", "near", "tool"])
+    assert main() == 2
+    assert "no executable of near 'tool'" in capsys.readouterr().err

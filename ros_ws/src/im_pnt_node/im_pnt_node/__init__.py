@@ -1,0 +1,29 @@
+"""Nets that talk, last and are ROS nodes: remote places, journal, re-run, the node, and ``pnt run``.
+
+An :class:`Exchange` joins the nets of a process with each other and with those of other processes; a :class:`Journal`
+brings them back after the death of the process. The ROS node is :class:`im_pnt_node.ros.node.PntNode`; this face does
+not import it, because it needs ROS.
+
+Knows ``im_core``, ``im_bag`` and ``im_pnt``. Folders, from the lowest: ``distributed`` (packets, links, streams),
+``journal`` (a log written ahead), ``rerun`` (a recorded run, run again), ``ros`` (the node), and commands of ``pnt``
+in ``cli``.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from im_pnt_node.distributed.exchange import Exchange
+    from im_pnt_node.journal.journal import Journal
+
+__all__ = ["Exchange", "Journal"]
+
+_FACE = {"distributed.exchange": ("Exchange",), "journal.journal": ("Journal",)}
+
+
+def __getattr__(name: str) -> object:
+    """Import the class that is asked for; a user of the exchange alone waits for no journal."""
+    for module, names in _FACE.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module {__name__} has no {name}")

@@ -1,0 +1,1 @@
+"""Commands of ``pnt`` that need journals or an exchange: ``journal`` and ``bench``."""

@@ -1,0 +1,12 @@
+"""Nets in several processes: remote places, requests, and the link that crosses exactly once.
+
+:class:`Exchange` delivers tokens, requests and replies between the nets of a process to their :mod:`.inboxes`, keeps
+the :mod:`.requests` that wait, tells the journal of both (:mod:`.entries`), and hands what is for others, as
+:mod:`.messages`, to a :class:`Transport`; :class:`Link` is what carries it, over two :mod:`.streams` of
+:mod:`.packets` for each process.
+"""
+
+from im_pnt_node.distributed.exchange import Exchange, Transport
+from im_pnt_node.distributed.link import Link
+
+__all__ = ["Exchange", "Link", "Transport"]

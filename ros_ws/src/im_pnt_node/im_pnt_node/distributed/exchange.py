@@ -1,0 +1,482 @@
+"""The exchange of one process: carries tokens, requests and replies between its nets, and to and from others.
+
+:class:`Exchange` has the requests that wait for their reply (:mod:`.requests`) and the inboxes of the nets
+(:mod:`.inboxes`). It tells its journal what happens to them (:mod:`.entries`), before it is done.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from im_core.clock import monotonic
+from im_core.errors import ImError, LinkError, StateError, nearest
+from im_pnt.errors import NetError
+from im_pnt.execution.events import ActionEnded, CommandHeld, NodeForgotten, RequestArrived, Tiding, TidingArrived
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.jobs import NO_COMMAND, Activity, Carried, Command, Job, JobKey, Owner, Request, scope_of
+from im_pnt.execution.notification import Leaving, Observer
+from im_pnt.model.action import RequestAction
+from im_pnt.model.net import RemotePlace
+from im_pnt_node.distributed.entries import (
+    EventPosted,
+    ExchangeEntry,
+    RequestAnswered,
+    RequestAsked,
+    RequestClosed,
+    RequestsRenamed,
+    TokenKept,
+)
+from im_pnt_node.distributed.inboxes import Inboxes
+from im_pnt_node.distributed.messages import (
+    cancel_message,
+    carried_by,
+    hold_message,
+    request_message,
+    request_of,
+    tiding_message,
+    tiding_of,
+    token_of_job,
+)
+from im_pnt_node.distributed.packets import VOID, Message, MessageKind, began_at, token_message
+from im_pnt_node.distributed.requests import RequestBook, Waiting
+
+RETURN_TIMEOUT_S = 60.0
+"""One that hangs is noticed, and started again, within half of it [s]."""
+
+
+class Transport(Protocol):
+    """Carries messages to other processes: a :class:`im_pnt_node.distributed.link.Link`, or what stands before one."""
+
+    def node_of(self, net: str) -> str:
+        """Returns the node that runs a net."""
+
+    def send(self, node: str, message: Message) -> None:
+        """Sends a message; it arrives once, some time, and in order.
+
+        Raises:
+            NetError: Its payload is not JSON data.
+        """
+
+    def forget(self, request_id: str) -> None:
+        """Stops repeating what was sent about a request."""
+
+    def keeps_journal(self, node: str) -> bool:
+        """Whether a node has said that it keeps a journal."""
+
+
+class Exchange:
+    """Knows the nets of its process, and the requests under way.
+
+    Args:
+        node: Name of the process' node.
+        epoch: Its incarnation.
+        transport: To other processes; None: there are none.
+        observer: Is told of what is dropped, and why.
+        return_timeout_s: How long a dead process may take to come back before what waits for it fails, if both keep a
+            journal [s].
+        clock: Present time [s].
+
+    Attributes:
+        inboxes: Delivers to the nets of this process.
+        nets: The nets, by name.
+        book: Requests that wait for their reply.
+        undeliverable: Tokens that no net wanted, by the place that they were sent to: they are kept here.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        epoch: int,
+        transport: Transport | None = None,
+        observer: Observer | None = None,
+        *,
+        return_timeout_s: float = RETURN_TIMEOUT_S,
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self.inboxes = Inboxes()
+        self.nets = self.inboxes.nets
+        self.book = RequestBook(node, epoch)
+        self.undeliverable: Counter[RemotePlace] = Counter()
+        self._node, self._transport = node, transport
+        self._observer = observer or Observer()
+        self._return_timeout_s, self._clock = return_timeout_s, clock
+        self._lost: dict[str, tuple[float, str]] = {}
+
+    def add(self, executor: Executor) -> None:
+        """Enters a net, in the place of one of the same name that is not busy.
+
+        Raises:
+            StateError: The one of the same name is busy.
+        """
+        name = executor.net.name
+        if name in self.nets and self.nets[name].busy():
+            raise StateError(
+                f"net {name} is busy and cannot be replaced now; wait until its command has ended", net=name
+            )
+        self.nets[name] = executor
+
+    def succeed(self, executor: Executor) -> None:
+        """Enters a net that has taken over the state of one of its name: what that has asked for is answered to it."""
+        name = executor.net.name
+        waiting = [(each, asked) for each, asked in self.book.items() if asked.executor is self.nets[name]]
+        self.nets[name] = executor
+        for request_id, asked in waiting:
+            self.book.close(request_id)
+            self.watch(RequestAsked(request_id, name, asked.activity.number, asked.net, asked.node))
+
+    # What the nets of this process send.
+
+    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+        """Sends tokens to a place of another net; with what they take along, where they are of a job."""
+        message, carried = token_message(target.net, target.place), None
+        if leaving is not None:
+            carried = self._carried(net, target.net, leaving)
+            message = token_of_job(target, carried)
+        for _ in range(count):
+            if target.net in self.nets:
+                self._kept(message, self.inboxes.token(target.net, target.place, carried))
+            elif self._transport is not None and (node := self._node_of(target.net)):
+                try:
+                    self._transport.send(node, message)
+                except NetError as error:
+                    self._kept(message, error.message)
+            else:
+                self._kept(message, f"there is no net {target.net}{nearest(target.net, self.nets)}")
+
+    def _carried(self, net: str, target: str, leaving: Leaving) -> Carried:
+        job, failure, results, held = leaving
+        if job.visit is not None:
+            owner = job.visit.owner
+        else:
+            symbol = job.symbol if job.from_tape else ""
+            owner = Owner(self._key_of(net, job), symbol, job.command, job.arguments)
+        cancelled = (job.last_failure or cancelled_by(net)) if job.cancelled else None
+        return Carried(owner, self._is_home(owner.key, target), "", net, failure, results, cancelled, held)
+
+    def _node_of(self, net: str) -> str:
+        """The node of a net of another process; empty where the net is here, or is known to be nowhere else."""
+        if net in self.nets or self._transport is None:
+            return ""
+        node = self._transport.node_of(net)
+        return "" if node == self._node else node
+
+    def _key_of(self, net: str, job: Job) -> JobKey:
+        return JobKey(self.book.prefix, net, job.number) if job.visit is None else job.visit.owner.key
+
+    def _is_home(self, key: JobKey, net: str) -> bool:
+        return key.process == self.book.prefix and key.net == net
+
+    def send_tiding(
+        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells another net of a job whose tokens have crossed."""
+        told = TidingArrived(self._key_of(net, job), False, tiding, net, error, results)
+        self._send_tiding(self._node_of(to), to, told)
+
+    def send_settled(
+        self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
+    ) -> None:
+        """Tells the net that has sent a token of a job that the work of that is done."""
+        self._send_tiding(node, to, TidingArrived(key, False, Tiding.SETTLED, net, error, results))
+
+    def _send_tiding(self, node: str, to: str, told: TidingArrived) -> None:
+        if node and self._transport is not None:
+            self._transport.send(node, tiding_message(to, told))
+        elif to in self.nets:
+            self.inboxes.post(self.nets[to], replace(told, home=self._is_home(told.key, to)))
+
+    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
+        """Sends a request; its reply, or why there is none, ends the activity."""
+        action = activity.action
+        assert isinstance(action, RequestAction)
+        local = action.net in self.nets
+        node = self._node_of(action.net)
+        request_id = self.book.next_name()
+        job = activity.lineage.job
+        command = job.command if job else Command(scope=scope_of(activity.net, NO_COMMAND))
+        request = Request(
+            request_id, action.net, action.service, "", activity.net, activity.transition, command, arguments
+        )
+        held = self.nets[activity.net].rule.is_paused(activity)
+        self._happens(RequestAsked(request_id, activity.net, activity.number, action.net, node))
+        try:
+            if local:
+                refusal = self._take_request(request, held)
+                if refusal:
+                    self._answer(request_id, NetError(refusal), {})
+            elif self._transport is None or not node:
+                error = LinkError(f"there is no net {action.net}{nearest(action.net, self.nets)}")
+                self._answer(request_id, error, {})
+            else:
+                self._transport.send(node, request_message(request, held))
+        except NetError as error:
+            self._answer(request_id, error, {})
+
+    def _take_request(self, request: Request, held: bool) -> str:
+        refusal = self.inboxes.request(request)
+        if held:
+            self.inboxes.hold(request.id, True)
+        return refusal
+
+    def awaits_reply(self, activity: Activity) -> bool:
+        """Whether a request has been sent for an activity, and its reply is still to come."""
+        return self.book.of_activity(activity) is not None
+
+    def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
+        """Answers a request of whatever process."""
+        self.inboxes.close(request)
+        try:
+            self._send_reply(request, error, results)
+        except NetError as wrong:
+            self._send_reply(request, wrong, {})
+
+    def _send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
+        if not request.caller_node:
+            if not self._answer(request.id, error, results):
+                waiter = f"{request.caller_net}.{request.caller_transition}"
+                self._dropped(f"nobody waits for the reply to {waiter} any more")
+        elif self._transport is not None:
+            message = Message(
+                MessageKind.REPLY, request.caller_net, "", request.id, error=error, payload={"results": results}
+            )
+            self._transport.send(request.caller_node, message)
+
+    def _cancel_request(self, activity: Activity) -> None:
+        found = self.book.of_activity(activity)
+        if found is None:
+            return
+        request_id, waiting = found
+        if request_id in self.inboxes.in_work:
+            self.inboxes.cancel(self.inboxes.in_work[request_id], cancelled_by(activity.net))
+        elif self._transport is not None:
+            self._transport.send(waiting.node, cancel_message(request_id, waiting.net, activity.net))
+
+    def _release_request(self, activity: Activity) -> None:
+        found = self.book.of_activity(activity)
+        if found is None:
+            return
+        request_id, waiting = found
+        if request_id in self.inboxes.in_work:
+            self.inboxes.hold(request_id, False)
+        elif self._transport is not None:
+            self._transport.send(waiting.node, hold_message(request_id, waiting.net, activity.net, False))
+
+    def hold_all(self, held: bool) -> None:
+        """Have nothing begun for all that the nets work for, and all that has come to them; or have it go on."""
+        for executor in self.nets.values():
+            self.inboxes.post(executor, CommandHeld(None, held))
+
+    # What arrives from other processes.
+
+    def receive(self, sender: str, message: Message) -> str:
+        """Takes a message from another process; returns why it is refused, empty if it is not."""
+        try:
+            return self._receive(sender, message)
+        except NetError as error:  # a journal cannot keep what it carries
+            return error.message
+
+    def _receive(self, sender: str, message: Message) -> str:
+        kind = message.kind
+        if kind is MessageKind.TOKEN and message.net in self.nets:
+            return self._token_from(sender, message)
+        if kind is MessageKind.VOID:
+            return ""
+        if kind is MessageKind.REPLY:
+            results = message.payload.get("results")
+            try:
+                found = self._answer(message.request_id, message.error, results if isinstance(results, dict) else {})
+            except NetError as unfit:
+                found = self._answer(message.request_id, unfit, {})
+            if not found:
+                self._dropped(f"nobody waits for reply {message.request_id} of {sender} any more")
+            return ""
+        if message.net not in self.nets:
+            return f"there is no net {message.net} here{nearest(message.net, self.nets)}"
+        if kind is MessageKind.TIDING:
+            told = tiding_of(message)
+            self.inboxes.post(self.nets[message.net], replace(told, home=self._is_home(told.key, message.net)))
+            return ""
+        if message.payload.get("cancel") is True:
+            request = self.inboxes.in_work.get(message.request_id)
+            if request is not None and request.caller_node == sender:
+                self.inboxes.cancel(request, cancelled_by(message.caller_net))
+            return ""
+        held = message.payload.get("held")
+        if held is not None and not message.place:
+            request = self.inboxes.in_work.get(message.request_id)
+            if request is not None and request.caller_node == sender:
+                self.inboxes.hold(request.id, held is True)
+            return ""
+        if message.request_id in self.inboxes.in_work:
+            return f"request {message.request_id} is in work already"
+        return self._take_request(request_of(sender, message), held is True)
+
+    def _token_from(self, sender: str, message: Message) -> str:
+        carried = carried_by(sender, message)
+        if carried is not None:
+            carried = replace(carried, home=self._is_home(carried.owner.key, message.net))
+        return self.inboxes.token(message.net, message.place, carried)
+
+    def refused(self, message: Message, why: str) -> None:
+        """Takes back a message that its receiver refused; a token is kept as undeliverable."""
+        if message.kind is MessageKind.TOKEN:
+            self._kept(message, why)
+        elif message.kind is not MessageKind.REQUEST or not self._answer(message.request_id, NetError(why), {}):
+            self._dropped(f"{message} was refused: {why}")
+
+    # Processes that die and return.
+
+    def node_lost(self, node: str, why: str) -> None:
+        """A node is gone. If both keep a journal it is given time to return; otherwise what waits for it fails now."""
+        if node in self._lost:
+            return
+        transport = self._transport
+        if self.inboxes.record is None or transport is None or not transport.keeps_journal(node):
+            self._give_up(node, why)
+            return
+        self._lost[node] = (self._clock() + self._return_timeout_s, why)
+        self._dropped(f"{why}; it has {self._return_timeout_s:g} s to return")
+        transport.send(node, VOID)  # it is repeated until the node acknowledges it, which shows that it is back
+
+    def node_returned(self, node: str) -> None:
+        """A node has given a sign of life."""
+        self._lost.pop(node, None)
+
+    def node_reset(self, node: str, why: str, in_flight: list[Message]) -> None:
+        """A node and this one do not remember the same: what one has asked the other is given up.
+
+        Args:
+            node: The other node.
+            why: One has come back without its journal, or with an old one.
+            in_flight: Messages to it that were not acknowledged.
+        """
+        counts = Counter(str(message) for message in in_flight)
+        listed = ", ".join(f"{count} x {text}" for text, count in counts.items()) or "nothing"
+        why = f"{why}; in flight were: {listed}"
+        self._dropped(why)
+        self._lost.pop(node, None)
+        self._give_up(node, why)
+
+    def begin_life(self, epoch: int) -> None:
+        """The process has forgotten what it had asked: nothing that is asked from now on has the name of that.
+
+        Args:
+            epoch: The epoch that it has begun.
+        """
+        self._happens(RequestsRenamed(f"{self._node}-{began_at(epoch):x}"))
+
+    def _give_up(self, node: str, why: str) -> None:
+        for name, executor in self.nets.items():
+            nets = self._nets_of(node, executor)
+            if executor.concerned(node, nets):
+                self.inboxes.post(self.nets[name], NodeForgotten(node, nets, LinkError(why, node=node)))
+        for request_id, waiting in self.book.of_node(node):
+            if self._transport is not None:
+                self._transport.forget(request_id)
+                self._transport.send(node, cancel_message(request_id, waiting.net, waiting.activity.net))
+            self._answer(request_id, LinkError(why, node=node), {})
+        for request in list(self.inboxes.in_work.values()):
+            if request.caller_node == node:
+                self.inboxes.close(request)
+                self.inboxes.cancel(request, LinkError(why, node=node))
+
+    def _nets_of(self, node: str, executor: Executor) -> tuple[str, ...]:
+        """Returns the nets of a node to which a net gives tokens."""
+        given = {target.net for each in executor.net.transitions.values() for target in each.remote_outputs}
+        return tuple(sorted(net for net in given if self._node_of(net) == node))
+
+    def partners(self) -> frozenset[str]:
+        """Returns the nodes that requests wait for, those that wait for replies, and those where tokens of jobs are."""
+        asked = {waiting.node for _, waiting in self.book.items() if waiting.node}
+        for executor in self.nets.values():
+            for job in executor.jobs():
+                asked |= {job.visit.node} if job.visit is not None and job.visit.node else set()
+                asked |= {node for net in job.away if (node := self._node_of(net))}
+        return frozenset(asked | {r.caller_node for r in self.inboxes.in_work.values() if r.caller_node})
+
+    def tidy(self) -> None:
+        """Gives up nodes that have not returned in time, and drops requests whose transitions wait no more."""
+        now = self._clock()
+        for node, (deadline, why) in list(self._lost.items()):
+            if now >= deadline:
+                del self._lost[node]
+                self._give_up(node, f"{why}; it has not returned in {self._return_timeout_s:g} s")
+        for request_id, waiting in self.book.given_up():
+            self._happens(RequestAnswered(request_id))
+            self._dropped(f"net {waiting.net} has not answered request {request_id} in time")
+
+    # Requests that wait, and tokens that nobody wants.
+
+    def watch(self, asked: RequestAsked) -> None:
+        """Enters a request, and has it cancelled when its activity is.
+
+        Raises:
+            NetError: The activity does not run.
+            LookupError: The net is not there.
+        """
+        executor = self.nets[asked.net]
+        activity = executor.activity(asked.number)
+        self.book.open(asked.request_id, Waiting(executor, activity, asked.asked, asked.node))
+        activity.on_cancel.append(lambda: self._cancel_request(activity))
+        activity.on_release.append(lambda: self._release_request(activity))
+
+    def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
+        """Ends a request with its reply; returns whether anybody waited for it."""
+        waiting = self.book.get(request_id)
+        if waiting is None:
+            return False
+        self.inboxes.post(waiting.executor, ActionEnded(waiting.activity, error, results))
+        self._happens(RequestAnswered(request_id))
+        return True
+
+    def _kept(self, message: Message, why: str) -> None:
+        """Keeps a token that nobody wants, where it is seen and counted."""
+        if why:
+            self._happens(TokenKept(message.net, message.place))
+            self._dropped(f"{message} is undeliverable and kept: {why}")
+            carried = carried_by("", message)
+            if carried is not None:
+                self.send_settled(message.net, carried.owner.key, "", carried.net, NetError(why), {})
+
+    # What happens to the exchange, now and when a journal is replayed.
+
+    def _happens(self, entry: ExchangeEntry) -> None:
+        if self.inboxes.record is not None:
+            self.inboxes.record(entry)
+        self.replay(entry)
+
+    def replay(self, entry: ExchangeEntry) -> None:
+        """Does what an entry tells; nothing is posted or sent.
+
+        Raises:
+            NetError: It speaks of an activity that does not run.
+            LookupError: It speaks of a net or a request that is not there.
+        """
+        match entry:
+            case EventPosted(net, event):
+                self.inboxes.deliveries.put_delivery(net, event)
+                if isinstance(event, RequestArrived):
+                    self.inboxes.in_work[event.request.id] = event.request
+            case RequestAsked():
+                self.book.count += 1
+                self.watch(entry)
+            case RequestAnswered(request_id):
+                self.book.close(request_id)
+            case RequestClosed(request_id):
+                del self.inboxes.in_work[request_id]
+            case RequestsRenamed(life):
+                for executor in self.nets.values():
+                    for activity in executor.activities:
+                        activity.life = activity.life or self.book.life
+                self.book.life = life
+            case TokenKept(net, place):
+                self.undeliverable[RemotePlace(net, place)] += 1
+
+    def _dropped(self, why: str) -> None:
+        self._observer.troubled("", why)
+
+
+def cancelled_by(net: str) -> ImError:
+    """Returns why a request ends early that its caller cancelled."""
+    return ImError(f"cancelled by net {net}", code="cancelled", net=net)

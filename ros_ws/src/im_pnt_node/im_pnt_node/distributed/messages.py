@@ -1,0 +1,149 @@
+"""Requests, tokens of jobs and what is told of these as messages between processes, and back."""
+
+from collections.abc import Mapping
+
+from im_pnt.errors import decode_error, encode_error
+from im_pnt.execution.events import Tiding, TidingArrived
+from im_pnt.execution.jobs import Carried, Command, JobKey, Owner, Request
+from im_pnt.model.expand import input_place
+from im_pnt.model.net import RemotePlace
+from im_pnt_node.distributed.packets import Message, MessageKind
+
+
+def request_message(request: Request, held: bool = False) -> Message:
+    """Returns the message that carries a request to another process, and whether nothing is begun for it there."""
+    payload: dict[str, object] = {
+        "arguments": request.arguments,
+        "symbol": request.command.symbol,
+        "command_arguments": request.command.arguments,
+    }
+    if request.command.scope:
+        payload["scope"] = request.command.scope
+    if held:
+        payload["held"] = True
+    return Message(
+        MessageKind.REQUEST,
+        request.net,
+        input_place(request.service),
+        request.id,
+        request.caller_net,
+        request.caller_transition,
+        request.command.id,
+        payload=payload,
+    )
+
+
+def request_of(sender: str, message: Message) -> Request:
+    """Returns the request that a message carries."""
+
+    def mapping(key: str) -> dict[str, object]:
+        value = message.payload.get(key)
+        return value if isinstance(value, dict) else {}
+
+    def text(key: str) -> str:
+        value = message.payload.get(key)
+        return value if isinstance(value, str) else ""
+
+    command = Command(message.command_id, text("symbol"), mapping("command_arguments"), scope=text("scope"))
+    return Request(
+        message.request_id,
+        message.net,
+        message.place.removeprefix("I."),
+        sender,
+        message.caller_net,
+        message.caller_transition,
+        command,
+        mapping("arguments"),
+    )
+
+
+def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
+    """Returns the message that tells a process that a request is not wanted any more."""
+    payload: Mapping[str, object] = {"cancel": True}
+    return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
+
+
+def hold_message(request_id: str, net: str, caller_net: str, held: bool) -> Message:
+    """Return the message that tells a process that nothing is begun for a request, or that it goes on."""
+    return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload={"held": held})
+
+
+def with_hold(message: Message, held: bool) -> Message:
+    """Return a message that was not taken yet as it is to be after its job was paused, or released.
+
+    What is done for nobody is as it was: nobody could resume it.
+    """
+    payload = message.payload
+    if message.kind is MessageKind.TIDING and payload.get("tiding") in (Tiding.HELD, Tiding.RELEASED):
+        return message._replace(payload={**payload, "tiding": (Tiding.HELD if held else Tiding.RELEASED).value})
+    of_somebody = message.kind in (MessageKind.REQUEST, MessageKind.TOKEN) and message.command_id != 0
+    if of_somebody or "held" in payload:
+        return message._replace(payload={**payload, "held": held})
+    return message
+
+
+def token_of_job(target: RemotePlace, carried: Carried) -> Message:
+    """Returns the message that carries a token of a job to another process."""
+    owner = carried.owner
+    payload: dict[str, object] = {
+        "job": [*owner.key],
+        "symbol": owner.symbol,
+        "command": [owner.command.symbol, owner.command.arguments, owner.command.priority, owner.command.scope],
+        "arguments": owner.arguments,
+        "results": carried.results,
+        "cancelled": encode_error(carried.cancelled),
+        "held": carried.held,
+    }
+    return Message(
+        MessageKind.TOKEN,
+        target.net,
+        target.place,
+        caller_net=carried.net,
+        command_id=owner.command.id,
+        error=carried.failure,
+        payload=payload,
+    )
+
+
+def carried_by(sender: str, message: Message) -> Carried | None:
+    """Returns what a token from another process carries, None where it is nobody's; whether it is at home is not told.
+
+    Raises:
+        ValueError: It makes no sense.
+    """
+    if not message.payload:
+        return None
+    match message.payload:
+        case {
+            "job": [str(process), str(net), int(number)],
+            "symbol": str(symbol),
+            "command": [str(name), dict(given), int(priority), str(scope)],
+            "arguments": dict(arguments),
+            "results": dict(results),
+            "cancelled": cancelled,
+            "held": bool(held),
+        }:
+            command = Command(message.command_id, name, given, priority, scope)
+            owner = Owner(JobKey(process, net, number), symbol, command, arguments)
+            why = decode_error(cancelled)
+            return Carried(owner, False, sender, message.caller_net, message.error, results, why, held)
+    raise ValueError(f"{str(message.payload)[:200]} does not tell whose a token is")
+
+
+def tiding_message(to: str, told: TidingArrived) -> Message:
+    """Returns the message that tells a net of another process of a job."""
+    payload: dict[str, object] = {"job": [*told.key], "tiding": told.tiding.value, "results": told.results}
+    return Message(MessageKind.TIDING, to, "", caller_net=told.net, error=told.error, payload=payload)
+
+
+def tiding_of(message: Message) -> TidingArrived:
+    """Returns what a message tells of a job; whether that is at home is not told.
+
+    Raises:
+        ValueError: It makes no sense.
+    """
+    match message.payload:
+        case {"job": [str(process), str(net), int(number)], "tiding": str(tiding), "results": dict(results)}:
+            key = JobKey(process, net, number)
+            return TidingArrived(key, False, Tiding(tiding), message.caller_net, message.error, results)
+    raise ValueError(f"{str(message.payload)[:200]} tells nothing of a job")

@@ -1,0 +1,10 @@
+"""Journal of a process that runs nets: written ahead, checksummed, compacted; brings everything back after a kill.
+
+:class:`Journal` collects what nets, exchange and link tell it, written as :mod:`.codec` says, and appends it to the
+:mod:`.log` in a :mod:`.folder`; :mod:`.state` has the snapshots that a log begins with.
+"""
+
+from im_pnt_node.journal.journal import Journal
+from im_pnt_node.journal.log import Sync
+
+__all__ = ["Journal", "Sync"]

@@ -1,0 +1,121 @@
+"""How actions of a mission that is run again begin and end."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from copy import deepcopy
+from typing import Any, Protocol
+
+from im_core.errors import DataError, ImError
+from im_pnt.execution.actions import ActionOwner, Ask, FunctionRunner, Perform
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Activity, Reply
+from im_pnt.execution.record import ActivityEnded, take_data
+from im_pnt.execution.values import Objects
+from im_pnt.model.action import FunctionAction
+from im_pnt_node.rerun.life import Life
+from im_pnt_node.rerun.script import Reading, Script, ScriptHost
+
+ENDED = "its recorded end"
+
+
+class ActionsAgain(Protocol):
+    """How actions that reach other tasks are done again; made for each life of a node."""
+
+    def performers(
+        self, script: Script, functions: Functions, keep: Callable[[Activity], None]
+    ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
+        """Returns what carries out the actions of each kind, and what finds out what became of them.
+
+        Args:
+            script: Gives what was read.
+            functions: Builders and handlers.
+            keep: Has kept what the builder of an action has left in its job.
+        """
+
+    def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
+        """Returns the data objects of expressions."""
+
+    def heard(self, kind: str, data: str) -> object:
+        """Returns a message that was heard."""
+
+
+class RerunExecutor(Executor):
+    """A net that is run again: actions end when the recording says so.
+
+    Attributes:
+        completions: How actions have ended that the recording has not come to yet, by their numbers.
+    """
+
+    completions: dict[int, Reply]
+
+    def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
+        """Keeps how an action has ended."""
+        self.completions[activity.number] = Reply(error, results or {})
+
+
+class NotDoneAgain:
+    """Stands for actions that nets name as ``module:function``: they may move something, so they leave what they left.
+
+    Args:
+        life: The nets.
+
+    Attributes:
+        known: Their names.
+    """
+
+    def __init__(self, life: Life) -> None:
+        self._life = life
+        self.known: set[str] = set()
+
+    def functions(self, *, others_made: bool) -> dict[str, Callable[..., object]]:
+        """Returns what stands for actions that nets name as ``module:function``.
+
+        Args:
+            others_made: Whether the node says what makes those that it has registered.
+
+        Raises:
+            DataError: It does not, and a net names one.
+        """
+        found: dict[str, Callable[..., object]] = {}
+        for net in self._life.nets.values():
+            for transition in net.transitions.values():
+                if not isinstance(action := transition.action, FunctionAction):
+                    continue
+                if action.is_imported:
+                    found[action.function] = forever
+                elif not others_made:
+                    text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
+                    raise DataError(f"{text} what makes its functions", net=net.name)
+        self.known |= found.keys()
+        return found
+
+    def leave(self, activity: Activity, ended: ActivityEnded) -> None:
+        """Leaves in a job what an action that is not done again has left, as its end was recorded."""
+        job = activity.lineage.job
+        if ended.data is not None and job is not None:
+            before = deepcopy(job.recorded)
+            take_data(job, ended.data)
+            job.recorded = before  # what has changed since is told again
+
+
+async def forever(_: ActionContext) -> None:
+    """Stands for an action that is not done again: it ends when it ended then."""
+    await Reading(ENDED)
+
+
+class Labelled(FunctionRunner):
+    """Begins actions, and tells the script which."""
+
+    def __init__(self, script: Script, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._script = script
+
+    def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
+        """Begins an action."""
+        self._script.label = activity
+        super().start(owner, activity, context)
+
+    def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
+        """Waits for what a function has left to do."""
+        self._script.label = activity
+        super().watch(owner, activity, work)

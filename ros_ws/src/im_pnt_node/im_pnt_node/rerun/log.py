@@ -1,0 +1,85 @@
+"""What a node tells of its nets so that they can be run again: all that reaches them, and all that they do, in order.
+
+Items are JSON lists::
+
+    ["node", name, functions]              who tells, and what makes its functions (``module:function``, or empty)
+    ["state", net, state, yaml]            a net as recording begins, or as it is loaded, and the text of its file
+    ["net", net, entry]                    an entry of its journal (:mod:`im_pnt_node.journal.codec`)
+    ["heard", topic, type, CDR]            a message of a topic that guards look at
+    ["object", name, valid]                a data object that has changed
+    ["noted", key, value, error]           what a function has read, at once: a time, a file
+    ["read", key, value, error]            what a function has waited for: a data object, an answer
+    ["sent", key, content]                 what was asked for: a request, a goal, a data object stored
+
+CDR is base64. A key is a list: ``["get", object]``, ``["answer", net, number of the action]`` and so on.
+"""
+
+from base64 import b64encode
+from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeVar
+
+from im_core.errors import ImError
+from im_pnt.errors import encode_error
+from im_pnt_node.journal.log import encode_json
+
+ValueT = TypeVar("ValueT")
+Key = Sequence[object]
+
+
+class MissionLog:
+    """Collects what is to be told.
+
+    Attributes:
+        items: Not told yet, as JSON texts.
+        recorded: Whether somebody listens.
+    """
+
+    def __init__(self) -> None:
+        self.items: list[str] = []
+        self.recorded = False
+
+    def add(self, *item: object) -> None:
+        """Takes an item."""
+        self.items.append(encode_json(list(item)))
+
+    def noted(self, key: Key, compute: Callable[[], ValueT]) -> ValueT:
+        """Returns what is computed from the world outside, such as a time; JSON data. Its failure is noted, too.
+
+        Raises:
+            ImError: As ``compute`` does.
+        """
+        try:
+            value = compute()
+        except ImError as error:
+            self.add("noted", key, None, encode_error(error))
+            raise
+        self.add("noted", key, value, None)
+        return value
+
+    async def read(self, key: Key, work: Awaitable[ValueT], content: Callable[[ValueT], object]) -> ValueT:
+        """Waits for something from outside, and notes it, or why it does not come.
+
+        Args:
+            key: What it is.
+            work: Brings it.
+            content: Makes JSON data of it.
+
+        Raises:
+            ImError: As ``work`` does.
+        """
+        try:
+            value = await work
+        except ImError as error:
+            self.add("read", key, None, encode_error(error))
+            raise
+        self.add("read", key, content(value), None)
+        return value
+
+    def sent(self, key: Key, content: object) -> None:
+        """Notes what is asked for, JSON data."""
+        self.add("sent", key, content)
+
+
+def packed(kind: str, data: bytes) -> list[str]:
+    """Returns a message as JSON data: its type, and its CDR in base64."""
+    return [kind, b64encode(data).decode()]

@@ -1,0 +1,310 @@
+"""Runs the nets of a recorded mission again, with the same engine, and compares firing by firing.
+
+Each net is driven by what reached it then, in the same order: commands, requests, tokens, ends of actions. What it
+fires is a function of that, of its guards and of its functions, which are asked and called again. Choices among
+contending transitions that only weights tell apart are those of the recording; time strikes where it did.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from im_core import plugins
+from im_core.errors import DataError, ImError
+from im_pnt.execution.actions import CheckObjects
+from im_pnt.execution.events import ActionEnded, GuardsChanged, ObjectInvalidated
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.functions import Functions
+from im_pnt.execution.jobs import Activity, Reply
+from im_pnt.execution.notification import Nowhere, Observer
+from im_pnt.execution.record import ActivityEnded
+from im_pnt.model.action import RequestAction
+from im_pnt.model.expand import expand
+from im_pnt.model.net import Net
+from im_pnt.netfile import parse_net
+from im_pnt_node.journal.codec import decode_net_entry
+from im_pnt_node.journal.journal import fingerprint
+from im_pnt_node.journal.state import restore_net
+from im_pnt_node.rerun.difference import Difference, first_difference
+from im_pnt_node.rerun.engine import ENDED, ActionsAgain, Labelled, NotDoneAgain, RerunExecutor
+from im_pnt_node.rerun.entries import INPUTS, Entries, error_of, reply_difference, told_of
+from im_pnt_node.rerun.life import Life, in_doubt
+from im_pnt_node.rerun.script import Messages, Script, ScriptHost
+from im_pnt_node.rerun.stream import Item, NodeStream, Turn
+
+#: What functions ask of data objects and services, beside what the engine sends for actions.
+STORED = ("put", "append", "invalidate", "ask")
+
+#: Time by which a time-out may have struck later than it was due: the loop was busy [s].
+SLACK_S = 1.0
+
+
+@dataclass
+class Compared:
+    """What was compared.
+
+    Attributes:
+        nets: Names of the nets.
+        firings: Their firings.
+        inputs: What reached them.
+        changed: Nets whose file is not the one of the bag.
+    """
+
+    nets: set[str]
+    firings: int
+    inputs: int
+    changed: set[str]
+
+
+class NodeRerun:
+    """The nets of a life of a node, run again.
+
+    Args:
+        stream: What was recorded.
+        world: How actions are done again.
+        messages: Reads and writes messages.
+        nets: Nets that take the places of those of the bag, by name.
+
+    Raises:
+        DataError: What was recorded makes no sense.
+    """
+
+    def __init__(self, stream: NodeStream, world: ActionsAgain, messages: Messages, nets: Mapping[str, Net]) -> None:
+        self._stream, self._world, self._given = stream, world, nets
+        self._life = Life(stream)
+        self._script = Script(stream, self._life.differs, messages)
+        self._host = ScriptHost(stream.node, self._script, messages, self._life.executors, self._life.nets)
+        self._not_again = NotDoneAgain(self._life)
+        self._time = 0.0
+        self._before: dict[str, set[int]] = {}
+        self._checks: list[tuple[tuple[str, ...], Callable[[ImError | None], None]]] = []
+        self._functions: Functions | None = None
+        self._compared = Compared(set(), 0, 0, set())
+
+    def run(self) -> Compared:
+        """Runs the nets.
+
+        Returns:
+            What was compared: all was equal.
+
+        Raises:
+            Difference: It was not; the first.
+            DataError: What was recorded makes no sense.
+        """
+        try:
+            return self._run()
+        except (LookupError, TypeError, ValueError, AssertionError) as error:
+            text = f"what {self._stream.node} told at {self._life.turn.stamp:.3f} s cannot be run again: {error!r}"
+            raise DataError(text, node=self._stream.node) from error
+
+    def _run(self) -> Compared:
+        for number, turn in enumerate(self._stream.turns):
+            self._life.turn = turn
+            self._time = max(self._time, turn.at - SLACK_S)
+            self._load(turn)
+            self._script.step()
+            for rank, item in enumerate(turn.items):
+                self._script.at = number, rank
+                self._take(item)
+            for executor in self._life.executors.values():
+                while executor.due and self._life.pump(executor):
+                    pass
+        self._script.step()
+        for name, entries in self._life.entries.items():
+            if entries.next() is not None:
+                raise self._life.missing(name)
+        if self._all_again and (left := self._script.never_sent(STORED)) is not None:
+            what, content = left
+            raise self._life.differs(None, f"{what}: {str(content)[:160]}", "nothing of that kind", "another function")
+        return self._compared
+
+    @property
+    def _all_again(self) -> bool:
+        """Whether all that was done is done again: nothing was under way before, and nothing may move something."""
+        return not any(self._before.values()) and not self._not_again.known
+
+    # Nets.
+
+    def _load(self, turn: Turn) -> None:
+        """Takes the nets in that a turn tells of; of those that run already it only repeats the state."""
+        again = bool(self._life.executors) and any(item[:1] == ["node"] for item in turn.items)
+        states = [
+            item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._life.executors)
+        ]
+        found: list[tuple[Net, Net, dict[str, object]]] = []
+        for item in states:
+            match item:
+                case ["state", str(name), dict(state), str(text)]:
+                    recorded = parse_net(text, f"net {name} of the bag")
+                    net = self._given.get(name, recorded)
+                    if fingerprint(net) != fingerprint(recorded):
+                        self._compared.changed.add(name)
+                    self._life.nets[name] = net
+                    found.append((net, recorded, state))
+                case _:
+                    raise DataError(f"{str(item)[:100]} is no state of a net")
+        if found:
+            self._functions = self._made()
+        for net, recorded, state in found:
+            self._enter(net, recorded, state)
+
+    def _made(self) -> Functions:
+        imported = self._not_again.functions(others_made=bool(self._stream.functions))
+        if not self._stream.functions:
+            return Functions(imported)
+        make = plugins.load(self._stream.functions, None, f"what makes the functions of {self._stream.node}")
+        assert callable(make)
+        made = make(self._host)
+        if not isinstance(made, Functions):
+            raise DataError(f"{self._stream.functions} makes no functions of nets", functions=self._stream.functions)
+        made.actions.update(imported)
+        return made
+
+    def _enter(self, net: Net, recorded: Net, state: dict[str, object]) -> None:
+        functions, script = self._functions, self._script
+        assert functions is not None
+        others, asks = self._world.performers(script, functions, self._keep)
+        runner = Labelled(script, functions, self, script.spawn, others, asks, lambda: self._time)
+        check: CheckObjects = lambda names, done: self._checks.append((names, done))  # noqa: E731
+        objects = self._world.objects(self._host, script.spawn, self._guards_changed)
+        executor = RerunExecutor(
+            net,
+            functions,
+            runner,
+            Nowhere(),
+            Observer(),
+            check_objects=check,
+            clock=lambda: self._time,
+            record=lambda entry: self._life.compare(net.name, entry),
+            objects=objects,
+            draw=lambda names: self._life.drawn(net.name, names),
+        )
+        executor.completions = {}
+        fresh = state.get("sequence") == 0 and not state.get("jobs")
+        if fresh and (what := first_difference(expand(recorded).initial_marking(), executor.marking())):
+            then, _, now = what.rpartition(", now ")
+            why = "another initial marking"
+            raise Difference(self._stream.node, net.name, "", 0, self._life.turn.stamp, f"begins with {then}", now, why)
+        restore_net(executor, state)
+        self._before[net.name] = set(executor.rule.activities)
+        self._life.executors[net.name] = executor
+        self._compared.nets.add(net.name)
+
+    # What was recorded, in its order.
+
+    def _take(self, item: Item) -> None:
+        match item:
+            case ["net", str(net), [str(kind), *_] as content]:
+                self._take_entry(net, kind, list(content))
+            case ["read", list(key), value, error]:
+                self._script.resume(key, value, error_of(error))
+            case ["heard", str(topic), str(kind), str(data)]:
+                self._host.heard[topic] = self._world.heard(kind, data)
+                self._wake(f"topic:{topic}")
+            case ["object", str(name), bool(valid)]:
+                self._wake(f"data:{name}")
+                for executor in () if valid else self._life.executors.values():
+                    executor.post(ObjectInvalidated(name))
+            case ["node" | "state" | "noted" | "sent", *_]:
+                pass
+            case _:
+                raise DataError(f"{str(item)[:100]} is nothing that a node tells")
+
+    def _wake(self, source: str) -> None:
+        for name, executor in self._life.executors.items():
+            if self._functions is not None and source in self._functions.wakes(self._life.nets[name]):
+                executor.post(GuardsChanged(source))
+
+    def _guards_changed(self) -> None:
+        for executor in self._life.executors.values():
+            executor.post(GuardsChanged())
+
+    def _take_entry(self, name: str, kind: str, content: list[object]) -> None:
+        executor, entries = self._life.executors.get(name), self._life.entries[name]
+        if executor is None:
+            raise DataError(f"net {name} fires in the bag before its state is told", net=name)
+        number = entries.seen
+        entries.seen += 1
+        arrives = kind in INPUTS
+        self._compared.inputs += arrives
+        self._compared.firings += not arrives and kind != "built"
+        if entries.reached > number:
+            return
+        if not arrives:
+            self._fire(executor, entries, number)
+            return
+        event = decode_net_entry(content)
+        if not isinstance(event, ActivityEnded):
+            executor.post(event)  # type: ignore[arg-type]  # the others are firings
+        elif executor.due and in_doubt(executor, event.number):
+            self._fire(executor, entries, number)
+        else:
+            self._end(executor, event)
+
+    def _end(self, executor: Executor, event: ActivityEnded) -> None:
+        """Ends an action as it ends now, if that is as it ended then."""
+        assert isinstance(executor, RerunExecutor)
+        name, number = executor.net.name, event.number
+        activity = executor.rule.activities.get(number) or self._life.gone.get((name, number))
+        if activity is None:
+            raise DataError(f"action {number} of net {name} ends in the bag, and did not begin", net=name)
+        check = next((each for each in self._checks if each[0] is activity.objects), None)
+        if activity.checked and check is not None:
+            self._checks.remove(check)
+            check[1](event.error)
+        begun_before = number in self._before[name]
+        if begun_before:
+            self._script.forget_unasked()
+        recorded = Reply(event.error, event.results)
+        now = executor.completions.pop(number, None)
+        if now is None:
+            waits = self._script.waits_for(activity)
+            if begun_before or waits == ENDED:
+                self._not_again.leave(activity, event)
+            elif waits and not isinstance(activity.action, RequestAction):
+                raise self._life.differs(
+                    activity, f"ends {told_of(event.error)}", f"waits for {waits}", "another function"
+                )
+            now = recorded
+        if told := reply_difference(recorded, now):
+            raise self._life.differs(activity, f"ends {told_of(event.error)}", f"ends {told_of(now.error)}", told)
+        for kind in ("request", "action"):
+            if (left := self._script.left_unsent(kind, activity)) is not None and executor.rule.activities.get(number):
+                raise self._life.differs(activity, f"asks {str(left)[:160]}", "asks nothing", "another request")
+        executor.post(ActionEnded(activity, now.error, now.results))
+
+    def _fire(self, executor: Executor, entries: Entries, number: int) -> None:
+        """Has a net do what was recorded."""
+        while entries.reached <= number:
+            if not (self._life.pump(executor) or self._pump_stuck(executor, entries)):
+                raise self._life.missing(executor.net.name)
+
+    def _pump_stuck(self, executor: Executor, entries: Entries) -> bool:
+        """Has guards asked again, then lets time strike, then takes what a former life had begun as it was recorded."""
+        executor.post(GuardsChanged())
+        if self._life.pump(executor):
+            return True
+        at = executor.next_wakeup()
+        if at is not None and at <= self._life.turn.at + SLACK_S:
+            self._time = max(self._time, at)
+            if self._life.pump(executor):
+                return True
+        match entries.next():
+            case ["end" | "phase" | "built", int(number), *_] as content if number in self._before[executor.net.name]:
+                executor.replay(decode_net_entry(content))
+                return entries.advance(content)
+        return False
+
+    # What the nets send.
+
+    def _keep(self, activity: Activity) -> None:
+        """Compares what a builder has left with what it left."""
+        self._life.executors[activity.net].built(activity)
+
+    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
+        """Compares a request with what was asked."""
+        self._script.label = activity
+        self._script.sent(["request", activity.net, activity.number], [str(activity.action), arguments])
+
+    def awaits_reply(self, activity: Activity) -> bool:
+        """Whether a reply is still to come: until the recording has it."""
+        return True

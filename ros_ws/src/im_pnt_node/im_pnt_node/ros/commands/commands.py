@@ -1,0 +1,367 @@
+"""The commands of a node's nets: who waits for them, who is told of them, and how the last ones ended."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from diagnostic_msgs.msg import KeyValue
+
+from im_core.clock import stamp_name, wall
+from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
+from im_core.open_commands import OpenCommandNote
+from im_core.ros.coroutines import Promise
+from im_core.ros.node import ManagedNode
+from im_core.ros.status import ok_status, to_status
+from im_msgs.msg import Status
+from im_pnt.errors import NetError
+from im_pnt.execution.executor import Executor
+from im_pnt.execution.firing.rule import ADDRESS
+from im_pnt.execution.jobs import Command, CommandResult, Job
+from im_pnt.execution.notification import Firing, Phase
+from im_pnt.execution.record import plain_dict
+from im_pnt_node.journal.ended import EndedCommand, EndedCommands
+
+MOST_EVENTS = 5
+"""Events that are told with the failure of a command."""
+
+ProgressListener = Callable[[str, str, float], None]
+"""Is told the transition that fired or reported, a text, and the progress 0..1 (negative: unknown)."""
+
+
+@dataclass(frozen=True)
+class CommandOutcome:
+    """How a command ended, as its client is told."""
+
+    success: bool
+    status: Status
+    results: dict[str, object]
+
+
+@dataclass
+class OpenCommand:
+    """A command that has not ended.
+
+    Attributes:
+        job: What the net that reads it has of it.
+        net: That net.
+        step: Transition that fired last for it.
+        text: What it told last.
+        progress: Progress 0..1, negative where unknown.
+    """
+
+    job: Job
+    net: Executor
+    step: str = ""
+    text: str = ""
+    progress: float = -1.0
+
+    @property
+    def held(self) -> bool:
+        """Whether nothing more is begun for it."""
+        return self.net.rule.is_held(self.job)
+
+    @property
+    def state(self) -> str:
+        """How far it is, in a word."""
+        if self.job.cancelled:
+            return "cancelling"
+        if self.held:
+            return "paused"
+        return "waiting" if self.job.waiting else "running"
+
+
+class Commands:
+    """Writes commands to the input tapes of a node's nets and knows those that have not ended.
+
+    Where several nets know a symbol, the first of them reads it; it may hand the command on to another.
+
+    Args:
+        node: The node.
+        nets: Its nets by name; looked at anew for each command.
+        began: Called when one has begun, or was brought back.
+        ended: Called when one has ended.
+
+    Attributes:
+        lost: Why commands of a former life of the node are forgotten, a clause; empty if they are not.
+        ended: Those that have ended.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        nets: Mapping[str, Executor],
+        began: Callable[[], None],
+        ended: Callable[[], None],
+    ) -> None:
+        self._node, self._nets, self._told_began, self._told_ended = node, nets, began, ended
+        self.lost = ""
+        self.ended = EndedCommands()
+        self._count = 0
+        self._life = stamp_name()
+        self._open: dict[int, OpenCommand] = {}
+        self._events: dict[int, list[str]] = {}  # while a command was under way, by its number
+        self._waiting: dict[int, list[Promise]] = {}
+        self._listeners: dict[int, list[ProgressListener]] = {}
+
+    @property
+    def last(self) -> int:
+        """The largest number of a command that has ended or has not, of all lives of the node; 0: there was none."""
+        return max(self.ended.largest(), *self._open, 0)
+
+    def symbols(self) -> list[str]:
+        """Returns the symbols that the nets read from their tapes."""
+        return sorted({symbol for executor in self._nets.values() for symbol in executor.net.symbols()})
+
+    def scopes(self) -> frozenset[str]:
+        """Returns what the names of the data objects of commands begin with that have not ended."""
+        return frozenset(each.job.command.scope for each in self._open.values())
+
+    def running(self, symbol: str) -> Job | None:
+        """Returns the oldest command of a symbol that has not ended, if any."""
+        return next((each.job for each in self._open.values() if each.job.command.symbol == symbol), None)
+
+    def open(self) -> list[OpenCommand]:
+        """Returns the commands that have not ended, in the order of their numbers."""
+        return [self._open[number] for number in sorted(self._open)]
+
+    def noted(self) -> list[OpenCommandNote]:
+        """Return what is noted of the commands that have not ended, in the order of their numbers."""
+        task = self._node.task_name
+        return [OpenCommandNote(task, each.job.command.id, each.job.symbol, each.progress) for each in self.open()]
+
+    def get(self, number: int) -> OpenCommand:
+        """Returns a command that has not ended.
+
+        Raises:
+            StateError: There is none of that number.
+        """
+        if number not in self._open:
+            known = ", ".join(f"{each.job.command.symbol} (number {n})" for n, each in sorted(self._open.items()))
+            text = f"no command has the number {number}; {f'under way are {known}' if known else 'none is under way'}"
+            raise StateError(f"{text}{self._forgotten()}", command_id=number)
+        return self._open[number]
+
+    def take_up(self) -> None:
+        """Enters the commands that nets have brought back from a journal, or taken over from one they replace."""
+        for executor in self._nets.values():
+            for job in executor.jobs():
+                if job.is_command:
+                    number = job.command.id
+                    known = self._open.get(number)
+                    self._open[number] = OpenCommand(job, executor)
+                    if known is not None:
+                        self._open[number].step, self._open[number].text = known.step, known.text
+                    job.on_closed = self._closing(number, job.command.symbol)
+        entered = sum(executor.rule.ledger.count for executor in self._nets.values())
+        self._count = max(self._count, entered, self.ended.largest(), *self._open)  # so that no number is given twice
+        self._told_began()
+
+    def give_up(self, left: Iterable[tuple[OpenCommandNote, Path]]) -> None:
+        """Ends the commands of missions that are not gone on with: whoever still asks for one hears what became of it.
+
+        Args:
+            left: The commands, each with the folder of what it has left.
+        """
+        for command, folder in left:
+            if command.number not in self.ended:
+                why = f"the machine was started anew before it had ended; what it has left is kept in {folder}"
+                result = CommandResult(False, ImError(why, code="set_aside"), {})
+                self.ended.add(_ended(command.number, command.symbol, result))
+
+    def end_forgotten(self, before: Iterable[OpenCommandNote], why: str) -> None:
+        """End the commands that were under way by a note beside the journal, and that the journal does not know.
+
+        Args:
+            before: The commands that were under way when the node ended.
+            why: What the journal lacks, a clause.
+        """
+        for command in before:
+            if command.number not in self._open and command.number not in self.ended:
+                words = f"{command.symbol} (number {command.number}) was under way when {command.task} ended: {why}"
+                result = CommandResult(False, ImError(words, code="forgotten"), {})
+                self.ended.add(_ended(command.number, command.symbol, result))
+                self._count = max(self._count, command.number)
+
+    def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
+        """Returns the net that reads a symbol.
+
+        Args:
+            symbol: The symbol; several nets may read it as a word to their commands.
+            arguments: What comes with it; they may say for which command it is meant.
+
+        Raises:
+            NotFoundError: None does.
+        """
+        readers = [executor for executor in self._nets.values() if symbol in executor.net.symbols()]
+        if not readers:
+            raise NotFoundError(kind="command", name=symbol, known=self.symbols())
+        meant = (arguments or {}).get(ADDRESS)
+        at_work = (each for each in readers if any(job.command.id == meant for job in each.jobs()))
+        return next(at_work, readers[0]) if meant is not None else readers[0]
+
+    def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
+        """Writes a command to the tape of the net that reads its symbol; returns its number.
+
+        Args:
+            symbol: Its symbol.
+            arguments: Its arguments.
+            priority: Larger goes first, where commands wait for the same.
+
+        Raises:
+            NotFoundError: No net knows the symbol.
+            DataError: The arguments are not what the net declares.
+        """
+        executor = self.reader(symbol, arguments)
+        number = self._count + 1
+        scope = f"{self._node.task_name}/{self._life}-{number}"
+        command = Command(number, symbol, dict(arguments), priority=priority, scope=scope)
+        job = executor.command(command, self._closing(number, symbol))
+        self._count = number
+        self._open[number] = OpenCommand(job, executor)
+        self._node.get_logger().info(f"command {number}: {symbol}")
+        self._told_began()
+        return number
+
+    async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
+        """Waits until a command has ended.
+
+        Args:
+            number: Its number.
+            listener: Is told of progress.
+        """
+        promise = self._node.promise()
+        self._waiting.setdefault(number, []).append(promise)
+        if listener is not None:
+            self._listeners.setdefault(number, []).append(listener)
+        outcome: CommandOutcome = await promise
+        return outcome
+
+    async def attach(
+        self,
+        symbol: str,
+        listener: ProgressListener | None = None,
+        started: Callable[[int], None] | None = None,
+        number: int = 0,
+    ) -> CommandOutcome:
+        """Waits for a command that has not ended, or returns how it, or the last one of its symbol, has ended.
+
+        Args:
+            symbol: Symbol of the command.
+            listener: Is told of progress.
+            started: Is told the number of the running command.
+            number: Number of the command; 0: the oldest of its symbol.
+
+        Raises:
+            StateError: There is none, and it is not known how one has ended; or it is one of another symbol.
+            NotFoundError: No net knows the symbol, and none has ended of it.
+            ArgumentError: Neither number nor symbol is given.
+        """
+        if number:
+            over = number not in self._open and number in self.ended
+            found = self.ended[number].symbol if over else self.get(number).job.command.symbol
+            if symbol not in ("", found):
+                raise StateError(f"number {number} is {found}, not {symbol}", command_id=number, command=found)
+            if over:
+                return _outcome(self.ended[number])
+            job: Job | None = self.get(number).job
+        else:
+            if not symbol:
+                raise ArgumentError("to attach needs the number or the symbol of a command")
+            if self.ended.last(symbol) is None:
+                self.reader(symbol)
+            job = self.running(symbol)
+        if job is not None:
+            if started is not None:
+                started(job.command.id)
+            return await self.wait(job.command.id, listener)
+        ended = self.ended.last(symbol)
+        if ended is None:
+            text = f"no command {symbol} is running, and none has ended yet"
+            raise StateError(f"{text}{self._forgotten()}", command=symbol)
+        return _outcome(ended)
+
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Tells listeners of the steps of their commands."""
+        if self._open:
+            for firing in firings:
+                if firing.phase is Phase.START and firing.command_id in self._open:
+                    command = self._open[firing.command_id]
+                    command.step = firing.transition
+                    command.progress = max(command.progress, firing.progress)
+                    self._tell(firing.command_id, firing.transition, "", firing.progress)
+
+    def progressed(self, number: int, text: str, fraction: float) -> None:
+        """Tells listeners what an action of their command has reported."""
+        if number in self._open:
+            command = self._open[number]
+            command.text, command.progress = text, max(command.progress, fraction)
+        self._tell(number, "", text, fraction)
+
+    def note_event(self, text: str) -> None:
+        """Note an event, such as the restart of a task: a command that is under way may fail for that."""
+        for number in self._open:
+            events = self._events.setdefault(number, [])
+            if text not in events and len(events) < MOST_EVENTS:
+                events.append(text)
+
+    def _tell(self, number: int, transition: str, text: str, fraction: float) -> None:
+        for listener in self._listeners.get(number, ()):
+            try:
+                listener(transition, text, fraction)
+            except Exception as error:  # a listener is foreign code: the net goes on whatever it raises
+                self._node.get_logger().error(f"a listener of command {number} broke: {error!r}")
+
+    def _forgotten(self) -> str:
+        return f": {self.lost}" if self.lost else ""
+
+    def _closing(self, number: int, symbol: str) -> Callable[[CommandResult], None]:
+        def closed(result: CommandResult) -> None:
+            events = self._events.pop(number, [])
+            ended = _ended(number, symbol, _explained(_tellable(symbol, result), events))
+            outcome = _outcome(ended)
+            self.ended.add(ended)
+            how = "done" if ended.success else f"failed: {ended.message}"
+            self._node.get_logger().info(f"command {number}: {symbol} {how}")
+            self._open.pop(number, None)
+            self._listeners.pop(number, None)
+            for promise in self._waiting.pop(number, []):
+                if not promise.done():
+                    promise.set_result(outcome)
+            self._told_ended()
+
+        return closed
+
+
+def _tellable(symbol: str, result: CommandResult) -> CommandResult:
+    """Returns a result as its client can be told; one that returns what JSON cannot carry has failed."""
+    try:
+        results = plain_dict(result.results, f"what {symbol} returned")
+    except NetError as unfit:
+        return CommandResult(False, result.error or unfit, {})
+    return CommandResult(result.success, result.error, results)
+
+
+def _explained(result: CommandResult, events: Sequence[str]) -> CommandResult:
+    """Return a result that tells the events before its command failed."""
+    if result.error is None or result.error.code == "cancelled":
+        return result
+    untold = [event for event in events if event.partition(";")[0] not in result.error.message]
+    if not untold:
+        return result
+    words = f"{result.error.message}; before that: {'; '.join(untold)}"
+    error = ImError.restored(result.error.code, words, result.error.facts)
+    return CommandResult(result.success, error, result.results)
+
+
+def _ended(number: int, symbol: str, result: CommandResult) -> EndedCommand:
+    status = ok_status() if result.error is None else to_status(result.error)
+    facts = {fact.key: fact.value for fact in status.facts}
+    why = {"code": status.code, "message": status.message, "facts": facts}
+    return EndedCommand(
+        number=number, symbol=symbol, time=wall(), success=result.success, results=result.results, **why
+    )
+
+
+def _outcome(ended: EndedCommand) -> CommandOutcome:
+    facts = [KeyValue(key=key, value=value) for key, value in ended.facts.items()]
+    return CommandOutcome(ended.success, Status(code=ended.code, message=ended.message, facts=facts), ended.results)

@@ -1,0 +1,257 @@
+"""Commands of a node's nets for all of ROS.
+
+Action ``/<node>/execute`` runs one, topic ``/<node>/commands`` lists what there is, service ``/<node>/list_commands``
+what is under way, and ``/<node>/control_command`` cancels, pauses and resumes it.
+"""
+
+import json
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from copy import copy
+from typing import Any, Protocol
+
+from rclpy.action import CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from std_msgs.msg import String
+
+from im_core.arrivals import read_json
+from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
+from im_core.ros import qos
+from im_core.ros.guard import GuardedActionServer
+from im_core.ros.node import ManagedNode
+from im_core.ros.status import to_status
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState
+from im_msgs.srv import ControlCommand, ListCommands
+from im_pnt.execution.executor import Executor
+from im_pnt.model.net import Net
+from im_pnt_node.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
+
+LOOK_S = 0.1
+
+#: Priorities that a client may add to what a command declares.
+PRIORITIES = range(-10, 11)
+
+REQUESTS = ("cancel", "pause", "resume")
+
+
+class RunCommand(Protocol):
+    """Runs a command to its end, as :meth:`im_pnt_node.ros.node.PntNode.command` does."""
+
+    def __call__(
+        self,
+        symbol: str,
+        arguments: dict[str, object],
+        listener: ProgressListener | None = None,
+        started: Callable[[int], None] | None = None,
+        priority: int = 0,
+    ) -> Awaitable[CommandOutcome]:
+        """Runs it.
+
+        Raises:
+            ImError: It was not begun.
+        """
+        ...
+
+
+class CommandControl(Protocol):
+    """What is done to commands under way."""
+
+    def cancel(self, command_id: int) -> None:
+        """Asks a command to end early."""
+
+    def hold(self, command_id: int, held: bool) -> None:
+        """Has nothing more begun for a command, or has it go on."""
+
+    def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
+        """Returns what a command needs of what there is once, and what it waits for, if it does."""
+
+
+class ExecuteServer:
+    """Runs commands for clients of the action, tells them of progress, and controls them.
+
+    Args:
+        node: The node.
+        nets: Its nets by name; looked at anew for each list.
+        commands: Its commands.
+        run: Runs a command.
+        control: Cancels and pauses commands.
+        written: Waits until the commands that are open outlive this process.
+        on_file: Waits until what was done to them does; returns what the answer says where it does not.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        nets: Mapping[str, Executor],
+        commands: Commands,
+        run: RunCommand,
+        control: CommandControl,
+        written: Callable[[], Coroutine[Any, Any, None]],
+        on_file: Callable[[], Coroutine[Any, Any, str]],
+    ) -> None:
+        self._node, self._nets, self._commands, self._run, self._control = node, nets, commands, run, control
+        self._written, self._on_file = written, on_file
+        self._list = node.create_publisher(String, f"/{node.task_name}/commands", qos.LATCHED)
+        self._server = GuardedActionServer(
+            node,
+            ExecuteCommand,
+            f"/{node.task_name}/execute",
+            self._execute,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
+        node.create_service(ListCommands, f"/{node.task_name}/list_commands", self._list_open)
+        node.create_service(ControlCommand, f"/{node.task_name}/control_command", self._control_command)
+        self.tell()
+
+    def tell(self) -> None:
+        """Publishes the list of commands; call it when a net has come or gone."""
+        told: dict[object, dict[str, object]] = {}
+        for executor in self._nets.values():
+            for entry in commands_of(executor.written):
+                if "needs" in entry or entry["symbol"] not in told:  # who does it tells more than who hands it on
+                    told[entry["symbol"]] = entry
+        self._list.publish(String(data=json.dumps({"commands": list(told.values())})))
+
+    def _list_open(self, _: ListCommands.Request, response: ListCommands.Response) -> ListCommands.Response:
+        response.commands = [self._state(command) for command in self._commands.open()]
+        response.last = self._commands.last
+        return response
+
+    def _state(self, command: OpenCommand) -> CommandState:
+        asked = command.job.command
+        needs, waits_for = self._control.explained(command)
+        return CommandState(
+            command_id=asked.id,
+            symbol=asked.symbol,
+            arguments=json.dumps(asked.arguments),
+            state=command.state,
+            priority=asked.priority,
+            progress=command.progress,
+            message=waits_for or command.text or command.step,
+            needs=list(needs),
+        )
+
+    async def _control_command(
+        self, request: ControlCommand.Request, response: ControlCommand.Response
+    ) -> ControlCommand.Response:
+        try:
+            command = self._commands.get(request.command_id)
+            match request.request:
+                case "cancel":
+                    self._control.cancel(request.command_id)
+                case "pause" if not (command.held or command.job.cancelled):  # what is to end is not held up
+                    self._control.hold(request.command_id, True)
+                case "resume" if command.held:
+                    self._control.hold(request.command_id, False)
+                case "pause" | "resume" as asked:
+                    raise StateError(f"{command.job.command.symbol} is {command.state}: there is nothing to {asked}")
+                case other:
+                    raise NotFoundError(kind="request to a command", name=other, known=REQUESTS)
+        except ImError as error:
+            response.success, response.message = False, error.message
+            return response
+        not_kept = await self._on_file()
+        response.success = True
+        response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id}){not_kept}"
+        return response
+
+    async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:
+        result, feedback = ExecuteCommand.Result(), ExecuteCommand.Feedback()
+        numbers: list[int] = []
+        waiting: list[ExecuteCommand.Feedback] | None = []  # who is told the number may count on the command
+
+        def tell(step: str, message: str, progress: float) -> None:
+            feedback.step, feedback.message = step or feedback.step, message
+            feedback.progress = max(feedback.progress, progress)
+            feedback.state = self._commands.get(feedback.command_id).state
+            if waiting is None:
+                goal.publish_feedback(feedback)
+            else:
+                waiting.append(copy(feedback))
+
+        def tell_all() -> None:
+            nonlocal waiting
+            told, waiting = waiting or [], None
+            for each in told:
+                goal.publish_feedback(each)
+
+        async def tell_when_written() -> None:
+            await self._written()
+            tell_all()
+
+        def started(number: int) -> None:
+            numbers.append(number)
+            feedback.command_id = number
+            tell("", "", -1.0)
+            self._node.spawn(tell_when_written())
+
+        alarm = self._node.alarms.after(LOOK_S, lambda: look())
+
+        def look() -> None:
+            nonlocal alarm
+            command = next((each for each in self._commands.open() if each.job.command.id in numbers), None)
+            if goal.is_cancel_requested and numbers:
+                self._control.cancel(numbers[0])
+                return
+            if command is not None:
+                waits_for = self._control.explained(command)[1]
+                if command.state != feedback.state or waits_for not in ("", feedback.message):  # no firing tells that
+                    tell("", waits_for or command.text, -1.0)
+            alarm = self._node.alarms.after(LOOK_S, look)
+
+        try:
+            asked = goal.request
+            if asked.attach:
+                outcome = await self._commands.attach(asked.symbol, tell, started, asked.command_id)
+            else:
+                if asked.command_id:
+                    text = f"command_id {asked.command_id} is that of a command to attach to; say attach, or leave it 0"
+                    raise ArgumentError(text)
+                if asked.priority not in PRIORITIES:
+                    text = f"priority {asked.priority} is not between {PRIORITIES[0]} and {PRIORITIES[-1]}"
+                    raise ArgumentError(text)
+                outcome = await self._run(asked.symbol, read_arguments(asked.arguments), tell, started, asked.priority)
+        except ImError as error:
+            result.status = to_status(error)
+            goal.abort()
+            return result
+        finally:
+            self._node.alarms.cancel(alarm)
+            tell_all()
+        result.success, result.status, result.results = outcome.success, outcome.status, json.dumps(outcome.results)
+        if outcome.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return result
+
+
+def commands_of(net: Net) -> list[dict[str, object]]:
+    """Returns what is told of the commands of a net.
+
+    Symbol, net and description of each; where the net declares it, also the JSON schema of its arguments; and where it
+    needs what there is once, ``needs``, ``busy`` and ``priority``.
+    """
+    return [_command_of(net, symbol) for symbol in net.symbols()]
+
+
+def _command_of(net: Net, symbol: str) -> dict[str, object]:
+    told: dict[str, object] = {"symbol": symbol, "net": net.name, "description": net.description}
+    declared = net.commands.get(symbol)
+    if declared is None:
+        return told
+    told |= {"description": declared.description or net.description, "arguments": declared.arguments.json_schema()}
+    if declared.needs:
+        told |= {"needs": list(declared.needs), "busy": declared.busy.value, "priority": declared.priority}
+    return told
+
+
+def read_arguments(text: str) -> dict[str, object]:
+    """Reads the arguments of a command, a JSON object or nothing.
+
+    Raises:
+        DataError: They are something else.
+    """
+    return read_json(dict[str, object], text or "{}", "the JSON object of the command's arguments")

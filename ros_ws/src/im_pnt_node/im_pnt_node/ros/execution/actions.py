@@ -1,0 +1,384 @@
+"""Actions of transitions that reach other tasks: service calls, publications, and what action goals share with them."""
+
+import inspect
+from collections.abc import Callable, Coroutine
+from typing import Any, Protocol
+
+from rclpy.client import Client
+from rclpy.publisher import Publisher
+
+from im_core.clock import monotonic
+from im_core.errors import ImError, LinkError, StateError
+from im_core.ros import qos
+from im_core.ros.calls import pause, wait
+from im_core.ros.heartbeats import Heartbeats
+from im_core.ros.interfaces import interface_class
+from im_core.ros.node import ManagedNode
+from im_core.ros.servers import doubted
+from im_core.ros.status import status_to_error
+from im_core.startup import patience_s
+from im_pnt.errors import NetError
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Activity
+from im_pnt.model.action import Action, AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt_node.rerun.log import MissionLog
+from im_pnt_node.ros.execution.endpoints import Endpoints
+from im_pnt_node.ros.messages import fill, packed_message, plain_fields
+
+DISCOVERY_TIMEOUT_S = 20.0
+"""Time in which a server that lives is discovered, also on a busy computer [s]."""
+SETTLING_S = 2.0
+"""Time in which a client and its server have certainly discovered each other, both ways [s]."""
+LATE_ANSWER_S = 30.0
+LOOK_S, GONE_LOOKS = 0.5, 4
+"""How often it is looked whether a node that sends no heartbeats is there [s]; so often in vain, and it is gone."""
+SERVICE_TIMEOUT_S = 30.0
+
+
+class RosAction(Protocol):
+    """Carries out the actions of one kind."""
+
+    def prepare(self, action: Action) -> None:
+        """Makes what an action needs before it is needed: discovery takes time.
+
+        Raises:
+            NotFoundError: No such type is installed.
+        """
+
+    def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
+        """Carries an action out, and returns what is kept of its answer.
+
+        Raises:
+            ImError: It failed.
+        """
+
+
+class Surroundings:
+    """What actions reach other tasks with.
+
+    Args:
+        node: The node.
+        functions: Registered builders and handlers.
+        heartbeats: Tells who is alive.
+        log: Is told what is sent, and what is answered.
+        keep: Has on file what the builder of an action has left in its job.
+    """
+
+    def __init__(
+        self,
+        node: ManagedNode,
+        functions: Functions,
+        heartbeats: Heartbeats,
+        log: MissionLog,
+        keep: Callable[[Activity], None],
+    ) -> None:
+        self.node = node
+        self.functions = functions
+        self.heartbeats = heartbeats
+        self.log = log
+        self._keep = keep
+
+    async def wait(
+        self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
+    ) -> Any:
+        """Awaits what another node will complete, while it lives.
+
+        Args:
+            future: What it completes.
+            task: The task, if it is one that tells that it lives.
+            timeout_s: Longest wait [s].
+            what: What is waited for.
+            there: Whether the node is there, as far as the graph of ROS knows; looked at where it is no task.
+
+        Raises:
+            LinkError: It died.
+            WaitTimeoutError: It did not complete in time.
+        """
+        if task is not None:
+            return await self.heartbeats.wait(future, task, timeout_s, what)
+        alarms, missed = self.node.alarms, 0
+        alarm = alarms.after(LOOK_S, lambda: look())
+
+        def look() -> None:
+            nonlocal alarm, missed
+            missed = 0 if there() else missed + 1
+            if missed < GONE_LOOKS:
+                alarm = alarms.after(LOOK_S, look)
+            elif not future.done():
+                future.set_exception(LinkError(f"{what} will not come: the node that owes it is gone"))
+
+        try:
+            return await wait(self.node, future, timeout_s, what)
+        finally:
+            alarms.cancel(alarm)
+
+    async def until_ready(
+        self,
+        ready: Callable[[], bool],
+        made: float,
+        task: str | None,
+        what: str,
+        unwanted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
+
+        One whose task is silent is waited for, too: who died or stood still may be there again soon. One whose task
+        starts, and could not do yet what it is asked for, is waited for as long as a start may take.
+
+        Args:
+            ready: Whether the server is discovered.
+            made: When the client was made (monotonic) [s].
+            task: Task of the server, if it is known.
+            what: What is waited for.
+            unwanted: Whether nothing is to be sent any more.
+
+        Raises:
+            StateError: It is not there.
+        """
+        began = monotonic()
+        while not unwanted() and ((why := self._not_yet(task)) or not ready()):
+            starts = task is not None and self.heartbeats.starting(task)
+            if monotonic() > began + (patience_s() if starts else DISCOVERY_TIMEOUT_S):
+                raise StateError(f"{what} is not there" + (f": {why}" if why else ""))
+            await pause(self.node, 0.05)
+        heard = self.heartbeats.heard_since(task) if task else None
+        settled = SETTLING_S + max(made, heard or made)
+        if settled > monotonic():
+            await pause(self.node, settled - monotonic())
+
+    def _not_yet(self, task: str | None) -> str:
+        """Why a task cannot be asked now, or an empty string."""
+        if task is None:
+            return ""
+        if self.heartbeats.starting(task):
+            return f"{task} has not come to the end of its start"
+        return self.heartbeats.missing(task)
+
+    def task(self, action: ServiceAction | GoalAction) -> str | None:
+        """Returns the task whose heartbeat is watched while an answer is awaited."""
+        if action.task is not None:
+            return action.task
+        first = action.name.strip("/").partition("/")[0]
+        return first if self.heartbeats.incarnation(first) is not None else None
+
+    def require_known_server(self, action: ServiceAction | GoalAction, check: Callable[[], object]) -> None:
+        """Name the servers where an action has failed, and a stranger may have answered; else nothing is raised.
+
+        Args:
+            action: The action.
+            check: Raises the failure that the answer tells of.
+
+        Raises:
+            ImError: The failure, with all nodes that serve the name.
+        """
+        try:
+            check()
+        except ImError as error:
+            if (told := doubted(self.node, error, action.name)) is not error:
+                raise told from error
+
+    async def sent(
+        self, activity: Activity, action: ServiceAction | GoalAction | TopicAction, context: ActionContext, message: Any
+    ) -> Any:
+        """Returns what is sent for an action: a message, filled, and noted.
+
+        Raises:
+            ImError: As of :func:`fields_of`, a field does not fit, or what the builder has left cannot be kept.
+        """
+        filled = fill(message, await fields_of(self.functions, action, context), str(action))
+        self._keep(activity)
+        self.log.sent(sent_key(activity), packed_message(filled))
+        return filled
+
+    async def handled(
+        self, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
+    ) -> dict[str, object]:
+        """Has the registered handler read an answer, and returns the fields of it that the net reads."""
+        return await handled(self.functions, action, context, answer)
+
+
+class ServiceActions:
+    """Calls services; an answer with ``success`` false is a failure."""
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+        self._clients = Endpoints(self._make, lambda made: surroundings.node.destroy_client(made[0]))
+
+    def prepare(self, action: Action) -> None:
+        """Makes the client of an action.
+
+        Raises:
+            NotFoundError: No such type is installed.
+        """
+        assert isinstance(action, ServiceAction)
+        self._clients.of(action.name, action.type)
+
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Calls a service and has its answer handled; returns what is kept of it.
+
+        Raises:
+            ImError: It failed, or did not answer in time.
+        """
+        action = activity.action
+        assert isinstance(action, ServiceAction)
+        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
+        request = await around.sent(activity, action, context, interface_class(action.type).Request())
+        task = around.task(action)
+        what = f"transition {activity.transition}"
+
+        async def call() -> Any:
+            there = f"the service {action.name} ({what})"
+            await around.until_ready(client.service_is_ready, made, task, there, lambda: activity.cancelled)
+            require_wanted(activity)
+            limit = time_left(activity, SERVICE_TIMEOUT_S)
+            waited = f"an answer of {action.name} ({what})"
+            answer = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+            around.require_known_server(action, lambda: require_success(answer, str(action)))
+            return answer
+
+        response = await around.log.read(answer_key(activity), call(), packed_message)
+        require_success(response, str(action))
+        return await around.handled(action, context, response)
+
+    def _make(self, name: str, type_name: str) -> tuple[Client, float]:
+        """The client of a service, and when it was made."""
+        return self._surroundings.node.create_client(interface_class(type_name), name), monotonic()
+
+
+class TopicActions:
+    """Publishes messages; an action has confirmed when the middleware has taken its message."""
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+        self._publishers = Endpoints(self._make, surroundings.node.destroy_publisher)
+
+    def prepare(self, action: Action) -> None:
+        """Makes the publisher of an action.
+
+        Raises:
+            NotFoundError: No such type is installed.
+        """
+        assert isinstance(action, TopicAction)
+        self._publishers.of(action.name, action.type)
+
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Publishes one message, which nobody answers.
+
+        Raises:
+            NetError: A field does not fit.
+        """
+        action = activity.action
+        assert isinstance(action, TopicAction)
+        message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
+        self._publishers.of(action.name, action.type).publish(message)
+        return {}
+
+    def _make(self, name: str, type_name: str) -> Publisher:
+        return self._surroundings.node.create_publisher(interface_class(type_name), name, qos.EVENTS)
+
+
+# What they are made of, and what is read from answers.
+
+
+def sent_key(activity: Activity) -> list[object]:
+    """Under what a request, a goal or a message of an action is noted."""
+    return ["action", activity.net, activity.number]
+
+
+def answer_key(activity: Activity) -> list[object]:
+    """Under what its answer is."""
+    return ["answer", activity.net, activity.number]
+
+
+async def fields_of(
+    functions: Functions, action: ServiceAction | GoalAction | TopicAction, context: ActionContext
+) -> dict[str, object]:
+    """Returns the fields of what is sent.
+
+    Raises:
+        NetError: The builder returned something else.
+        ImError: An expression has no value.
+    """
+    built: object = {}
+    if action.build:
+        built = functions.actions[action.build](context)
+        if inspect.isawaitable(built):
+            built = await built
+    if not isinstance(built, dict):
+        raise NetError(f"builder {action.build} returned {built!r}, not a dict of fields")
+    fields = await context.filled(action.fields)
+    assert isinstance(fields, dict)
+    return {**fields, **built}
+
+
+async def handled(
+    functions: Functions, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
+) -> dict[str, object]:
+    """Has the registered handler read an answer, and returns the fields of it that the net reads.
+
+    Raises:
+        ImError: One of them is no finite number.
+    """
+    if action.handle:
+        outcome = functions.actions[action.handle](context, answer)
+        if inspect.isawaitable(outcome):
+            await outcome
+    return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
+
+
+def require_wanted(activity: Activity) -> None:
+    """Nothing is sent for an action that was asked to end meanwhile.
+
+    Raises:
+        ImError: It was.
+    """
+    if activity.cancelled:
+        raise ImError(f"{activity.action} was cancelled before it was sent", code="cancelled")
+
+
+def time_left(activity: Activity, default: float) -> float:
+    """Time to wait for an answer [s]: where the net sets a limit, that one is to strike, and a late answer counts."""
+    return default if activity.deadline is None else max(0.0, activity.deadline - monotonic()) + LATE_ANSWER_S
+
+
+def require_success(answer: Any, what: str) -> None:
+    """Checks the fields ``success`` and ``error_code`` of an answer, if it has them.
+
+    Raises:
+        ImError: It did not succeed; with what the answer says.
+    """
+    if getattr(answer, "success", True) is False or _error_code(answer) is not None:
+        raise failure_of(answer, f"{what} did not succeed", "failed")
+
+
+def failure_of(answer: Any, otherwise: str, code: str) -> ImError:
+    """Returns the failure that an answer tells of: its ``status``, or its ``error_code`` and what it says in words."""
+    status = getattr(answer, "status", None)
+    if status is not None and hasattr(status, "message") and status.message:
+        return status_to_error(status)
+    words = next((text for name in _WORDS if (text := getattr(answer, name, ""))), "")
+    number = _error_code(answer)
+    if number is None:
+        return ImError(words or otherwise, code=code)
+    name = next((name for name, value in _codes(answer).items() if value == number), "error_code")
+    sentence = ": ".join(part for part in (otherwise, f"{name} ({number})", words) if part)
+    return ImError(sentence, code=code if name == "error_code" else name.lower(), error_code=number)
+
+
+_WORDS = ("message", "error_string", "error_msg", "status_message")
+_GOOD = ("SUCCESSFUL", "SUCCESS", "NONE", "OK")
+
+
+def _error_code(answer: Any) -> int | None:
+    """The ``error_code`` of an answer whose type names the codes (control_msgs, moveit_msgs); None: it says success."""
+    code = getattr(answer, "error_code", None)
+    code = getattr(code, "val", code)
+    good = next((value for name, value in _codes(answer).items() if name in _GOOD), 0)
+    return code if isinstance(code, int) and code != good else None
+
+
+def _codes(answer: Any) -> dict[str, int]:
+    """The constants of the message that holds the ``error_code``."""
+    code = getattr(answer, "error_code", None)
+    holder = type(code if hasattr(code, "val") else answer)
+    return {name: value for name, value in vars(holder).items() if name.isupper() and isinstance(value, int)}

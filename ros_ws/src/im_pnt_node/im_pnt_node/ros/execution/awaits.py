@@ -1,0 +1,189 @@
+"""Messages that transitions wait for: any topic of any node.
+
+A topic is listened to from the moment in which its net is loaded, for discovery takes time; what counts is what arrives
+when the action has begun. Messages are decoded only while somebody waits.
+"""
+
+from collections.abc import Callable, Coroutine
+from functools import partial
+from typing import Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from im_core.clock import monotonic
+from im_core.errors import ImError
+from im_core.ros.coroutines import Promise
+from im_core.ros.interfaces import decoded, interface_class
+from im_core.ros.node import ManagedNode
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity
+from im_pnt.model.action import Action, AwaitAction
+from im_pnt_node.ros.execution.actions import Surroundings, answer_key
+from im_pnt_node.ros.execution.endpoints import Endpoints
+from im_pnt_node.ros.messages import packed_message, plain_fields
+
+DEPTH = 100
+
+
+class AwaitActions:
+    """Waits for messages.
+
+    Args:
+        surroundings: Reaches other tasks.
+    """
+
+    def __init__(self, surroundings: Surroundings) -> None:
+        self._surroundings = surroundings
+        self._topics = Endpoints(lambda name, kind: _Topic(surroundings.node, name, kind), _Topic.close)
+
+    def prepare(self, action: Action) -> None:
+        """Begins to listen.
+
+        Raises:
+            NotFoundError: No such type is installed.
+        """
+        assert isinstance(action, AwaitAction)
+        self._topics.of(action.name, action.type).listener(action.latched)
+
+    def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
+        """Takes the next message from now on; whatever comes counts, also before the coroutine has begun.
+
+        Raises:
+            ImError: It was cancelled, or the handler failed.
+        """
+        action = activity.action
+        assert isinstance(action, AwaitAction)
+        listener = self._topics.of(action.name, action.type).listener(action.latched)
+        promise = listener.next(partial(self._counts, action, context))
+
+        def give_up() -> None:
+            listener.drop(promise)
+            late = activity.deadline is not None and monotonic() >= activity.deadline
+            if not promise.done() and not late:  # what is late ends by the answer to what became of it
+                promise.set_exception(ImError(f"the wait for a {action} was cancelled", code="cancelled"))
+
+        activity.when_cancelled(give_up)
+        return self._take(promise, activity, action, context)
+
+    def ask(self, activity: Activity, _: ActionContext) -> Answer:
+        """Returns what became of a wait whose time is over: failed, even before it is known to be called off."""
+        return Answer(Outcome.FAILED, activity.doubt, asked="nobody: it only waited")
+
+    def _counts(self, action: AwaitAction, context: ActionContext, message: Any) -> bool:
+        if action.until is None:
+            return True
+        return context.holds(action.until, plain_fields(message, context.answer_ways, str(action)))
+
+    async def _take(
+        self, promise: Promise, activity: Activity, action: AwaitAction, context: ActionContext
+    ) -> dict[str, object]:
+        message = await self._surroundings.log.read(answer_key(activity), promise, packed_message)
+        return await self._surroundings.handled(action, context, message)
+
+
+class _Topic:
+    """A topic that is listened to: for what comes, or also for what was latched before.
+
+    Args:
+        node: The node.
+        name: Name of the topic.
+        type_name: Its type.
+    """
+
+    def __init__(self, node: ManagedNode, name: str, type_name: str) -> None:
+        self._node, self._name, self._type = node, name, interface_class(type_name)
+        self._listeners: dict[bool, _Listener] = {}
+
+    def listener(self, latched: bool) -> "_Listener":
+        """Returns who listens, for the last message before too where that counts."""
+        if latched not in self._listeners:
+            self._listeners[latched] = _Listener(self._node, self._name, self._type, latched)
+        return self._listeners[latched]
+
+    def close(self) -> None:
+        """Listens no more."""
+        for listener in self._listeners.values():
+            listener.close()
+
+
+class _Listener:
+    """A subscription whose quality of service follows the publishers: what they cannot give is not asked for.
+
+    Args:
+        node: The node.
+        topic: Name of the topic.
+        message_type: Its type.
+        latched: Whether the last message counts for whoever comes later.
+    """
+
+    def __init__(self, node: ManagedNode, topic: str, message_type: Any, latched: bool) -> None:
+        self._node, self._topic, self._type, self._latched = node, topic, message_type, latched
+        self._waiting: dict[Promise, Callable[[Any], bool]] = {}
+        self._last: Any = None
+        self._reliable, self._durable = True, latched
+        self._subscription = self._subscribe()
+
+    def next(self, counts: Callable[[Any], bool]) -> Promise:
+        """Returns the promise of the next message that counts, or of the last one where that is latched and counts."""
+        promise = self._node.promise()
+        self._waiting[promise] = counts
+        if self._last is not None:
+            self._offer(promise, self._last)
+        return promise
+
+    def drop(self, promise: Promise) -> None:
+        """Forgets a promise that nobody waits for any more."""
+        self._waiting.pop(promise, None)
+
+    def close(self) -> None:
+        """Listens no more."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _hear(self, data: bytes) -> None:
+        if self._latched or self._waiting:
+            message = decoded(data, self._type)
+            self._last = message if self._latched else None
+            for promise in tuple(self._waiting):
+                self._offer(promise, message)
+
+    def _offer(self, promise: Promise, message: Any) -> None:
+        """Keeps a promise if a message counts, or where nobody can tell whether it does."""
+        try:
+            if self._waiting[promise](message):
+                self.drop(promise)
+                promise.set_result(message)
+        except ImError as error:
+            self.drop(promise)
+            promise.set_exception(error)
+
+    def _subscribe(self) -> Subscription:
+        reliability = ReliabilityPolicy.RELIABLE if self._reliable else ReliabilityPolicy.BEST_EFFORT
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if self._durable else DurabilityPolicy.VOLATILE
+        profile = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST, depth=DEPTH, reliability=reliability, durability=durability
+        )
+        refused: Callable[[Any], None] = self._node.guarded(f"subscription {self._topic} (its quality)", self._adapt)
+        return self._node.create_subscription(
+            self._type,
+            self._topic,
+            self._hear,
+            profile,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=refused),
+        )
+
+    def _adapt(self, _: object) -> None:
+        """Asks for less: a publisher is there that cannot give what was asked for."""
+        ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+        reliable = all(end.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT for end in ends)
+        durable = self._latched and all(end.qos_profile.durability != DurabilityPolicy.VOLATILE for end in ends)
+        if (reliable, durable) == (self._reliable, self._durable):
+            return
+        if self._latched and not durable:
+            self._node.get_logger().warning(f"a publisher of {self._topic} does not latch it: only what comes counts")
+        self._reliable, self._durable = reliable, durable
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = self._subscribe()

@@ -1,0 +1,202 @@
+"""Action goals as actions of transitions.
+
+The id of a goal follows from the life of the process in which its activity began and the number of that, which the
+journal brings back: a node that died asks the server about the goals that it had sent.
+"""
+
+import uuid
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from unique_identifier_msgs.msg import UUID
+
+from im_core.clock import monotonic
+from im_core.errors import ImError, LinkError, StateError
+from im_core.ros.calls import pause
+from im_core.ros.guard import GuardedActionClient
+from im_core.ros.interfaces import interface_class
+from im_core.ros.servers import doubted
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity
+from im_pnt.model.action import Action, GoalAction
+from im_pnt_node.ros.execution.actions import (
+    Surroundings,
+    answer_key,
+    failure_of,
+    require_success,
+    require_wanted,
+    time_left,
+)
+from im_pnt_node.ros.execution.endpoints import Endpoints
+from im_pnt_node.ros.messages import packed_message
+
+ACCEPT_TIMEOUT_S = 30.0
+GOAL_TIMEOUT_S = 600.0
+CANCEL_TIMEOUT_S = 2.0
+CANCEL_AGAIN_S = 0.2
+ASK_S = 1.0
+
+_NAMESPACE = uuid.UUID("6f0d9f4e-5f0c-4c7e-9a83-0c4ff1f1d0c1")
+_OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GOAL_TERMINATED)
+
+
+class GoalActions:
+    """Sends goals and waits for their results; cancelling the activity cancels the goal.
+
+    Args:
+        surroundings: Reaches other tasks.
+        spawn: Runs coroutines in the loop.
+        life: Names the life of the process.
+    """
+
+    def __init__(
+        self,
+        surroundings: Surroundings,
+        spawn: Callable[[Coroutine[object, object, None]], None],
+        life: Callable[[], str],
+    ) -> None:
+        self._surroundings, self._spawn, self._life = surroundings, spawn, life
+        self._clients = Endpoints(self._make, lambda made: made[0].destroy())
+        self._results: dict[Activity, Any] = {}
+        self._performed: set[Activity] = set()
+
+    def prepare(self, action: Action) -> None:
+        """Makes the client of an action.
+
+        Raises:
+            NotFoundError: No such type is installed.
+        """
+        assert isinstance(action, GoalAction)
+        self._clients.of(action.name, action.type)
+
+    async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
+        """Sends a goal, waits for its result and has it handled; returns what is kept of it.
+
+        Raises:
+            ImError: It was rejected, aborted or cancelled, or the server is gone.
+        """
+        action = activity.action
+        assert isinstance(action, GoalAction)
+        self._performed.add(activity)
+        try:
+            return await self._perform(activity, context, action)
+        finally:
+            self._performed.discard(activity)
+
+    async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
+        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
+        task = around.task(action)
+        goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
+
+        async def reach() -> Any:
+            there = f"the action {action.name}"
+            await around.until_ready(client.server_is_ready, made, task, there, lambda: activity.cancelled)
+            require_wanted(activity)
+            asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
+            accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
+            handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
+            # A server rejects a goal that it has already, of a former life of this process that forgot it: that counts.
+            known = handle if handle.accepted else self._handle(client, activity)
+            waited = f"the result of {action.name} (transition {activity.transition})"
+            result = self._follow(activity, known)
+            left = time_left(activity, GOAL_TIMEOUT_S)
+            answer = await around.wait(result, task, left, waited, client.server_is_ready)
+            if answer.status == GoalStatus.STATUS_UNKNOWN:
+                server = task or "its server"
+                if not handle.accepted:
+                    rejected = StateError(f"{action} was rejected by {server}", action=action.name)
+                    raise doubted(around.node, rejected, action.name)
+                forgot = "it was started again meanwhile, or nobody has asked for the result for too long"
+                raise LinkError(f"{server} does not know {action} any more: {forgot}", task=task, action=action.name)
+            around.require_known_server(action, lambda: result_of(action, answer.status, answer.result))
+            return answer
+
+        answer = await around.log.read(answer_key(activity), reach(), packed_result)
+        return await around.handled(action, context, result_of(action, answer.status, answer.result))
+
+    async def ask(self, activity: Activity, context: ActionContext) -> Answer:
+        """Asks the server what became of a goal that was sent in a former life of this process."""
+        around, action = self._surroundings, activity.action
+        assert isinstance(action, GoalAction)
+        if activity in self._performed:
+            return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
+        (client, made), task = self._clients.of(action.name, action.type), around.task(action)
+        try:
+            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
+            if activity not in self._results:
+                self._results[activity] = self._follow(activity, self._handle(client, activity))
+            result = self._results[activity]
+            over = around.node.promise()  # a wait that is given up must not take the result with it
+            result.add_done_callback(lambda _: over.set_result(None))
+            await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}")
+        except ImError as error:
+            if activity in self._results and error.code == "timeout":
+                return Answer(Outcome.RUNNING, asked=error.message)
+            if (result := self._results.pop(activity, None)) is not None:
+                result.cancel()
+            return Answer(Outcome.UNKNOWN, asked=error.message)
+        del self._results[activity]
+        answer = result.result()
+        if answer.status == GoalStatus.STATUS_UNKNOWN:
+            return Answer(Outcome.UNKNOWN, asked=f"{action.name} does not know the goal")
+        try:
+            kept = await around.handled(action, context, result_of(action, answer.status, answer.result))
+        except ImError as error:
+            return Answer(Outcome.FAILED, error, asked=action.name)
+        return Answer(Outcome.DONE, results=kept, asked=action.name)
+
+    def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
+        """Begins to wait for a result, and to cancel the goal when the activity is cancelled."""
+        result = handle.get_result_async()
+        activity.when_cancelled(lambda: self._spawn(self._cancel(handle, result)))
+        return result
+
+    async def _cancel(self, handle: ClientGoalHandle, result: Any) -> None:
+        """Cancels a goal, again and again until the server has said that it winds down or is over."""
+        while not result.done():
+            try:
+                asked = self._surroundings.wait(handle.cancel_goal_async(), None, CANCEL_TIMEOUT_S, "a cancellation")
+                response = await asked
+            except ImError:
+                continue
+            if response.goals_canceling or response.return_code in _OVER:
+                return
+            await pause(self._surroundings.node, CANCEL_AGAIN_S)
+
+    def _handle(self, client: ActionClient, activity: Activity) -> ClientGoalHandle:
+        action = activity.action
+        assert isinstance(action, GoalAction)
+        accepted = interface_class(action.type).Impl.SendGoalService.Response(accepted=True)
+        return ClientGoalHandle(client, self._goal_id(activity), accepted)
+
+    def _goal_id(self, activity: Activity) -> UUID:
+        name = f"{activity.life or self._life()}/{activity.net}/{activity.number}"
+        return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
+
+    def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
+        """The client of an action, and when it was made."""
+        return GuardedActionClient(self._surroundings.node, interface_class(type_name), name), monotonic()
+
+
+def packed_result(answer: Any) -> list[object]:
+    """Returns the answer to a goal as JSON data: status, type and CDR of the result."""
+    return [int(answer.status), *packed_message(answer.result)]
+
+
+def result_of(action: GoalAction, status: int, result: Any) -> Any:
+    """Returns the result of a goal that has succeeded.
+
+    Raises:
+        ImError: It has not: it was cancelled or aborted, or the result says so.
+    """
+    if status == GoalStatus.STATUS_CANCELED:
+        raise failure_of(result, f"{action} was cancelled", "cancelled")
+    if status != GoalStatus.STATUS_SUCCEEDED:
+        raise failure_of(result, f"{action} was aborted", "aborted")
+    require_success(result, str(action))
+    return result

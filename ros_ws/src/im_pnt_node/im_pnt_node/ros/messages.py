@@ -1,0 +1,142 @@
+"""Messages and plain data: the types of fields, messages from data, and data from messages."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from rclpy.serialization import serialize_message
+
+from im_core.errors import ConfigError, ImError, NotFoundError, nearest
+from im_core.ros.interfaces import interface_class, type_name
+from im_pnt.errors import NetError
+from im_pnt.expression.types import ValueType, field_type
+from im_pnt_node.rerun.log import packed
+
+_SEQUENCE = re.compile(r"(?:sequence<(?P<bounded>[^,>]+)(?:, *\d+)?>|(?P<array>[^\[]+)\[\d*\])")
+_PARTS = ("_Request", "_Response", "_Goal", "_Result")
+
+
+class RosTypes:
+    """Looks up the fields of the messages that are installed."""
+
+    def fields(self, message: str) -> Mapping[str, ValueType] | None:
+        """Returns the types of the fields of a message, request, response, goal or result.
+
+        Raises:
+            ConfigError: There is no such type.
+        """
+        try:
+            return _fields(message)
+        except NotFoundError as error:
+            hint = "types are those of packages whose install/setup.bash was sourced before the start"
+            raise ConfigError(f"{error.message}; {hint}", type=message) from error
+
+
+@cache
+def _fields(message: str) -> Mapping[str, ValueType]:
+    part = next((part for part in _PARTS if "/msg/" not in message and message.endswith(part)), "")
+    found = interface_class(message.removesuffix(part))
+    if part:
+        found = getattr(found, part[1:])
+    return {name: field_type(text) for name, text in found.get_fields_and_field_types().items()}
+
+
+def packed_message(message: object) -> list[str]:
+    """Returns a message as JSON data."""
+    return packed(type_name(type(message)), serialize_message(message))
+
+
+def plain_fields(message: Any, ways: Sequence[tuple[str, ...]], where: str) -> dict[str, object]:
+    """Returns some fields of a message as JSON data.
+
+    Args:
+        message: The message.
+        ways: Ways to the fields, by name, through lists of messages too; an empty one leads to all.
+        where: What the message is, for complaints.
+
+    Raises:
+        ImError: A field is a number that is not finite, or cannot be JSON.
+    """
+    fields: dict[str, object] = {}
+    for way in ways:
+        _keep(fields, message, way, where)
+    return fields
+
+
+def _keep(fields: dict[str, object], message: Any, way: tuple[str, ...], where: str) -> None:
+    for name in way[:1] or message.get_fields_and_field_types():
+        value, rest = getattr(message, name), way[1:]
+        if not rest:
+            fields[name] = _plain(value, f"{where}.{name}")
+        elif isinstance(value, list):
+            elements = fields.setdefault(name, [{} for _ in value])
+            assert isinstance(elements, list)
+            for rank, (element, part) in enumerate(zip(elements, value, strict=True)):
+                _keep(element, part, rest, f"{where}.{name}[{rank}]")
+        else:
+            below = fields.setdefault(name, {})
+            assert isinstance(below, dict)
+            _keep(below, value, rest, f"{where}.{name}")
+
+
+def _plain(value: Any, where: str) -> object:
+    if isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ImError(f"{where} is {value}, which is no finite number and cannot be kept", code="expression")
+        return value
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: _plain(getattr(value, name), f"{where}.{name}") for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return list(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist(), where)
+    return [_plain(each, f"{where}[{rank}]") for rank, each in enumerate(value)]
+
+
+def fill(message: Any, fields: Mapping[str, object], where: str) -> Any:
+    """Sets fields of a message from plain data or from messages; returns the message.
+
+    Args:
+        message: A message, request or goal.
+        fields: Values by name; a mapping fills a nested message.
+        where: What is filled, for messages.
+
+    Raises:
+        NetError: No such field, or a value that does not fit.
+    """
+    types = message.get_fields_and_field_types()
+    message._check_fields = True  # otherwise a wrong type is met first by the serialiser, which aborts the process
+    for name, value in fields.items():
+        if name not in types:
+            raise NetError(f"{where} has no field '{name}'{nearest(name, types)}", field=name)
+        try:
+            setattr(message, name, _fitted(getattr(message, name), types[name], value, f"{where}.{name}"))
+        except (AssertionError, TypeError, ValueError) as error:
+            raise NetError(f"{where}.{name} ({types[name]}) cannot be {value!r}: {error}", field=name) from error
+    return message
+
+
+def _fitted(present: Any, type_name: str, value: Any, where: str) -> Any:
+    if isinstance(value, Mapping) and hasattr(present, "get_fields_and_field_types"):
+        return fill(present, value, where)
+    match = _SEQUENCE.fullmatch(type_name)
+    if match and isinstance(value, list | tuple):
+        element = match.group("bounded") or match.group("array")
+        if "/" in element:
+            make = interface_class(element.replace("/", "/msg/"))
+            return [
+                fill(make(), entry, f"{where}[{index}]") if isinstance(entry, Mapping) else entry
+                for index, entry in enumerate(value)
+            ]
+        return [_number(entry, element) for entry in value]
+    return _number(value, type_name)
+
+
+def _number(value: Any, type_name: str) -> Any:
+    """YAML writes 1 where a message wants 1.0."""
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return float(value) if whole and type_name in ("double", "float") else value

@@ -1,0 +1,251 @@
+"""``pnt_node``: runs nets in a node of their own, on any robot."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from importlib.util import find_spec
+from pathlib import Path
+
+import rclpy
+from rclpy.exceptions import InvalidNodeNameException
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_node_name import validate_node_name
+
+from im_core import plugins
+from im_core.clock import monotonic
+from im_core.end_signals import heed_end_signals
+from im_core.errors import ConfigError, ImError, StateError
+from im_core.process import ChildProcess
+from im_core.ros.calls import pause
+from im_core.ros.run import Spinner
+from im_pnt.model.net import Net
+from im_pnt.netfile import load_net
+from im_pnt.verification import Verifier
+from im_pnt_node.cli.order import Order
+from im_pnt_node.ros.commands.commands import CommandOutcome
+from im_pnt_node.ros.node import PntNode
+
+_DESCRIPTION = """Verifies nets together and runs them in a node of their own, without the machine: a robot's own nodes
+offer services, actions and topics, and the nets call them. docs/your_robot.md begins with an empty folder.
+
+  scripts/im pnt run pick.yaml                                   runs the net; action /pick/execute takes commands
+  scripts/im pnt run pick.yaml --symbol pick --arg width=0.02    runs one command, tells its steps, and ends
+  scripts/im pnt run pick.yaml --symbol pick --journal state     killed by -9? The same line again goes on
+  scripts/im pnt run pick.yaml cell.yaml --page                  two nets, and the page that shows them live
+
+Functions that nets name as module:function are looked for beside the net files first. Ctrl-C cancels what runs and
+waits for it to end; Ctrl-C again ends at once. Parameters of the node follow --ros-args, as for every node.
+
+Exit code: 0 done, 1 the command failed or the nets are refused, 2 a file, an option or the start went wrong."""
+
+OK, REFUSED, BAD_INPUT = 0, 1, 2
+VERIFIER = "im_pnt_analysis:verify_to_load"
+PAGE = "im_pnt_display"
+DOM_S = 5.0
+
+
+def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> int:
+    """Runs ``pnt_node``.
+
+    Args:
+        arguments: Command line without the program's name; None: that of the process.
+        program: What it is called in messages.
+
+    Returns:
+        Exit code.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    cut = words.index("--ros-args") if "--ros-args" in words else len(words)
+    options = _parser(program).parse_args(words[:cut])
+    try:
+        if options.arg and options.symbol is None:
+            raise ConfigError("--arg is an argument of a command: --symbol NAME is missing")
+        sys.path[:0] = list(dict.fromkeys(str(Path(file).resolve().parent) for file in options.files))
+        nets = [load_net(file) for file in options.files]
+        order = None if options.symbol is None else Order.read(nets, options.symbol, options.arg)
+        verifier: Verifier = plugins.load(VERIFIER, None, "verifier")  # type: ignore[assignment]  # it is one
+        verifier(nets).require_ok()
+        _check_name(options.name or nets[0].name)
+        if options.page and find_spec(PAGE) is None:
+            raise ConfigError(f"the page is of the package {PAGE}, which is not installed")
+    except ImError as error:
+        print(f"{program}: {error.message}", file=sys.stderr)
+        return REFUSED if error.code == "net_refused" else BAD_INPUT
+    return _run(options, nets, verifier, order, words[cut:])
+
+
+def _run(
+    options: argparse.Namespace, nets: Sequence[Net], verifier: Verifier, order: Order | None, ros: list[str]
+) -> int:
+    """Spins the node, and the page beside it, until it has done what was asked for."""
+    try:
+        rclpy.init(args=ros, signal_handler_options=SignalHandlerOptions.NO)
+    except (_rclpy.RCLError, _rclpy.UnknownROSArgsError) as error:
+        print(f"{' '.join(ros)}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    with ExitStack() as ends:
+        ends.callback(rclpy.try_shutdown)
+        if options.page:
+            page = ChildProcess.of_module(f"{PAGE}.ros.node", ["--ros-args", "-p", "standalone:=true"])
+            ends.callback(page.stop)
+        journal = str(Path(options.journal).resolve()) if options.journal else ""
+        given = {"standalone": True, "seed": options.seed, "journal_dir": journal}
+        overrides = [Parameter(name, value=value) for name, value in given.items()]
+        node = RunNode(options.name or nets[0].name, options.files, order, verifier, overrides)
+        spinner = Spinner([node])
+        ends.callback(spinner.stop)
+        node.finished = spinner.request_stop
+        heed_end_signals(lambda *_: node.interrupt())
+        spinner.spin()
+    return node.exit_code
+
+
+def _check_name(name: str) -> None:
+    """Raises what is wrong with the name of a node."""
+    try:
+        validate_node_name(name)
+    except InvalidNodeNameException as error:
+        raise ConfigError(f"'{name}' is no name of a node: {str(error).splitlines()[0]}") from error
+
+
+class RunNode(PntNode):
+    """Nets of a command line, and perhaps one command of them.
+
+    Args:
+        name: Name of the node.
+        files: The net files.
+        order: The command; None: clients bring commands.
+        verifier: Says whether nets may run together.
+        overrides: Parameters.
+
+    Attributes:
+        exit_code: That of the process.
+        finished: Called when nothing is left to do.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        files: Sequence[str],
+        order: Order | None,
+        verifier: Verifier,
+        overrides: list[Parameter],
+    ) -> None:
+        super().__init__(name, files, verifier=verifier, parameter_overrides=overrides)
+        self.exit_code = OK
+        self.finished: Callable[[], None] = lambda: None
+        self._order = order
+        self._ending = False
+        self._began = monotonic()
+
+    def phase_start(self) -> None:
+        """Starts the nets, offers their commands, and begins the one that was ordered."""
+        super().phase_start()
+        self.offer_commands()
+        self._look_for_objects()
+        if self._order is not None:
+            self.spawn(self._obey(self._order))
+        else:
+            known = ", ".join(self.commands.symbols()) or "none"
+            self.get_logger().info(f"action /{self.task_name}/execute takes commands: {known}")
+
+    def fail(self, error: ImError) -> None:
+        """Ends with what went wrong at the start."""
+        super().fail(error)
+        self.exit_code = REFUSED if error.code == "net_refused" else BAD_INPUT
+        self.finished()
+
+    def interrupt(self) -> None:
+        """Cancels what runs and ends when it has ended; the second time ends at once. From signal handlers."""
+        if self._ending or not self.ready:
+            self.finished()
+        self._ending = True
+        self.spawn(self._wind_down())
+
+    async def _wind_down(self) -> None:
+        for executor in self.exchange.nets.values():
+            for job in executor.jobs():
+                if job.is_command:
+                    self._tell(f"cancels {job.symbol}; once more ends at once")
+                    self.cancel(job.command.id, "cancelled from the keyboard")
+        while any(executor.jobs() for executor in self.exchange.nets.values()):
+            await pause(self, 0.05)
+        if self._order is None:
+            self.finished()
+
+    async def _obey(self, order: Order) -> None:
+        self.exit_code = REFUSED  # until it is done
+        try:
+            going_on = [each for each in self.commands.open() if each.job.command.symbol == order.symbol]
+            same = next((each for each in going_on if each.job.command.arguments == order.arguments), None)
+            if same is not None:
+                self._tell(f"{order.symbol} goes on where the journal ends")
+                outcome = await self.commands.wait(same.job.command.id, self._step)
+            else:
+                for other in going_on:
+                    given, asked = json.dumps(other.job.command.arguments), json.dumps(order.arguments)
+                    self._tell(f"{order.symbol} of {given} goes on where the journal ends, and {asked} comes after it")
+                outcome = await self.command(order.symbol, order.arguments, self._step)
+        except ImError as error:
+            self._tell(f"{order.symbol} was not begun: {error.message}")
+            self.exit_code = BAD_INPUT
+        else:
+            self._conclude(order.symbol, outcome)
+        finally:
+            self.finished()
+
+    def _conclude(self, symbol: str, outcome: CommandOutcome) -> None:
+        results = f": {json.dumps(outcome.results)}" if outcome.results else ""
+        why = "" if outcome.success else f": {outcome.status.message}"
+        self._tell(f"{symbol} {'done' if outcome.success else 'failed'}{why}{results}")
+        self.exit_code = OK if outcome.success else REFUSED
+
+    def _step(self, transition: str, text: str, progress: float) -> None:
+        share = f"{100.0 * progress:3.0f} %  " if progress >= 0.0 else ""
+        self._tell(f"{share}{transition or text}")
+
+    def _tell(self, text: str) -> None:
+        print(f"{monotonic() - self._began:8.2f} s  {text}", flush=True)
+
+    def _look_for_objects(self) -> None:
+        nets = [executor.written for executor in self.exchange.nets.values()]
+        names = sorted({p.data_object for net in nets for p in net.places.values() if p.data_object is not None})
+        if names:
+            self.spawn(self._find_objects(", ".join(names)))
+
+    async def _find_objects(self, names: str) -> None:
+        """Warns where nobody keeps the data objects of the nets."""
+        deadline = monotonic() + DOM_S
+        while monotonic() < deadline:
+            if any(name == "/dom/get" for name, _ in self.get_service_names_and_types()):
+                return
+            await pause(self, 0.2)
+        missing = StateError(
+            f"nobody answers for the data objects of the nets ({names}): a Data Object Manager is needed, "
+            "scripts/run.sh im_dom dom --ros-args -p standalone:=true"
+        )
+        self.get_logger().warning(missing.message)
+
+
+def _parser(program: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        program, description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("files", nargs="+", metavar="NET.yaml", help="net files; they are verified together")
+    parser.add_argument("--symbol", metavar="NAME", help="run this command once, and end")
+    parser.add_argument(
+        "--arg", action="append", default=[], metavar="NAME=VALUE", help="an argument of the command; once for each"
+    )
+    parser.add_argument("--journal", metavar="DIR", help="folder in which a node that is killed finds where it was")
+    parser.add_argument("--page", action="store_true", help="show the nets live on a web page")
+    parser.add_argument("--name", metavar="NODE", help="name of the node (that of the first net)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of choices among transitions (0)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

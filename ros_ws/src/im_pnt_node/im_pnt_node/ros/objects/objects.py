@@ -1,0 +1,101 @@
+"""Data objects as the expressions of nets read and store them."""
+
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any
+
+from im_core.errors import ImError
+from im_core.ros.interfaces import interface_class
+from im_pnt.execution.values import Done, ObjectPendingError
+from im_pnt.expression.scope import Way
+from im_pnt_node.rerun.host import HostObjects
+from im_pnt_node.ros.messages import fill, plain_fields
+
+Ways = tuple[Way, ...]
+
+
+class _Reading:
+    """Stands for an object that is being read."""
+
+
+class DomObjects:
+    """The objects of the Data Object Manager.
+
+    Args:
+        dom: Where they are read and stored.
+        spawn: Runs coroutines in the loop.
+        known: Called when an object has been read that a guard looks at.
+    """
+
+    def __init__(
+        self, dom: HostObjects, spawn: Callable[[Coroutine[object, object, None]], None], known: Callable[[], None]
+    ) -> None:
+        self._dom, self._spawn, self._known = dom, spawn, known
+        self._latest: dict[tuple[str, Ways], dict[str, object] | ImError | _Reading] = {}
+
+    async def read(self, name: str, kind: str, ways: Sequence[tuple[str, ...]]) -> dict[str, object]:
+        """Returns fields of an object as JSON data.
+
+        Raises:
+            ImError: There is none that is valid, it is of another type, or a field is no finite number.
+        """
+        message: Any = await self._dom.get(name, interface_class(kind))
+        return plain_fields(message, ways, f"data object {name}")
+
+    def latest(self, name: str, kind: str, ways: Sequence[Way]) -> dict[str, object]:
+        """Returns fields of an object as they have been read since :meth:`stale` was called.
+
+        Raises:
+            ObjectPendingError: It is being read.
+            ImError: As of :meth:`read`.
+        """
+        key = name, tuple(ways)
+        if key not in self._latest:
+            self._latest[key] = _Reading()
+            self._spawn(self._look(key, kind, self._latest[key]))
+        found = self._latest[key]
+        if isinstance(found, _Reading):
+            raise ObjectPendingError(f"data object {name} is being read", object=name)
+        if isinstance(found, ImError):
+            raise found
+        return found
+
+    def stale(self) -> None:
+        """Has :meth:`latest` read objects anew."""
+        self._latest = {}
+
+    def forget(self, name: str) -> bool:
+        """Has an object read anew that has changed; returns whether a guard looks at it."""
+        gone = [key for key in self._latest if key[0] == name]
+        for key in gone:
+            del self._latest[key]
+        return bool(gone)
+
+    async def _look(self, key: tuple[str, Ways], kind: str, reading: object) -> None:
+        found: dict[str, object] | ImError
+        try:
+            found = await self.read(key[0], kind, key[1])
+        except ImError as error:
+            found = error
+        if self._latest.get(key) is reading:  # else it has changed meanwhile
+            self._latest[key] = found
+        self._known()
+
+    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
+        """Stores an object.
+
+        Raises:
+            ImError: A field does not fit, or it was refused.
+        """
+        await self._dom.put(name, fill(interface_class(kind)(), fields, f"data object {name}"), place)
+
+    def run(self, work: Coroutine[object, object, None], done: Done) -> None:
+        """Has something done, and calls back with why it failed, if it has."""
+        self._spawn(self._run(work, done))
+
+    async def _run(self, work: Coroutine[object, object, None], done: Done) -> None:
+        try:
+            await work
+        except ImError as error:
+            done(error)
+        else:
+            done(None)

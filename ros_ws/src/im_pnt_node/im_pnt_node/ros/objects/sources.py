@@ -1,0 +1,140 @@
+"""What guards look at beside their net: the validity of data objects and the last messages of topics."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+from rclpy.qos import QoSProfile
+
+from im_core.errors import DataError, ImError, nearest
+from im_core.ros.dom import DomClient
+from im_core.ros.node import ManagedNode
+from im_pnt.errors import NetError
+from im_pnt_node.rerun.log import MissionLog
+from im_pnt_node.ros.messages import packed_message
+from im_pnt_node.ros.objects.validity import valid_or_not
+
+
+class Sources:
+    """Follows what guards declare (:func:`im_pnt.execution.functions.woken_by`), and says when it has changed.
+
+    Args:
+        node: The node.
+        dom: Client of the Data Object Manager.
+        log: Is told of messages, from which guards can be asked again.
+        changed: Is told of each source that has changed, as guards declare it.
+    """
+
+    def __init__(self, node: ManagedNode, dom: DomClient, log: MissionLog, changed: Callable[[str], None]) -> None:
+        self._node, self._dom, self._log, self._changed = node, dom, log, changed
+        self._valid: dict[str, bool] = {}
+        self._unknown: set[str] = set()
+        self._last: dict[str, Any] = {}
+
+    def follow(
+        self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
+    ) -> None:
+        """Follows a topic, so that guards may be woken by it.
+
+        Args:
+            topic: Its name.
+            message_type: Its type.
+            profile: Quality of service.
+            check: Raises what is wrong with a message that makes no sense; the last that did stays then.
+        """
+        self._last[topic] = None
+        self._node.create_subscription(message_type, topic, partial(self._hear, topic, check), profile)
+
+    def last(self, topic: str) -> Any:
+        """Returns the last message of a topic that is followed, None before the first."""
+        return self._last[topic]
+
+    def tell(self) -> None:
+        """Has what was heard last noted again, for who begins to listen."""
+        for topic, message in self._last.items():
+            if message is not None:
+                self._log.add("heard", topic, *packed_message(message))
+
+    def valid(self, name: str) -> bool:
+        """Whether a data object that a guard has declared is valid."""
+        return self._valid[name]
+
+    def check_topics(self, net: str, sources: Iterable[str]) -> None:
+        """Checks that the topics are followed that the guards of a net are woken by.
+
+        Raises:
+            NetError: One is not.
+        """
+        for topic in _named("topic", sources):
+            if topic not in self._last:
+                text = f"a guard of net {net} is woken by topic {topic}, which the node does not follow"
+                raise NetError(f"{text}{nearest(topic, self._last)}", net=net, topic=topic)
+
+    def declare(self, sources: Iterable[str]) -> None:
+        """Enters the data objects that the guards of a net are woken by; none is valid until :meth:`look` has ended."""
+        for name in _named("data", sources) - self._valid.keys():
+            self._valid[name] = False
+            self._unknown.add(name)
+
+    async def meet(self, sources: Iterable[str]) -> None:
+        """Enters the data objects that the guards of a net are woken by which is to come, and asks for their validity.
+
+        Raises:
+            ImError: ``/dom`` does not tell.
+        """
+        self.declare(sources)
+        for name in self._unknown & _named("data", sources):
+            self._learned(name, await self._dom.is_valid(name))
+
+    def keep(self, sources: Iterable[str]) -> None:
+        """Forgets the data objects that no guard is woken by any more.
+
+        Args:
+            sources: What the guards of all nets are woken by.
+        """
+        for name in self._valid.keys() - _named("data", sources):
+            del self._valid[name]
+            self._unknown.discard(name)
+
+    async def look(self) -> None:
+        """Asks for the validity of the objects that guards have declared; ends when ``/dom`` has answered."""
+        for name in tuple(self._valid):
+            self._learned(name, await valid_or_not(self._node, self._dom, name))
+
+    def _learned(self, name: str, valid: bool) -> None:
+        self._unknown.discard(name)
+        if self._valid.get(name, valid) != valid:  # its net may have gone meanwhile
+            self.object_changed(name, valid)
+
+    def follows(self, name: str) -> bool:
+        """Whether a guard has declared a data object."""
+        return name in self._valid
+
+    def object_changed(self, name: str, valid: bool) -> None:
+        """Takes the validity of a data object that has changed."""
+        if name in self._valid:
+            self._valid[name] = valid
+            self._changed(f"data:{name}")
+
+    async def check(self, names: Iterable[str], done: Callable[[ImError | None], None]) -> None:
+        """Looks whether data objects are valid, and calls back with what is wrong, if anything is."""
+        try:
+            for name in names:
+                if not await self._dom.is_valid(name):
+                    raise DataError(f"data object {name} is not valid although its place is to be marked", object=name)
+        except ImError as error:
+            done(error)
+        else:
+            done(None)
+
+    def _hear(self, topic: str, check: Callable[[Any], object], message: Any) -> None:
+        check(message)
+        self._last[topic] = message
+        self._log.add("heard", topic, *packed_message(message))
+        self._changed(f"topic:{topic}")
+
+
+def _named(kind: str, sources: Iterable[str]) -> set[str]:
+    """The names of the sources of a kind."""
+    split = (source.partition(":") for source in sources)
+    return {name for of, _, name in split if of == kind}

@@ -1,0 +1,85 @@
+"""Passes what nets tell on to whom it concerns: the topics, the clients of commands, the log."""
+
+from collections.abc import Mapping, Sequence
+
+from im_core.ros.node import ManagedNode
+from im_core.ros.reminders import LINK, Reminders
+from im_pnt.execution.jobs import Job
+from im_pnt.execution.notification import Firing, Observer
+from im_pnt.execution.operator import Mode
+from im_pnt_node.ros.commands.commands import Commands
+from im_pnt_node.ros.reporting.publish import PntPublisher
+
+
+class NodeObserver(Observer):
+    """The observer of the nets of a node.
+
+    Args:
+        node: The node.
+        publisher: Publishes what they do.
+
+    Attributes:
+        commands: Tells clients; None: there are none yet.
+    """
+
+    def __init__(self, node: ManagedNode, publisher: PntPublisher) -> None:
+        self._node, self._publisher = node, publisher
+        self.commands: Commands | None = None
+        self._reminders = Reminders(node)
+        self._lost_objects: set[str] = set()
+
+    def fired(self, firings: Sequence[Firing]) -> None:
+        """Notes firings, and tells the clients of their commands."""
+        self._publisher.fired(firings)
+        if self.commands is not None:
+            self.commands.fired(firings)
+
+    def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
+        """Tells the clients of a command."""
+        if job is not None and self.commands is not None:
+            self.commands.progressed(job.command.id, text, fraction)
+
+    def troubled(self, net: str, text: str) -> None:
+        """Writes a line of the log."""
+        self._node.get_logger().warning(f"net {net}: {text}" if net else text)
+
+    def forgot(self, text: str) -> None:
+        """Writes a line of the log, goes on saying it on ``/diagnostics``, and notes it with the commands under way."""
+        self._reminders.add("journal", text)
+        if self.commands is not None:
+            self.commands.note_event(text)
+
+    def restarted(self, task: str) -> None:
+        """Note with the commands under way that a task was started again."""
+        if self.commands is not None:
+            self.commands.note_event(f"{task} was started again")
+
+    def lost_object(self, text: str) -> None:
+        """Say once, in the log, on ``/diagnostics`` and with the commands under way, that a data object is damaged."""
+        if text not in self._lost_objects:
+            self._lost_objects.add(text)
+            self._reminders.add("objects", text)
+        if self.commands is not None:
+            self.commands.note_event(text)
+
+    def unreached(self, node: str, text: str) -> None:
+        """Write a line of the log, and name a node that no message reaches on ``/diagnostics``."""
+        subject = f"{LINK}{node}"
+        if text:
+            self._reminders.add(subject, text)
+        else:
+            self._reminders.end(subject)
+
+    def unproved(self, text: str) -> None:
+        """Says of a net that runs without proof that it does, in the log, and from now on on ``/diagnostics``."""
+        self._reminders.add("nets", text)
+
+    def chose(
+        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
+    ) -> None:
+        """Publishes a choice among strategies."""
+        self._publisher.chose(net, probabilities, entropy, taken)
+
+    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+        """Has the marking shown anew."""
+        self._publisher.changed(net)

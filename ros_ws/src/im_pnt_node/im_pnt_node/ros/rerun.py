@@ -1,0 +1,257 @@
+"""``pnt mission``: runs the nets of a recorded mission again, and says where they first do something else."""
+
+import argparse
+import math
+import sys
+from base64 import b64decode
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar
+
+from im_bag.command_line import parsed
+from im_bag.reading import messages_of, topics_of
+from im_core.clock import monotonic
+from im_core.errors import DataError, ImError
+from im_core.ros.interfaces import decoded, interface_class
+from im_pnt.errors import decode_error
+from im_pnt.execution.actions import Ask, Perform
+from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.jobs import Activity
+from im_pnt.execution.values import Objects
+from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.model.groups import nets_by_name
+from im_pnt.model.net import Net
+from im_pnt.netfile import load_net
+from im_pnt_node.rerun.difference import Difference, first_difference
+from im_pnt_node.rerun.rerun import Compared, NodeRerun
+from im_pnt_node.rerun.script import Script, ScriptHost
+from im_pnt_node.rerun.stream import NodeStream, streams_of
+from im_pnt_node.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
+from im_pnt_node.ros.execution.goals import result_of
+from im_pnt_node.ros.messages import fill, packed_message
+from im_pnt_node.ros.objects.objects import DomObjects
+from im_pnt_node.ros.reporting.mission import TOPIC
+
+_DESCRIPTION = """Runs the nets of a recorded mission again on the recorded answers: no robot, no camera, no node.
+Commands, requests, answers, data objects and what guards look at come from the bag; the nets, their guards and their
+functions are those of this installation. Compares firing by firing, and tells the first difference with both sides.
+
+  scripts/replay.sh bags/demo --mission                       does this installation still do the same?
+  scripts/replay.sh bags/demo --mission --nets my_net.yaml    with another net in the place of the one of its name
+  scripts/replay.sh bags/demo --mission --bag-nets            with the nets as they were recorded
+
+Exit code: 0 equal, 1 it differs, 2 the bag cannot be run again, or an option is wrong."""
+
+EQUAL, DIFFERS, BAD_INPUT = 0, 1, 2
+INSTALLED = ("im_dispatcher", "im_coordinators")
+TOLD_S = 2.0
+MessageT = TypeVar("MessageT")
+
+
+class RosMessages:
+    """Messages and the JSON data that stand for them (:class:`im_pnt_node.rerun.script.Messages`)."""
+
+    def packed(self, message: object) -> list[str]:
+        """Returns the data of a message."""
+        return packed_message(message)
+
+    def unpacked(self, data: str, kind: type[MessageT]) -> MessageT:
+        """Returns a message."""
+        message: MessageT = decoded(b64decode(data), kind)
+        return message
+
+    def difference(self, recorded: object, now: object) -> str:
+        """Says where two messages differ first; the bytes between their fields may be any."""
+        match recorded, now:
+            case [str(then_type), str(then)], [str(now_type), str(again)] if then_type == now_type and "/" in now_type:
+                kind = interface_of(then_type)
+                before, after = (_tree(decoded(b64decode(data), kind)) for data in (then, again))
+                return first_difference(before, after)
+        return first_difference(recorded, now)
+
+
+def _tree(value: Any) -> object:
+    """A message as data that can be compared; numbers that are none are equal."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: _tree(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, float) and math.isnan(value):
+        return "nan"
+    if isinstance(value, bool | int | float | str | bytes):
+        return value
+    return [_tree(each) for each in value]
+
+
+def interface_of(name: str) -> Any:
+    """Returns the class of a message, or of a part of a service or action: ``im_msgs/srv/SetLight_Request``."""
+    for part in ("_Request", "_Response", "_Goal", "_Result"):
+        if "/msg/" not in name and name.endswith(part):
+            return getattr(interface_class(name.removesuffix(part)), part[1:])
+    return interface_class(name)
+
+
+class RosWorld:
+    """How actions that reach other tasks are done again (:class:`im_pnt_node.rerun.rerun.ActionsAgain`)."""
+
+    def performers(
+        self, script: Script, functions: Functions, keep: Callable[[Activity], None]
+    ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
+        """Returns what carries out the actions of each kind, and what finds out what became of them."""
+
+        async def sent(activity: Activity, action: Any, context: ActionContext, message: Any) -> None:
+            filled = fill(message, await fields_of(functions, action, context), str(action))
+            keep(activity)
+            script.sent(sent_key(activity), packed_message(filled))
+
+        async def service(activity: Activity, context: ActionContext) -> dict[str, object]:
+            action = activity.action
+            assert isinstance(action, ServiceAction)
+            interface = interface_class(action.type)
+            await sent(activity, action, context, interface.Request())
+            _, data = await script.wait(answer_key(activity))
+            response = decoded(b64decode(data), interface.Response)
+            require_success(response, str(action))
+            return await handled(functions, action, context, response)
+
+        async def goal(activity: Activity, context: ActionContext) -> dict[str, object]:
+            action = activity.action
+            assert isinstance(action, GoalAction)
+            interface = interface_class(action.type)
+            await sent(activity, action, context, interface.Goal())
+            status, _, data = await script.wait(answer_key(activity))
+            result = result_of(action, int(status), decoded(b64decode(data), interface.Result))
+            return await handled(functions, action, context, result)
+
+        async def topic(activity: Activity, context: ActionContext) -> dict[str, object]:
+            action = activity.action
+            assert isinstance(action, TopicAction)
+            await sent(activity, action, context, interface_class(action.type)())
+            return {}
+
+        async def await_message(activity: Activity, context: ActionContext) -> dict[str, object]:
+            action = activity.action
+            assert isinstance(action, AwaitAction)
+            _, data = await script.wait(answer_key(activity))
+            return await handled(functions, action, context, decoded(b64decode(data), interface_class(action.type)))
+
+        async def asked(activity: Activity, _: ActionContext) -> Answer:
+            outcome, error, results, by = await script.wait(["asked", activity.net, activity.number])
+            return Answer(Outcome(outcome), decode_error(error), results, by)
+
+        def waited(activity: Activity, _: ActionContext) -> Answer:
+            return Answer(Outcome.FAILED, activity.doubt, asked="nobody: it only waited")
+
+        performed = {ServiceAction: service, GoalAction: goal, TopicAction: topic, AwaitAction: await_message}
+        return performed, {GoalAction: asked, AwaitAction: waited}
+
+    def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
+        """Returns the data objects of expressions."""
+        return DomObjects(host.dom, spawn, known)
+
+    def heard(self, kind: str, data: str) -> object:
+        """Returns a message that was heard."""
+        return decoded(b64decode(data), interface_of(kind))
+
+
+def told_in(bag: Path) -> list[NodeStream]:
+    """Reads what the nodes have told of a mission.
+
+    Args:
+        bag: Folder of the bag, or a file of it.
+
+    Raises:
+        DataError: The bag cannot be read, or does not hold what is needed.
+    """
+    if TOPIC not in topics_of(bag):
+        raise DataError(
+            f"{bag}: there is nothing on {TOPIC} in it, from which nets could be run again: it is no recording of a "
+            "machine of ours, or an old one, or its recorder did not take that topic"
+        )
+    streams = streams_of(_texts(bag))
+    if not streams:
+        raise DataError(f"{bag}: no node has told anything on {TOPIC}")
+    return streams
+
+
+def _texts(bag: Path) -> Iterator[str]:
+    for message in messages_of(bag, {TOPIC: ("std_msgs/msg/String",)}):
+        yield str(message.content.data)
+
+
+def installed_nets() -> dict[str, Net]:
+    """The nets that are shipped, by name."""
+    nets = {}
+    for package in INSTALLED:
+        for file in sorted((Path(str(files(package))) / "nets").glob("*.yaml")):
+            net = load_net(file)
+            nets[net.name] = net
+    return nets
+
+
+def rerun(bag: Path, nets: Mapping[str, Net], told: Callable[[str], None] = lambda _: None) -> Compared:
+    """Runs the nets of a bag again.
+
+    Args:
+        bag: Folder of the bag, or a file of it.
+        nets: Nets that take the places of those in the bag, by name.
+        told: Is told how far it is.
+
+    Returns:
+        What was compared: all was equal.
+
+    Raises:
+        Difference: The first one.
+        DataError: The bag does not hold what is needed.
+    """
+    whole, began = Compared(set(), 0, 0, set()), monotonic()
+    streams = told_in(bag)
+    for rank, stream in enumerate(streams, 1):
+        if monotonic() - began > TOLD_S:
+            told(f"{rank} of {len(streams)} nodes: {stream.node}")
+        part = NodeRerun(stream, RosWorld(), RosMessages(), nets).run()
+        whole.nets |= part.nets
+        whole.changed |= part.changed
+        whole.firings += part.firings
+        whole.inputs += part.inputs
+    return whole
+
+
+def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
+    """Runs the command.
+
+    Args:
+        words: Command line without the program's name; None: that of the process.
+        program: What it is called.
+
+    Returns:
+        Exit code.
+    """
+    parser = argparse.ArgumentParser(
+        program, description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
+    parser.add_argument("--nets", nargs="+", default=[], metavar="FILE", help="nets in the places of their namesakes")
+    parser.add_argument("--bag-nets", action="store_true", help="the nets as recorded, not those that are installed")
+    options = parsed(parser, words)
+    try:
+        nets = {} if options.bag_nets else installed_nets()
+        given = nets_by_name(map(load_net, options.nets))
+        nets |= given
+        found = rerun(options.bag, nets, lambda text: print(f"{program}: {text}", file=sys.stderr))
+        if unknown := sorted(given.keys() - found.nets):
+            raise DataError(f"net {unknown[0]} is not in the bag; it has {', '.join(sorted(found.nets))}")
+    except Difference as difference:
+        print(f"{program}: {difference}")
+        return DIFFERS
+    except ImError as error:
+        print(f"{program}: {error.message}", file=sys.stderr)
+        return BAD_INPUT
+    print(f"{program}: equal: {len(found.nets)} nets, {found.firings} firings on {found.inputs} inputs")
+    for name in sorted(found.changed):
+        print(f"{program}: net {name} is another one than in the bag, and has done the same")
+    return EQUAL
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,5 @@
+"""Net files of the tests."""
+
+from support.fixtures import data
+
+__all__ = ["data"]
