@@ -60,6 +60,11 @@ def test_what_comes_while_a_node_begins_to_listen_is_heard(early, process, held_
     assert heard(late) == f"{comes}\n"
 
 
+def test_rmw_still_misses_what_comes_while_a_reader_is_new(early, process, held_up):
+    """Once this fails, im_core/ros/rclpy_fixes/backlog.py may go."""
+    assert heard(process(sys.executable, SUPPORT / "late_node.py", "bare", **held_up)) == ""
+
+
 def test_a_request_that_comes_while_a_node_begins_to_listen_is_answered(early, process, held_up, wait_until):
     late = process(sys.executable, SUPPORT / "late_node.py", "service", **held_up)
     client = early.create_client(Trigger, "/late/asked")

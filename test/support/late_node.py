@@ -8,6 +8,8 @@ import queue
 import sys
 
 import rclpy
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -20,6 +22,7 @@ from im_msgs.action import ExecuteCommand
 
 HELD_UP_S = 1.0
 PATIENCE_S = 20.0
+BARE_S = 4.0
 
 
 class Late(ManagedNode):
@@ -66,6 +69,21 @@ class Late(ManagedNode):
         return ExecuteCommand.Result(success=True)
 
 
+def bare():
+    """Listen to a latched topic with rclpy alone, and print the messages."""
+    rclpy.init()
+    node, executor = Node("late"), EventsExecutor()
+    executor.add_node(node)
+    executor.spin_once(timeout_sec=0.1)
+    os.environ["LATE_US"] = str(round(HELD_UP_S * 1e6))
+    node.create_subscription(String, "/early/said", lambda message: print(message.data, flush=True), qos.LATCHED)
+    deadline = clock.monotonic() + BARE_S
+    while clock.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.1)
+    executor.shutdown()
+    rclpy.try_shutdown()
+
+
 def main():
     rclpy.init(args=["--ros-args", "-p", "standalone:=true"])
     late = Late()
@@ -82,4 +100,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    bare() if sys.argv[1] == "bare" else main()

@@ -8,7 +8,6 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -19,7 +18,6 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidHandle
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -38,6 +36,7 @@ from im_core.ros.parameter_bounds import bounded
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
+from im_core.ros.rclpy_fixes.timers import punctual_timer
 from im_core.ros.status import to_status
 
 INTERNAL = "internal"
@@ -173,43 +172,12 @@ class GuardedNode(Node):
         clock: Clock | None = None,
         autostart: bool = True,
     ) -> Timer:
-        """As in rclpy, but a timer is never struck before it is due, nor put off by more than its period.
-
-        Whenever a timer is made or reset, the events executor of rclpy strikes each timer of the same clock that is due
-        and not struck yet once more. Every such strike puts the timer off by another period: after a hundred resets in
-        a loop that is late, a heartbeat would be silent for a hundred periods.
-        """
+        """Create a timer as rclpy does; see :mod:`im_core.ros.rclpy_fixes.timers` for the difference."""
         name = getattr(callback, "__qualname__", type(callback).__qualname__)
-        guarded = self.guarded(f"timer {name}", callback)
-
-        mending = False
-
-        def put_off() -> bool:
-            return not timer.is_canceled() and timer.time_until_next_call() > timer.timer_period_ns
-
-        def strike() -> None:
-            nonlocal mending
-            try:
-                early = put_off()
-            except InvalidHandle:  # destroyed since it was due
-                return
-            if not early:
-                guarded()
-            elif not mending:  # a strike too many
-                mending = True
-                assert self.executor is not None, "it has called this"
-                self.executor.create_task(mend)
-
-        def mend() -> None:
-            """Once, after all strikes that wait: each reset has all timers looked at again."""
-            nonlocal mending
-            mending = False
-            with suppress(InvalidHandle):
-                if put_off():
-                    timer.reset()
-
-        timer = super().create_timer(timer_period_sec, strike, callback_group, clock, autostart)
-        return timer
+        make = partial(super().create_timer, timer_period_sec)
+        return punctual_timer(
+            self, lambda strike: make(strike, callback_group, clock, autostart), self.guarded(f"timer {name}", callback)
+        )
 
     def create_service(
         self,

@@ -1,4 +1,11 @@
-"""What actions carry as events on topics, as later ROS has it: rclpy of Jazzy knows it of services only."""
+"""Publish the goals, results and cancellations of actions as events on topics.
+
+- Upstream: rclpy of Jazzy introspects services only; actions follow in Kilted.
+- Issue: https://github.com/ros2/rclpy/pull/1413.
+- Seen: rclpy 7.1.6 (Jazzy).
+- Test: ``test_rclpy_still_introspects_no_actions`` in
+  ``test/test_rclpy_fixes.py`` fails once upstream has mended it.
+"""
 
 from typing import Any
 

@@ -1,9 +1,13 @@
-"""What reached a reader while an executor began to listen to it, and of which nobody was told.
+"""Find what reached a reader while an executor began to listen to it.
 
-Where the events executor asks to be told of messages, requests and answers, ``rmw_fastrtps`` first counts what is there
-already, and then has itself told of what comes. Of what arrives between the two nobody is told until the next message
-of the same reader, which for a latched topic, a request or an answer may never come. So each reader is looked into once
-after the executor has begun to listen; what comes later is told.
+- Upstream: where the events executor asks for notifications of messages, requests and answers, ``rmw_fastrtps`` counts
+  first what is there, and registers the listener afterwards. An arrival between the two is notified with the next
+  message of the same reader only, which for a latched topic, a request or an answer may never come.
+- Mend: look into each reader once after the executor has begun to listen.
+- Issue: none is known.
+- Seen: rmw_fastrtps 8.4 with rclpy 7.1.6 (Jazzy).
+- Test: ``test_rmw_still_misses_what_comes_while_a_reader_is_new`` in
+  ``test/test_backlog.py`` fails once upstream has mended it.
 """
 
 from collections.abc import Iterator, MutableSet
