@@ -24,7 +24,7 @@ from im_vss.recalibration import CALL, CALLS, CAMERA_INFO, IMAGE, LOOK, LOOKS, T
 from im_vss.ros import recalibrate
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.svc_calibrate import problem_of
+from im_vss.services.calibrate import problem_of
 from im_vss.settings import load_settings
 
 CELL = load_cell()

@@ -9,7 +9,7 @@ from im_core import clock
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_mcs.ros.topic_channels import TopicChannels
-from im_mcs.testbed.topic_link import TopicLink
+from im_mcs.testbed.joint_state import TopicLink
 
 NAME = f"imchannels{os.getpid()}"
 

@@ -9,7 +9,7 @@ from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
 from im_calibration.judgement.calibration import Verdict
 from im_vss.ros.ports.calibration import told
-from im_vss.services.svc_calibrate import CalibrateResult
+from im_vss.services.calibrate import CalibrateResult
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from im_core import clock, names
 from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
-from im_mcs.testbed.topic_link import TopicLink
+from im_mcs.testbed.joint_state import TopicLink
 from im_msgs.srv import ReserveGroup
 
 DRIVER = "im_mcs.testbed.joint_state:JointStateDriver"

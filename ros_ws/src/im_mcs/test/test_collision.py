@@ -10,7 +10,7 @@ from im_core.errors import DataError, ImError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import Bodies, CollisionChecker
 from im_mcs.collision.braking_distance import BrakingDistance
-from im_mcs.collision.travel import lever_bounds
+from im_mcs.collision.monitor import lever_bounds
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.motion_limits import Synchrony
 from im_mcs.planning import MotionLimits

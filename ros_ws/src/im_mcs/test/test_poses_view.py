@@ -9,7 +9,7 @@ from im_core.errors import DataError
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.poses.common import CommonView
-from im_mcs.poses.spread import farthest_first, spread_of
+from im_mcs.poses.selection import farthest_first, spread_of
 from im_mcs.poses.view import facing, stand
 
 JOINTS = tuple(f"left_{name}" for name in ("track", "rotation", "tilt", "j1", "j2", "j3", "j4", "j5", "j6"))

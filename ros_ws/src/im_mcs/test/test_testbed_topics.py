@@ -10,8 +10,7 @@ from im_core import clock
 from im_core.errors import ConfigError, LinkError
 from im_core.shm_names import remove_all
 from im_mcs.testbed import Drive, joint_state
-from im_mcs.testbed.joint_state import JointStateDriver
-from im_mcs.testbed.topic_link import TopicLink
+from im_mcs.testbed.joint_state import JointStateDriver, TopicLink
 
 INSTANCE = f"imbridge{os.getpid()}"
 NAME = f"{INSTANCE}_topics_robot_state"

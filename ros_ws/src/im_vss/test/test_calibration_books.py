@@ -17,7 +17,7 @@ from im_core.errors import DataError, NotFoundError, StoreError
 from im_core.files import write_whole
 from im_vss.camera_book import CameraBook, nominal
 from im_vss.laser.book import LaserBook
-from im_vss.services.svc_calibrate import fixed_to
+from im_vss.services.calibrate import fixed_to
 
 CELL = load_cell()
 PAIR = ("ceiling_left", "ceiling_right")

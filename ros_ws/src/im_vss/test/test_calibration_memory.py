@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
-from im_vss.services.svc_calibrate import write_calibration
+from im_vss.services.calibrate import write_calibration
 
 problem = make_scene(Design(), 1).problem
 calibration = calibrate(problem)

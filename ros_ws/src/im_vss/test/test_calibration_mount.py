@@ -15,8 +15,8 @@ from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.mounts import MOST_EXPOSURES, Mounts
 from im_vss.rig import Rig
-from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot, fixed_to
-from im_vss.services.svc_snap import SnapRequest
+from im_vss.services.calibrate import CalibrateRequest, Observation, SeenSpot, fixed_to
+from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
 
@@ -77,8 +77,8 @@ def held(tmp_path, monkeypatch):
     known = CameraCovariance(tuple(f"{CAMERA}.{name}" for name in PARAMETERS), np.eye(len(PARAMETERS)))
     camera = SimpleNamespace(name=CAMERA, model=model)
     found = SimpleNamespace(success=True, cameras=(camera,), camera_covariance=known)
-    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", lambda problem: found)
-    monkeypatch.setattr("im_vss.services.svc_calibrate.report_of", lambda *_: {})
+    monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
+    monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})
 
     def snap(x):
         arm.x = x

@@ -10,8 +10,8 @@ from im_core.errors import ConfigError, NotFoundError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
 from im_vss.rig import Rig
-from im_vss.services.svc_snap import SnapRequest
-from im_vss.services.svc_spot_find import SpotFindRequest
+from im_vss.services.snap import SnapRequest
+from im_vss.services.spot import SpotFindRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
 

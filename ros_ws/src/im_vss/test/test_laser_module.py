@@ -19,13 +19,11 @@ from im_vss.laser.calibration import LaserCalibration
 from im_vss.laser.scanner import LinkedScanner, check_beam
 from im_vss.managers import VisionClient
 from im_vss.rig import LaserRig, Rig
-from im_vss.services.laser_spots import why_not
-from im_vss.services.svc_laser_calibrate import LaserCalibrateRequest
-from im_vss.services.svc_laser_point import LaserPointRequest
-from im_vss.services.svc_spot_find import CameraSpot
+from im_vss.services.laser import LaserCalibrateRequest, LaserPointRequest, why_not
+from im_vss.services.spot import CameraSpot
 from im_vss.settings import load_settings
 from im_vss.spot import SpotFinding, SpotFit
-from im_vss.tools.tool_triangulate import StereoFinding
+from im_vss.tools.spot import StereoFinding
 from im_vss.vsm import VisionServicesManager
 
 CELL = load_cell()
@@ -210,13 +208,13 @@ def test_a_cell_without_a_scanner_says_so(system):
 def test_a_cancelled_calibration_does_not_change_the_scanner(system, monkeypatch):
     vsm, _, _ = system("laser_calibrate")
     rig = vsm.services["laser_calibrate"].rig
-    monkeypatch.setattr("im_vss.services.svc_laser_calibrate.fixed_cameras", lambda rig, cameras, count: cameras)
+    monkeypatch.setattr("im_vss.services.laser.fixed_cameras", lambda rig, cameras, count: cameras)
 
     def calibrate(*_):
         vsm.cancel("laser_calibrate #1")
         return LaserCalibration(rig.scanner.book.entry.model, np.eye(10), (), 0.0, 1.0, np.empty(0, bool), np.empty(0))
 
-    monkeypatch.setattr("im_vss.tools.tool_laser_calibrate.calibrate", calibrate)
+    monkeypatch.setattr("im_vss.tools.laser.calibrate", calibrate)
     request = LaserCalibrateRequest(("ceiling_left", "ceiling_right"), (0.0,), (0.0,), apply=True)
     with pytest.raises(StateError, match="laser_calibrate #1 was cancelled"):
         vsm.request("laser_calibrate", request)
@@ -225,7 +223,7 @@ def test_a_cancelled_calibration_does_not_change_the_scanner(system, monkeypatch
 
 def test_a_calibration_of_more_spots_than_it_may_have_is_refused_before_a_mirror_moves(system, monkeypatch):
     vsm, scanner, _ = system("laser_calibrate")
-    monkeypatch.setattr("im_vss.services.svc_laser_calibrate.fixed_cameras", lambda rig, cameras, count: cameras)
+    monkeypatch.setattr("im_vss.services.laser.fixed_cameras", lambda rig, cameras, count: cameras)
     request = LaserCalibrateRequest(("ceiling_left", "ceiling_right"), (0.0,) * 1601, (0.0,) * 1601)
     with pytest.raises(ConfigError, match="1601 spots are more than 1600"):
         vsm.request("laser_calibrate", request)

@@ -12,8 +12,7 @@ from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.looks import FORGOTTEN, MOST_LOOKS, Look, Looks
 from im_vss.rig import Rig
-from im_vss.services.svc_spot_find import SpotFindRequest
-from im_vss.services.svc_spot_look import SpotLookRequest
+from im_vss.services.spot import SpotFindRequest, SpotLookRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
 

@@ -10,9 +10,7 @@ from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
 from im_vss.monitor import Curve, Marker, Monitors
 from im_vss.rig import Rig
-from im_vss.services.svc_circle_find import CircleFindRequest
-from im_vss.services.svc_fiducial_pose import FiducialPoseRequest
-from im_vss.services.svc_line_find import LineFindRequest
+from im_vss.services.features import CircleFindRequest, FiducialPoseRequest, LineFindRequest
 from im_vss.vsm import VisionServicesManager
 
 CAMERA = "ceiling_left"

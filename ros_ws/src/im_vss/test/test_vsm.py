@@ -18,8 +18,8 @@ from im_vss import deployment
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
 from im_vss.rig import Rig
-from im_vss.services.svc_calibrate import CalibrateRequest, Observation, SeenSpot
-from im_vss.services.svc_snap import SnapRequest
+from im_vss.services.calibrate import CalibrateRequest, Observation, SeenSpot
+from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
 
@@ -142,7 +142,7 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
         go.wait(60.0)
         raise DataError("solved, after a fashion")
 
-    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow)
+    monkeypatch.setattr("im_vss.modules.solver.calibrate", slow)
     monkeypatch.setattr(vsm.managers["image_processing"], "wait_s", 0.2)
 
     def run():
@@ -185,8 +185,8 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path
             outcomes.append(error.message)
 
     computed = meanwhile == "it is computed"
-    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", slow if computed else lambda problem: found)
-    monkeypatch.setattr("im_vss.services.svc_calibrate.write_calibration", slow)
+    monkeypatch.setattr("im_vss.modules.solver.calibrate", slow if computed else lambda problem: found)
+    monkeypatch.setattr("im_vss.services.calibrate.write_calibration", slow)
     asked = threading.Thread(target=run)
     asked.start()
     assert began.wait(60.0)
@@ -207,8 +207,8 @@ def test_a_calibration_that_is_in_use_was_not_cancelled(system, monkeypatch):
     found = SimpleNamespace(
         success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
     )
-    monkeypatch.setattr("im_vss.modules.vm_solver.calibrate", lambda problem: found)
-    monkeypatch.setattr("im_vss.services.svc_calibrate.report_of", lambda *_: {})
+    monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
+    monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})
 
     def told():
         living[0] = False

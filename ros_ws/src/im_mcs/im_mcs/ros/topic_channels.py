@@ -16,7 +16,7 @@ from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.guard import GuardedNode
 from im_core.startup import patience_s
-from im_mcs.testbed.topic_link import TopicLink
+from im_mcs.testbed.joint_state import TopicLink
 
 _BELL_S = 0.1
 

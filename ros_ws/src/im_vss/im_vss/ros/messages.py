@@ -16,8 +16,8 @@ from im_cell.lens import PLUMB_BOB, lens_of
 from im_core.errors import DataError
 from im_msgs.msg import Spot, SpotCandidates
 from im_vss.camera_book import CameraEntry
-from im_vss.services.svc_spot_find import CameraSpot
-from im_vss.tools.region import Region
+from im_vss.services.spot import CameraSpot
+from im_vss.tools.spot import Region
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
 from im_vss.ros.ports import Port
 from im_vss.ros.state import DiagnosticsPort, StatePort
-from im_vss.services.svc_snap import SnapRequest
+from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import PROCESS, VisionServicesManager
 
@@ -165,7 +165,7 @@ class VssNode(ManagedNode):
         """Take and show an image with each camera; when the exposure ended, testbed time [ns].
 
         Raises:
-            ImError: See :meth:`im_vss.services.svc_snap.SvcSnap.serve`.
+            ImError: See :meth:`im_vss.services.snap.SvcSnap.serve`.
         """
         assert self._vsm is not None
         exposure_s = self._rig.controls.exposure(0.0, self._rig.settings.exposure.nominal)

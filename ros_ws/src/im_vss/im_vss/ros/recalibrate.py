@@ -31,7 +31,7 @@ from im_vss.mounts import Pose
 from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.svc_calibrate import CalibrateRequest, on_their_mounts, problem_of, write_calibration
+from im_vss.services.calibrate import CalibrateRequest, on_their_mounts, problem_of, write_calibration
 from im_vss.settings import VssSettings, load_settings
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130

@@ -9,7 +9,7 @@ from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
 from im_vss.rig import Rig
 from im_vss.tools import Tool
-from im_vss.tools.region import Region, check_region
+from im_vss.tools.spot import Region, check_region
 
 
 class VisionService(ABC):

@@ -1,7 +1,7 @@
 """Share one reader between all nodes of a process that follow the same topic.
 
-- Upstream: each subscription of a process takes and decodes each message of its topic itself; rclpy has no intra-process
-  delivery. A process of seven nodes decoded each stamp of ``/clock`` seven times.
+- Upstream: each subscription of a process takes and decodes each message of its topic itself; rclpy delivers nothing
+  within a process. A process of seven nodes decoded each stamp of ``/clock`` seven times.
 - Issue: none is known.
 - Seen: rclpy 7.1.6 (Jazzy).
 - Test: ``test_rclpy_still_decodes_a_message_once_for_each_subscription`` in

@@ -19,7 +19,7 @@ from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejec
 from im_msgs.msg import Observation as ObservationMessage
 from im_msgs.srv import Calibrate
 from im_vss.ros.ports.port import Port
-from im_vss.services.svc_calibrate import CalibrateRequest, CalibrateResult, Observation, SeenLength, SeenSpot
+from im_vss.services.calibrate import CalibrateRequest, CalibrateResult, Observation, SeenLength, SeenSpot
 
 Array = NDArray[np.float64]
 

@@ -18,13 +18,23 @@ from im_vss.ros.messages import (
     to_time,
 )
 from im_vss.ros.ports.port import Port
-from im_vss.services.svc_circle_find import CircleFindRequest, CircleFindResult
-from im_vss.services.svc_fiducial_pose import FiducialPoseRequest, FiducialPoseResult, SeenFiducial
-from im_vss.services.svc_line_find import LineFindRequest, LineFindResult
-from im_vss.services.svc_snap import SnapRequest, SnapResult
-from im_vss.services.svc_spot_find import SpotFindRequest, SpotFindResult
-from im_vss.services.svc_spot_find_stereo import SpotFindStereoRequest, SpotFindStereoResult
-from im_vss.services.svc_spot_look import SpotLookRequest
+from im_vss.services.features import (
+    CircleFindRequest,
+    CircleFindResult,
+    FiducialPoseRequest,
+    FiducialPoseResult,
+    LineFindRequest,
+    LineFindResult,
+    SeenFiducial,
+)
+from im_vss.services.snap import SnapRequest, SnapResult
+from im_vss.services.spot import (
+    SpotFindRequest,
+    SpotFindResult,
+    SpotFindStereoRequest,
+    SpotFindStereoResult,
+    SpotLookRequest,
+)
 
 
 class SnapPort(Port):

@@ -11,10 +11,16 @@ from sensor_msgs.msg import PointCloud2, PointField
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
 from im_vss.ros.messages import quaternion, to_header, to_spot, to_time
 from im_vss.ros.ports.port import Port
-from im_vss.services.svc_laser_calibrate import LaserCalibrateRequest, LaserCalibrateResult
-from im_vss.services.svc_laser_point import LaserPointRequest, LaserPointResult
-from im_vss.services.svc_laser_spot_3d import LaserSpot3dRequest, LaserSpot3dResult
-from im_vss.services.svc_line_scan import LineScanRequest, LineScanResult
+from im_vss.services.laser import (
+    LaserCalibrateRequest,
+    LaserCalibrateResult,
+    LaserPointRequest,
+    LaserPointResult,
+    LaserSpot3dRequest,
+    LaserSpot3dResult,
+    LineScanRequest,
+    LineScanResult,
+)
 
 _FIELDS = ("x", "y", "z", "intensity")
 

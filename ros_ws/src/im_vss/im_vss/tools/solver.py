@@ -1,4 +1,4 @@
-"""Tool that computes a calibration."""
+"""Solve the calibration of cameras."""
 
 from typing import ClassVar
 

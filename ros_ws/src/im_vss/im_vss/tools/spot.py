@@ -1,16 +1,91 @@
-"""Tool that computes where in the world a light is."""
+"""Find the spot of a light in an image or a region, and its point from two images."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
+from im_cell.frames import Frame, Image
 from im_core.errors import DataError
-from im_vss.spot import SpotFinding, SpotFit
+from im_vss.spot import SearchDisc, SpotFinding, SpotFit, find_spot
 from im_vss.stereo import Point, epipolar_distance, triangulate
 from im_vss.tools.tool import Tool
+
+_SMALLEST_PX = 16
+
+
+@dataclass(frozen=True)
+class Region:
+    """A rectangle of pixels: upper left corner and size [px]; a width of 0 stands for the whole image."""
+
+    u: int = 0
+    v: int = 0
+    width: int = 0
+    height: int = 0
+
+
+WHOLE = Region()
+"""The whole image."""
+
+
+def check_region(region: Region, width: int, height: int) -> Region:
+    """A region of an image of some size [px].
+
+    Raises:
+        DataError: It is not in the image, or too small to find anything in.
+    """
+    if region.width == 0:
+        return WHOLE
+    inside = region.u >= 0 and region.v >= 0 and region.u + region.width <= width
+    if not inside or region.v + region.height > height or min(region.width, region.height) < _SMALLEST_PX:
+        raise DataError(
+            f"a region of {region.width} x {region.height} px at ({region.u}, {region.v}) px is not in the image of "
+            f"{width} x {height} px, or smaller than {_SMALLEST_PX} px"
+        )
+    return region
+
+
+def cut(image: Image, region: Region) -> tuple[Image, int, int]:
+    """The pixels of a region, shape (h, w), and its upper left corner [px]."""
+    if region.width == 0:
+        return image, 0, 0
+    return image[region.v : region.v + region.height, region.u : region.u + region.width], region.u, region.v
+
+
+class ToolSpotFind(Tool):
+    """Finds the light in a pair of frames; a calculation, without a Vision Module (paper: toolSpotFind)."""
+
+    name: ClassVar[str] = "tool_spot_find"
+
+    def __call__(self, off: Frame, on: Frame, light: NDArray[np.float64] | None = None) -> SpotFinding:
+        """The spot in the difference of two frames of one camera.
+
+        Args:
+            off: Frame with the lights strobed off.
+            on: Frame with the lights as commanded.
+            light: Where the robot's pose put the light when `on` was exposed, shape (3,) [m]; None: not known then.
+        """
+        sensor = on.controls.of(self.rig.settings.sensor)
+        finding = find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on, light))
+        if finding.spot is None and not finding.candidates and (why := self.rig.why_dark()):
+            return replace(finding, cause=f"no light seen: {why}")
+        return finding
+
+    def _region(self, frame: Frame, light: NDArray[np.float64] | None) -> SearchDisc | None:
+        """Where the light must be if the robot's pose at the exposure is known and the camera is fixed."""
+        entry = self.rig.book[frame.camera]
+        light = self.rig.light_position(frame.stamp_ns) if light is None else light
+        if light is None or entry.parent != "world":
+            return None
+        uv = entry.model.project(light)
+        radii = self.rig.settings.region
+        radius = radii.calibrated if entry.calibrated else radii.nominal
+        if not bool(entry.model.contains(uv, margin=-radius)):
+            return None
+        return SearchDisc(float(uv[0]), float(uv[1]), radius)
 
 
 @dataclass(frozen=True)

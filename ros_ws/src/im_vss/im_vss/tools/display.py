@@ -1,4 +1,4 @@
-"""Tool that marks on the monitors what was found."""
+"""Mark findings on the image of the monitor: spots, circles, lines and fiducials."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

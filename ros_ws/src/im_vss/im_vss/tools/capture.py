@@ -1,4 +1,4 @@
-"""Tool that captures images."""
+"""Take an image, and show it on the monitor."""
 
 from typing import ClassVar
 
@@ -38,3 +38,19 @@ class ToolSnap(Tool):
         with self.modules.use("vm_snap", client) as (vm_snap, lease):
             frames: FrameSet = vm_snap.snap(lease, order, exposed)
         return frames
+
+
+class ToolImageDisp(Tool):
+    """Shows captured images on their cameras' monitors (paper: toolImageDisp)."""
+
+    name: ClassVar[str] = "tool_image_disp"
+
+    def __call__(self, client: VisionClient, images: FrameSet) -> None:
+        """Show all frames in the order they were taken.
+
+        Raises:
+            ImError: The display is not to be had.
+        """
+        frames = tuple(frame for sequence in images.frames.values() for frame in sequence)
+        with self.modules.use("vm_image_disp", client) as (vm_image_disp, lease):
+            vm_image_disp.show(lease, frames)

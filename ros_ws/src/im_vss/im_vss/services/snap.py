@@ -1,4 +1,4 @@
-"""Service that takes images."""
+"""Service that takes an image."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Tool that computes where fiducial plates are."""
+"""Find fiducials in an image, and their poses."""
 
 from collections.abc import Mapping
 from typing import ClassVar
