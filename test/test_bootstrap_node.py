@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Empty, UInt8
 
 from im_bringup.machine import leftovers
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_core.end_signals import END_SIGNALS
 from im_core.names import instance, run_dir
 from im_core.ros import qos

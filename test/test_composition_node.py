@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from im_bringup.machine import leftovers
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_core.ros import qos
 from im_pnt.netfile import load_net
 from im_pnt_analysis import SearchLimits, verify_to_load

@@ -11,7 +11,7 @@ import pytest
 from rclpy.task import Future
 
 from im_bringup.tasks.middleware import loopback_profile, open_profile
-from im_core import silence
+from im_core import patience
 from im_core.agent_socket import TaskLife
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import heartbeats
@@ -26,7 +26,7 @@ def followed(ros, monkeypatch):
     node = ManagedNode("listener")
     ros(node)
     time = [100.0]
-    for module in (heartbeats, silence):
+    for module in (heartbeats, patience):
         monkeypatch.setattr(module, "clock", SimpleNamespace(monotonic=lambda: time[0]))
     followed = Heartbeats(node)
     followed.time = time

@@ -11,7 +11,7 @@ from bench.chaos.everything import DEVIATIONS, distance
 from bench.chaos.machine import die_starting
 from im_bringup.machine import leftovers, stop
 from im_bringup.tasks import deployment as deployments
-from im_core import clock, names, open_commands
+from im_core import clock, names, unfinished_commands
 from im_core.ros import qos
 from im_msgs.msg import Firing, McsState
 from im_msgs.srv import ControlCommand, LoadNet
@@ -84,10 +84,10 @@ def test_a_calibration_goes_on_after_the_death_of_everything(machines, tmp_path)
     printed, said = undisturbed.communicate(timeout=COMMAND_S)
     assert undisturbed.returncode == 0, said
     kill_everything_at(client(*calibrate), 40)
-    (unfinished,) = open_commands.noted(names.run_dir())
+    (unfinished,) = unfinished_commands.noted(names.run_dir())
     for seconds in (1.0, 4.0):
         die_starting(0.0, SEED, free_port(), seconds)
-        assert open_commands.noted(names.run_dir()) == [unfinished]
+        assert unfinished_commands.noted(names.run_dir()) == [unfinished]
     assert "calibrate_camera (number 2 of dispatcher) goes on" in machines("--resume")
     ended = client("run_command", "--attach", unfinished.number, "--json")
     resumed, said = ended.communicate(timeout=COMMAND_S)
@@ -145,7 +145,7 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
         end()
     finally:
         machine.close()
-    unfinished = {note.symbol for note in open_commands.noted(names.run_dir())}
+    unfinished = {note.symbol for note in unfinished_commands.noted(names.run_dir())}
     assert "close_gripper" in unfinished
     for _ in range(2):
         said = machines()
@@ -199,7 +199,7 @@ def test_a_new_mission_takes_nothing_of_the_one_before(machines):
     assert all(f"{symbol} (number {number} of dispatcher)" in said for symbol, number in numbers.items())
     kept = max((names.run_dir() / "missions").iterdir(), key=lambda folder: folder.stat().st_mtime_ns)
     assert str(kept) in said
-    assert {note.number for note in open_commands.noted(kept)} == set(numbers.values())
+    assert {note.number for note in unfinished_commands.noted(kept)} == set(numbers.values())
     assert "number" not in client("run_command").communicate(timeout=COMMAND_S)[0]
     ended = client("run_command", "--attach", numbers["move"])
     printed, complaint = ended.communicate(timeout=COMMAND_S)

@@ -17,11 +17,11 @@ from std_srvs.srv import Trigger
 
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
-from im_core.open_commands import OpenCommandNote, note, noted
 from im_core.ros import dom, qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
+from im_core.unfinished_commands import OpenCommandNote, note, noted
 from im_msgs.action import Move
 from im_msgs.msg import Marking
 from im_msgs.srv import ControlCommand, ControlNet, ListCommands

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
-from im_core import clock, open_commands
+from im_core import clock, unfinished_commands
 from im_core.errors import LinkError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
@@ -606,14 +606,14 @@ def test_the_number_of_a_command_is_told_when_it_is_written_down(machine, client
     def late(*note):
         begun.append(None)
         clock.sleep(0.5)
-        open_commands.note(*note)
+        unfinished_commands.note(*note)
 
     monkeypatch.setattr(notes, "note", late)
     monkeypatch.setattr(node._notes, "_run_dir", tmp_path)
     found, told = [], threading.Event()
 
     def hear(message):
-        found.append((message.feedback.command_id, [note.number for note in open_commands.noted(tmp_path)]))
+        found.append((message.feedback.command_id, [note.number for note in unfinished_commands.noted(tmp_path)]))
         told.set()
 
     goal = ExecuteCommand.Goal(symbol="move", arguments='{"speed": 0.1}')

@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.ros import shared_names
 from im_core import clock
 from im_core.errors import StateError

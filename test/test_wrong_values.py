@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from im_bringup.calibration.truth import add_to_report
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.tasks import deployment as deployments
 from im_calibration.design import load_candidates
 from im_calibration.problem.dataset import load_problems, problems

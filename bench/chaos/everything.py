@@ -10,7 +10,7 @@ from bench.chaos.records import Result, Verdict
 from bench.chaos.trial import HANG_S, Setting, plausible
 from bench.power.plug import Plug
 from im_bringup.machine import leftovers
-from im_core import clock, names, open_commands
+from im_core import clock, names, unfinished_commands
 
 KIND, POWER = "kill -9 of everything", "loss of power"
 #: How far a number may be from that of the undisturbed command, in standard deviations of the difference: the noise
@@ -50,7 +50,7 @@ def run(
     leftovers.end_all()
     if plug is not None:
         plug.pull(draw)
-    unfinished = open_commands.noted(names.run_dir())
+    unfinished = unfinished_commands.noted(names.run_dir())
     told = command.outcome(HANG_S)
     for seconds in starts_s:
         die_starting(seconds)

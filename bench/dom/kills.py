@@ -15,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from bench.power.disk import Disk
-from im_dom.record import ObjectRecord
+from im_dom.object_record import ObjectRecord
 from im_dom.store import ObjectStore
 
 NAMES = [f"object/{number}" for number in range(6)]

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from rclpy.action import ActionClient
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_cell.robot import load_cell
 from im_core import clock, config

@@ -11,7 +11,7 @@ from rclpy.context import Context
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
-from im_core.ros import callers
+from im_core.ros import client_identity
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.srv import GroupCommand, ReserveGroup, SetController, SetPayload, SetSpeed
@@ -147,11 +147,11 @@ def test_a_process_is_known_by_the_header_of_its_request(client, newcomer):
         assert asked.call(ReserveGroup.Request(), timeout_sec=5.0).success
     client.mcs.destroy_service(service)
     assert seen[0] == seen[2] != seen[1]
-    assert callers.nodes_of(client.node, seen[0]) == ("/one",)
-    assert callers.nodes_of(client.node, seen[1]) == ("/two",)
-    assert callers.nodes_of(client.node, "") == ()
+    assert client_identity.nodes_of(client.node, seen[0]) == ("/one",)
+    assert client_identity.nodes_of(client.node, seen[1]) == ("/two",)
+    assert client_identity.nodes_of(client.node, "") == ()
     with pytest.raises(TypeError, match="a str is not the header of a request"):
-        callers.client_of("header")
+        client_identity.client_of("header")
 
 
 async def _answered(seen, caller):
@@ -202,9 +202,10 @@ def test_nobody_takes_power_or_brakes_from_another_s_group(client, newcomer):
         assert "left" in answers[1].message
     assert not bob.change("deactivate")
     bob.to_motion("right", owner="bob")
-    assert "group 'left' is driven by its owner 'ann' only" in bob.call(
-        GroupCommand, "group/disable_motion", group="left"
-    ).message
+    assert (
+        "group 'left' is driven by its owner 'ann' only"
+        in bob.call(GroupCommand, "group/disable_motion", group="left").message
+    )
     for name in ("disable_motion", "power_off"):  # a Trigger is for what is the caller's
         assert bob.trigger(name).success
     assert states_of(client) == {"left": ("motion", False), "right": ("reserved", True)}

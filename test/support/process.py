@@ -9,9 +9,9 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
+from im_pnt.execution.journal_entries import Record
 from im_pnt.execution.notification import Firing, Observer, Phase
 from im_pnt.execution.operator import Mode
-from im_pnt.execution.record import Record
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import Action, FunctionAction

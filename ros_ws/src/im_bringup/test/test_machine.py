@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine import start
-from im_bringup.machine.record import MachineRecord
+from im_bringup.machine.machine_state import MachineRecord
 from im_core import names
 from im_core.errors import DataError, LinkError, StateError
 from im_core.procfs import ProcessId

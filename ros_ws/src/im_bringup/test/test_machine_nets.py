@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.registry import Progress
 from im_core import clock

@@ -7,9 +7,9 @@ from signal import SIGKILL
 import pytest
 
 from im_bringup.machine import leftovers, stop
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
+from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.members import is_member, signal_member
-from im_bringup.machine.record import MachineRecord
 from im_bringup.tasks.agent import MARKER
 from im_core.procfs import ProcessId
 

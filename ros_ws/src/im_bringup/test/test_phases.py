@@ -2,7 +2,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_bringup.machine import bootstrap as phases
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.start import print_parts
 from im_bringup.tasks.registry import Progress, Registry

@@ -10,7 +10,7 @@ from collections import namedtuple
 
 import pytest
 
-from im_bringup.machine import preflight, record, start
+from im_bringup.machine import machine_state, preflight, start
 from im_bringup.tasks import deployment
 from im_core import names
 from im_core.errors import ImError
@@ -107,7 +107,9 @@ def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(
     command = ["-m", "im_bringup.machine.start", "--timeout", "1", "--port", "18199"]
     domain = str(1000 + os.getpid() % 100_000)  # of no machine
     monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    record.write(record.MachineRecord(2**22 + 1, 0, record.READY, "START", 1, "", "", 0.0, 1, 0))  # of a dead one
+    machine_state.write(
+        machine_state.MachineRecord(2**22 + 1, 0, machine_state.READY, "START", 1, "", "", 0.0, 1, 0)
+    )  # of a dead one
     try:
         done = subprocess.run(
             ["unshare", "--map-root-user", "--mount", "bash", "-c", shell, sys.executable, str(read_only), *command],
@@ -117,7 +119,7 @@ def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(
             check=False,
         )
     finally:
-        record.remove()
+        machine_state.remove()
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("this process may not mount a file system of its own")
     (said,) = done.stderr.splitlines()

@@ -11,9 +11,9 @@ import pytest
 from im_bringup.tasks import standstill
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand
 from im_bringup.tasks.standstill import Standstill, cpu_of
-from im_core import pulse
+from im_core import loop_heartbeat
+from im_core.loop_heartbeat import Beat, Pulse
 from im_core.loop_watch import TICK_S, LoopWatch, waits_of_threads
-from im_core.pulse import Beat, Pulse
 
 
 class Loop:
@@ -137,8 +137,8 @@ def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
     pulses = []
 
     def spawn(command, environment, inherit):
-        assert int(environment[pulse.VARIABLE]) in inherit
-        pulses.append(Pulse(os.dup(int(environment[pulse.VARIABLE]))))
+        assert int(environment[loop_heartbeat.VARIABLE]) in inherit
+        pulses.append(Pulse(os.dup(int(environment[loop_heartbeat.VARIABLE]))))
         return Hanging(deaf)
 
     agent = Agent([ProcessCommand("x", ("x",), ["x"], tmp_path / "x.log")], {}, spawn)
@@ -157,20 +157,20 @@ def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
 
 BEATS = """
 import sys
-from im_core.pulse import Beat, Pulse
+from im_core.loop_heartbeat import Beat, Pulse
 pulse = Pulse(int(sys.argv[1]))
 print("begun", flush=True)
 for number in range(1, 500_000):
-    pulse.beat(Beat(number, 0.0, 5.0))
+    loop_heartbeat.beat(Beat(number, 0.0, 5.0))
 """
 
 
 def test_who_reads_while_a_beat_is_told_sees_no_hang():
     pulse = Pulse.create()
     watched = Standstill(os.getpid(), pulse)
-    command = [sys.executable, "-c", BEATS, str(pulse.descriptor)]
-    with subprocess.Popen(command, pass_fds=[pulse.descriptor], stdout=subprocess.PIPE) as process:
+    command = [sys.executable, "-c", BEATS, str(loop_heartbeat.descriptor)]
+    with subprocess.Popen(command, pass_fds=[loop_heartbeat.descriptor], stdout=subprocess.PIPE) as process:
         process.stdout.readline()
         while process.poll() is None:
             assert watched.found(-1.0) == ""
-    assert pulse.last() == Beat(499_999, 0.0, 5.0)
+    assert loop_heartbeat.last() == Beat(499_999, 0.0, 5.0)

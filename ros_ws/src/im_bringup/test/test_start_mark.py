@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from im_bringup.machine import start, start_mark, stop
-from im_bringup.machine.record import MachineRecord
+from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.start_mark import end_start, only_one
 from im_core import clock
 from im_core.errors import StateError

@@ -9,23 +9,23 @@ from pathlib import Path
 
 import pytest
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine import supervisor
 from im_bringup.machine.bootstrap import SILENCE_S, SilentTasks
 from im_bringup.tasks.registry import Progress
 from im_core import clock
-from im_core import silence as silence_module
+from im_core import patience as silence_module
 from im_core.errors import StoreError
+from im_core.loop_heartbeat import Beat, Pulse
 from im_core.procfs import Scheduled
-from im_core.pulse import Beat, Pulse
 
 #: Writes the record of a machine, tells its life, and does what it is told for that life.
 BOOTSTRAP = textwrap.dedent(
     """
     import os, signal, sys, time
     from pathlib import Path
-    from im_bringup.machine import record as machine
-    from im_core.pulse import Beat, Pulse
+    from im_bringup.machine import machine_state as machine
+    from im_core.loop_heartbeat import Beat, Pulse
     from im_core.procfs import ProcessId
 
     lives, state, *deeds = Path(sys.argv[1]), *sys.argv[2:]

@@ -1,7 +1,7 @@
 """What the testbed tells of the wrist lights."""
 
 from im_cell.robot import Cell
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError
 
 

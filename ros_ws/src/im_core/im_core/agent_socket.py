@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from typing import Self
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 
 #: The environment variable that tells a process the file descriptor of its end.
 VARIABLE = "IM_AGENT_SOCKET"

@@ -20,7 +20,7 @@ from typing import BinaryIO, Self
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.silence import Patience
+from im_core.patience import Patience
 
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15
 _KILLED_S = 1.0

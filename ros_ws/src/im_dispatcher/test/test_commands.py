@@ -22,7 +22,7 @@ from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, Servi
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis import verify_to_load
-from im_pnt_analysis.composition.holding import unheld
+from im_pnt_analysis.composition.resource_proof import unheld
 from support.process import Process
 
 NET = """

@@ -4,7 +4,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 
-from im_dom.record import ObjectRecord
+from im_dom.object_record import ObjectRecord
 
 Version = tuple[ObjectRecord, bytes]
 

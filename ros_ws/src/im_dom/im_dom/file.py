@@ -16,7 +16,7 @@ from pathlib import Path
 from im_core.clock import stamp_name
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, make_folder, move
-from im_dom.record import Damage
+from im_dom.object_record import Damage
 from im_dom.salvage import Salvage, salvage
 from im_dom.schema import COLUMNS, SCHEMA, SCHEMA_VERSION, record_of, request_checksum, row_of
 from im_dom.transactions import Listed, TransactionList, read_list

@@ -4,7 +4,7 @@ import re
 
 import pydantic
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError, NotFoundError, StateError
 
 _PLACE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\.[A-Za-z][A-Za-z0-9_.]*")

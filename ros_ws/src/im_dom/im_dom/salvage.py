@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from im_dom.record import Damage, ObjectRecord
+from im_dom.object_record import Damage, ObjectRecord
 from im_dom.schema import COLUMNS, PAGE, SCHEMA, record_of, request_checksum
 from im_dom.transactions import Listed
 

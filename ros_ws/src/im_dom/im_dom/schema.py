@@ -3,7 +3,7 @@
 import zlib
 from typing import Any
 
-from im_dom.record import ObjectRecord
+from im_dom.object_record import ObjectRecord
 
 SCHEMA_VERSION = 5
 

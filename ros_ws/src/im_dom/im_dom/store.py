@@ -14,8 +14,8 @@ from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreE
 from im_core.files import MEBIBYTE
 from im_dom.cache import ObjectCache, Version
 from im_dom.file import StoreFile
+from im_dom.object_record import Damage, DamagedObjectError, ObjectRecord
 from im_dom.places import check_form
-from im_dom.record import Damage, DamagedObjectError, ObjectRecord
 from im_dom.schema import COLUMNS, record_of, request_checksum, row_of
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_./-]{0,127}(?<!/)")

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from im_core.errors import NotFoundError, StateError
-from im_dom.record import DamagedObjectError, ObjectRecord
+from im_dom.object_record import DamagedObjectError, ObjectRecord
 from im_dom.store import ObjectStore
 
 KIND = "std_msgs/msg/String"

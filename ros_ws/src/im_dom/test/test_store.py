@@ -14,7 +14,7 @@ from im_core.errors import DataError, NotFoundError, StateError
 from im_core.files import MEBIBYTE
 from im_dom import store as objects
 from im_dom.cache import ObjectCache
-from im_dom.record import ObjectRecord
+from im_dom.object_record import ObjectRecord
 from im_dom.store import KEPT_VERSIONS, LARGEST, ObjectStore
 
 KIND = "std_msgs/msg/String"

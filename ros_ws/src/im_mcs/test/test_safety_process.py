@@ -182,7 +182,7 @@ def test_a_servo_that_waited_for_the_processor_itself_does_not_blame_the_testbed
         return whole(timeout_s)
 
     later = types.SimpleNamespace(monotonic=lambda: clock.monotonic() + passed[0], sleep=clock.sleep)
-    monkeypatch.setattr("im_core.silence.clock", later)
+    monkeypatch.setattr("im_core.patience.clock", later)
     turns.driver.wait = wait
     turns._mcs.wants_time = True
     tick = turns._mcs.measured.tick

@@ -2,7 +2,7 @@
 
 import pydantic
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net

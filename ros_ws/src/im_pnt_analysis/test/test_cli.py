@@ -68,7 +68,10 @@ def test_verify_checks_values_against_the_types_of_messages(tmp_path, capsys, of
 
 
 def test_verify_says_where_it_cannot_check_types(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("im_pnt_analysis.cli.types._ROS", "no_such_ros")
+    def no_ros(group):
+        raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
+
+    monkeypatch.setattr("im_pnt_analysis.cli.types.extensions", no_ros)
     file = tmp_path / "typed.yaml"
     file.write_text(TYPED.replace("TYPE", "Int32").replace("VALUE", "word"))
     assert main(["verify", str(file)]) == OK

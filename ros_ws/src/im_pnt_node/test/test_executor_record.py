@@ -21,8 +21,8 @@ from im_pnt.execution.events import (
 )
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import ActivityState, Command, Request
+from im_pnt.execution.journal_entries import NetEntry, difference, renewed
 from im_pnt.execution.operator import Mode
-from im_pnt.execution.record import NetEntry, difference, renewed
 from im_pnt.netfile import parse_net
 from im_pnt_node.journal.codec import decode_net_entry, net_encoder
 from im_pnt_node.journal.state import net_state, restore_net

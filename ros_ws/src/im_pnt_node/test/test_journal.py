@@ -396,9 +396,9 @@ def test_what_another_process_sends_and_a_journal_cannot_keep_is_refused_with_a_
     asking = Message(MessageKind.REQUEST, "back", "I.work", "r", "other", "t", payload={"arguments": {"x": math.inf}})
     assert "the arguments of request r.x is inf" in back.receive("other", asking)
     assert "r" not in back.inboxes.in_work
-    carried = {"job": ["other", "net", 1], "symbol": "", "command": ["go", {"x": math.nan}, 0, ""], "arguments": {},
+    context = {"job": ["other", "net", 1], "symbol": "", "command": ["go", {"x": math.nan}, 0, ""], "arguments": {},
         "results": {}, "cancelled": None, "held": False}  # fmt: skip
-    assert ".x is nan" in back.receive("other", Message(MessageKind.TOKEN, "back", "go", payload=carried))
+    assert ".x is nan" in back.receive("other", Message(MessageKind.TOKEN, "back", "go", payload=context))
     told = {"job": ["other", "net", 1], "tiding": "settled", "results": {"x": math.nan}}
     assert ".x is nan" in back.receive("other", Message(MessageKind.TIDING, "back", "", payload=told))
 

@@ -10,7 +10,7 @@ import numpy as np
 from im_bag.reading import messages_of, topics_of
 from im_core.errors import DataError, StateError
 from im_core.jsontext import JsonError, decode_json
-from im_vss.mounts import Pose, at_rest
+from im_vss.camera_poses import Pose, at_rest
 from im_vss.services.calibrate import CalibrateRequest, Mount, Observation, SeenSpot
 from im_vss.settings import VssSettings
 from im_vss.spot import SearchDisc, find_spot

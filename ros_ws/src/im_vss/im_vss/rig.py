@@ -13,11 +13,11 @@ from im_cell.robot import Cell
 from im_cell.sensor import SensorControls
 from im_core.errors import StateError
 from im_vss.camera_book import CameraBook
+from im_vss.camera_poses import Mounts
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import Scanner
-from im_vss.looks import Looks
 from im_vss.monitor import Monitors, Screen
-from im_vss.mounts import Mounts
+from im_vss.pending_looks import Looks
 from im_vss.settings import VssSettings
 
 

@@ -12,8 +12,8 @@ from im_cell.frames import Frame, FrameSet, nobody
 from im_cell.robot import load_cell
 from im_core.errors import StateError
 from im_vss.camera_book import CameraBook
+from im_vss.camera_poses import MOST_EXPOSURES, Mounts
 from im_vss.catalogue import load_catalogue
-from im_vss.mounts import MOST_EXPOSURES, Mounts
 from im_vss.rig import Rig
 from im_vss.services.calibrate import CalibrateRequest, Observation, SeenSpot, fixed_to
 from im_vss.services.snap import SnapRequest

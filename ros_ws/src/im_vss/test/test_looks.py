@@ -10,7 +10,7 @@ from im_cell.robot import load_cell
 from im_core.errors import DataError, LinkError, NotFoundError, StateError, WaitTimeoutError
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import load_catalogue
-from im_vss.looks import FORGOTTEN, MOST_LOOKS, Look, Looks
+from im_vss.pending_looks import FORGOTTEN, MOST_LOOKS, Look, Looks
 from im_vss.rig import Rig
 from im_vss.services.spot import SpotFindRequest, SpotLookRequest
 from im_vss.settings import load_settings

@@ -6,7 +6,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_vss.rhythm import Rhythm
+from im_vss.image_rate import Rhythm
 
 TICK_NS = 4_500_000
 RATES = st.dictionaries(st.sampled_from(["wall", "table", "left"]), st.floats(0.5, 10.0), min_size=1)

@@ -7,15 +7,15 @@ import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
 from im_core.agent_socket import AgentOrder, TaskReport
-from im_core.arrivals import member
+from im_core.bounded_json import member
 from im_core.errors import NotFoundError
-from im_core.silence import Silence
+from im_core.patience import Silence
 from im_core.startup import StartupPhase
 
 #: A task of this host that was ready and is silent for longer is started again [s].
@@ -75,7 +75,7 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
 class SilentTasks:
     """Which tasks have fallen silent, though they may run: their messages no longer come through.
 
-    Silence counts as in :class:`im_core.silence.Silence`: neither while this process does not listen itself, nor while
+    Silence counts as in :class:`im_core.patience.Silence`: neither while this process does not listen itself, nor while
     a task of this host waits for a processor.
     """
 

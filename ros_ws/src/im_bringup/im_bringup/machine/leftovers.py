@@ -12,9 +12,9 @@ from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
 from im_core.errors import LinkError
 from im_core.ownership import is_own, require_own
+from im_core.patience import Patience
 from im_core.procfs import ProcessId
 from im_core.shm_names import SHM, left, remove_all
-from im_core.silence import Patience
 
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
@@ -51,7 +51,7 @@ def await_end(patience_s: float, goes_on: Callable[[], bool] = lambda: True) -> 
     """Wait until the machine has no process any more, or none that goes on.
 
     Args:
-        patience_s: Longest wait, as :class:`im_core.silence.Patience` counts [s].
+        patience_s: Longest wait, as :class:`im_core.patience.Patience` counts [s].
         goes_on: Whether it is still waited for.
     """
     found = processes()

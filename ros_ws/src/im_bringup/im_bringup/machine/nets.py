@@ -10,7 +10,7 @@ from pathlib import Path
 import pydantic
 
 from im_bringup.tasks.registry import TaskRecord
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ImError
 from im_core.files import make_folder, read_text, write_whole
 from im_core.process import ChildProcess

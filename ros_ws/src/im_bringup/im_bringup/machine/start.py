@@ -8,17 +8,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from uuid import uuid4
 
-from im_bringup.machine import leftovers, mission, preflight, stop
-from im_bringup.machine import record as machine
+from im_bringup.machine import leftovers, preflight, run_state, stop
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.interrupts import ignore_interrupts, interrupt_once, interrupts_held
-from im_bringup.machine.record import MachineRecord
+from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.start_mark import only_one
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.middleware import reach
-from im_core import clock, config, names, open_commands
+from im_core import clock, config, names, unfinished_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
 from im_core.executables import path_of
 from im_core.files import read_text
@@ -316,7 +316,7 @@ def clear_the_way(fresh: bool) -> bool:
     if others := leftovers.of_others():
         raise StateError(leftovers.foreign_sentence(others))
     run_dir = names.run_dir()
-    goes_on = mission.prepare(run_dir, fresh, lambda sentence: say(f"start: {sentence}"))
+    goes_on = run_state.prepare(run_dir, fresh, lambda sentence: say(f"start: {sentence}"))
     try:
         names.display_file().unlink(missing_ok=True)
     except OSError as error:
@@ -401,7 +401,7 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
 
 def print_unfinished(resume: bool) -> None:
     """Say of each command that had not ended how it is now, and of one that is paused what to do with it."""
-    unfinished = open_commands.noted(names.run_dir())
+    unfinished = unfinished_commands.noted(names.run_dir())
     goes_on = resume and not (names.run_dir() / names.ESTOP).exists()
     for command in unfinished:
         ways = f"scripts/im run --resume {command.number} goes on with it, --cancel {command.number} ends it"

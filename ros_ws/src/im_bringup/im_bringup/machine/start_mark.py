@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from im_core import names
 from im_core.errors import StateError
 from im_core.ownership import user
-from im_core.silence import Patience
+from im_core.patience import Patience
 
 _CREDENTIALS = struct.Struct("3i")
 _POLL_S = 0.05

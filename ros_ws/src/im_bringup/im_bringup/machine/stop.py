@@ -6,12 +6,12 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from im_bringup.machine import leftovers, mission
-from im_bringup.machine import record as machine
+from im_bringup.machine import leftovers, run_state
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.interrupts import ignore_interrupts
 from im_bringup.machine.members import is_member, signal_member
 from im_bringup.machine.start_mark import end_start
-from im_core import clock, names, open_commands, output
+from im_core import clock, names, output, unfinished_commands
 from im_core.errors import DataError, LinkError
 from im_core.process import last_words
 
@@ -55,8 +55,8 @@ def stop(say: Callable[[str], None]) -> int:
     elif record is not None and record.alive:
         say(f"stop: the record names process {record.pid}, which is not of this machine and is left alone")
     if ran and record is not None and record.state == machine.READY:
-        mission.end(Path(record.run_dir))
-    if ran and record is not None and (interrupted := open_commands.noted(Path(record.run_dir))):
+        run_state.end(Path(record.run_dir))
+    if ran and record is not None and (interrupted := unfinished_commands.noted(Path(record.run_dir))):
         say(f"stop: interrupted: {', '.join(map(str, interrupted))}; the next start brings them back paused")
     found, remaining = leftovers.end_all()
     removed = leftovers.remove_shared_memory()

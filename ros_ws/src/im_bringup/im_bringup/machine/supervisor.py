@@ -20,16 +20,16 @@ from im_bringup.tasks.memory_limit import refused
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names
-from im_core import pulse as pulse_memory
+from im_core import loop_heartbeat as pulse_memory
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
+from im_core.loop_heartbeat import Pulse
+from im_core.patience import Silence
 from im_core.process import ChildProcess
-from im_core.pulse import Pulse
-from im_core.silence import Silence
 from im_core.startup import start_timeout_s
 
 if TYPE_CHECKING:
-    from im_bringup.machine.record import MachineRecord
+    from im_bringup.machine.machine_state import MachineRecord
 
 #: How often in a row a machine that was ready is started again and does not become ready.
 MOST_TRIES = 3
@@ -119,7 +119,7 @@ class BootstrapKeeper:
         """Why a machine that is started again does not become ready, a clause; empty while it may, and when it is."""
         if not self._tries:
             return ""
-        from im_bringup.machine import record as machine
+        from im_bringup.machine import machine_state as machine
 
         record = _record()
         if record is not None and self._child is not None and record.pid == self._child.pid:
@@ -142,7 +142,7 @@ class BootstrapKeeper:
         """
         # loaded when they are used: they are most of a process that else waits, with the machine, all its life
         from im_bringup.machine import leftovers
-        from im_bringup.machine import record as machine
+        from im_bringup.machine import machine_state as machine
         from im_core.procfs import ProcessId
 
         record = _record()
@@ -183,7 +183,7 @@ class BootstrapKeeper:
 
 
 def _record() -> "MachineRecord | None":
-    from im_bringup.machine import record as machine
+    from im_bringup.machine import machine_state as machine
 
     try:
         return machine.read()

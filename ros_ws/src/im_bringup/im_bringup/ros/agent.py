@@ -12,7 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import String
 
-from im_bringup.machine import mission
+from im_bringup.machine import run_state
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
@@ -22,7 +22,7 @@ from im_bringup.tasks.signed_link import HostOrder, SignedLink, agent_name, orde
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.agent_socket import TaskReport
-from im_core.arrivals import member, read_json
+from im_core.bounded_json import member, read_json
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
@@ -49,7 +49,7 @@ class AgentNode(GuardedNode):
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
-        mission.prepare(run_dir, True, self.log.info)  # a new machine is a new mission
+        run_state.prepare(run_dir, True, self.log.info)  # a new machine is a new mission
         commands(deployment, host, run_dir)  # what is missing is said now, and not when all others start
         self._deployment, self._host, self._run_dir = deployment, host, run_dir
         self._agent = Agent((), os.environ)

@@ -10,11 +10,11 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.subscription import Subscription
 from std_msgs.msg import UInt8
 
-from im_bringup.machine import mission
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
+from im_bringup.machine import run_state
 from im_bringup.machine.bootstrap import Bootstrap
+from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.nets import MachineNets
-from im_bringup.machine.record import MachineRecord
 from im_bringup.ros.agents import ACKNOWLEDGED_S, RemoteAgents
 from im_bringup.ros.shared_names import LOOK_S, SharedNames
 from im_bringup.tasks.agent import Died
@@ -28,7 +28,7 @@ from im_core.procfs import ProcessId
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
-from im_core.ros.reminders import Reminders
+from im_core.ros.repeated_warnings import Reminders
 from im_core.ros.run import main as spin
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
@@ -127,7 +127,7 @@ class BootstrapNode(GuardedNode):
 
     def _note_alive(self) -> None:
         try:
-            mission.begin(self._run_dir)
+            run_state.begin(self._run_dir)
         except StoreError as error:  # what runs goes on
             self.log.error(error.message)
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from action_msgs.msg import GoalStatus
 
-from im_bringup.machine import record as machine
-from im_bringup.machine.record import MachineRecord
+from im_bringup.machine import machine_state as machine
+from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_core import clock
 from im_core.errors import LinkError, StateError, WaitTimeoutError

@@ -11,7 +11,7 @@ import rclpy
 from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_core import clock
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError, StoreError, WaitTimeoutError

@@ -13,7 +13,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
-from im_bringup.machine import record as machine
+from im_bringup.machine import machine_state as machine
 from im_bringup.machine.recovery import McsCondition, Step, next_step
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
 from im_core import clock
@@ -21,8 +21,8 @@ from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.options import NumberParser, seconds
 from im_core.ros import qos
 from im_core.ros.latest import Latest
-from im_core.ros.reminders import LINK
-from im_core.ros.reminders import PERIOD_S as REMINDED_S
+from im_core.ros.repeated_warnings import LINK
+from im_core.ros.repeated_warnings import PERIOD_S as REMINDED_S
 from im_msgs.msg import McsState, TaskRegistry
 
 TIMEOUT_S = 60.0

@@ -30,7 +30,7 @@ from im_bringup.ros.dispatcher import (
     DispatcherClient,
 )
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, USAGE, talk
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ArgumentError, NotFoundError, StateError, StoreError, WaitTimeoutError, require_text
 from im_core.files import FileError, write_whole
 from im_core.message_paths import hand_over

@@ -15,14 +15,14 @@ from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import agent_socket, names, scheduling
-from im_core import pulse as pulse_memory
+from im_core import loop_heartbeat as pulse_memory
 from im_core.agent_socket import AgentOrder, AgentSocket, TaskReport
 from im_core.errors import LinkError
 from im_core.executables import path_of
 from im_core.files import make_folder, write_whole
+from im_core.loop_heartbeat import Pulse
+from im_core.patience import Patience
 from im_core.process import ChildProcess, await_ends, last_words, may_copy
-from im_core.pulse import Pulse
-from im_core.silence import Patience
 from im_core.startup import UNPROVED
 from im_core.yamltext import write_yaml
 
@@ -239,7 +239,7 @@ class Agent:
         """Stop all processes, the last started first; takes less than 4 s, unless they wait for a processor.
 
         Each gets SIGINT when its turn comes, which is when the one before it has ended or has had its share of 1.8 s.
-        Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL, counted as :class:`im_core.silence.Patience`
+        Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL, counted as :class:`im_core.patience.Patience`
         does.
 
         Returns:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from im_core.agent_socket import AgentOrder, TaskReport
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ConfigError, DataError
 from im_core.files import FileError, read_bytes
 

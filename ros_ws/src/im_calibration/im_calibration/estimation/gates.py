@@ -140,7 +140,7 @@ def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Paramet
 def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> Prediction:
     """Predict the spots of each pose from all other poses.
 
-    Leaving a pose out takes its share from the information; the parameters then have covariance P', move by
+    Departure a pose out takes its share from the information; the parameters then have covariance P', move by
     ``-P' J^T S^-1 r``, and the pose's spots deviate with covariance ``S + J P' J^T``. A spot may thus return once what
     spoiled the estimate is gone. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), chapter 2.
 

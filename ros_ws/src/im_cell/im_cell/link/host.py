@@ -19,8 +19,8 @@ from im_cell.link.values import (
 )
 from im_core import clock
 from im_core.errors import DataError
+from im_core.patience import Silence
 from im_core.procfs import ProcessId
-from im_core.silence import Silence
 
 DEFAULT_LIGHTS = ("left_led", "right_led")
 #: How long time waits for an image that is due, at clock factor 0 [s]: less than a servo waits for a tick.

@@ -11,7 +11,7 @@ from im_cell.robot import load_cell
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
-from im_core.arrivals import read_data
+from im_core.bounded_json import read_data
 from im_core.config import package_file
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run

@@ -28,7 +28,7 @@ from rclpy.timer import Timer
 
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
-from im_core.ros.callers import client_of, nodes_of, process_of, sender_of
+from im_core.ros.client_identity import client_of, nodes_of, process_of, sender_of
 from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.interfaces import type_name
 from im_core.ros.logger import Logger
@@ -141,7 +141,7 @@ class GuardedNode(Node):
         self.note_failure(f"{what} (its answer)", error, lambda: f"called by {self.callers(sender)}")
 
     def callers(self, sender: str) -> str:
-        """The nodes that may have sent a request, as a text; the sender as of :func:`im_core.ros.callers.sender_of`."""
+        """Name the possible senders of a request (:func:`im_core.ros.client_identity.sender_of`), as a text."""
         client = process_of(sender)
         return few(nodes_of(self, client)) or client or "nobody known"
 
@@ -191,7 +191,7 @@ class GuardedNode(Node):
         """As in rclpy, with queues for many clients; an answer is sent whatever the callback does.
 
         The callback may be a coroutine. It may also return a function: that is given who called, as
-        :func:`im_core.ros.callers.client_of` says, and returns what the callback would have returned.
+        :func:`im_core.ros.client_identity.client_of` says, and returns what the callback would have returned.
         """
         srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(

@@ -16,7 +16,7 @@ from rclpy.task import Task
 
 from im_core import clock
 from im_core.agent_socket import AgentOrder, AgentSocket, TaskLife, TaskReport
-from im_core.arrivals import member
+from im_core.bounded_json import member
 from im_core.errors import ImError
 from im_core.process import dismiss_prepared
 from im_core.ros import qos

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from im_core.errors import NotFoundError
 from im_pnt.errors import NetError
-from im_pnt.model.acting import filled, named_arguments, require_told, shown
 from im_pnt.model.arguments import CommandDeclaration
 from im_pnt.model.groups import require_one_reader
 from im_pnt.model.net import Net
+from im_pnt.model.resource_use import filled, named_arguments, require_told, shown
 
 MOST_VARIANTS = 200
 """Of one command: what an arm, a camera and a light decide together."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ImError, StateError, StoreError
 from im_core.names import results_dir
 from im_dispatcher.command import CommandDescription, CommandHost

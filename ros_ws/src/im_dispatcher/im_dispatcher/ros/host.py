@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.ros import qos
 from im_dispatcher.poses_file import PosesFile, WristPose
 from im_dispatcher.report import SkippedPose, SolverReport, StepTimes

@@ -15,11 +15,11 @@ from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.dom import DAMAGED, NOT_VALID
 from im_core.ros.node import ManagedNode
-from im_core.ros.reminders import Reminders
+from im_core.ros.repeated_warnings import Reminders
 from im_core.ros.status import OK, ok_status, to_status
 from im_core.ros.worker import Worker
+from im_dom.object_record import ObjectRecord
 from im_dom.places import Places
-from im_dom.record import ObjectRecord
 from im_dom.ros.types import as_json, check_message, extended, from_json
 from im_dom.store import ObjectStore
 from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo

@@ -13,7 +13,7 @@ import numpy as np
 from ament_index_python import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import serialize_message
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError, NotFoundError
 from im_core.files import MEBIBYTE, read_text
 from im_core.ros.interfaces import decoded, message_class

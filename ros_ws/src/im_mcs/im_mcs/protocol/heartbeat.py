@@ -4,8 +4,8 @@ import os
 from typing import Self
 
 from im_core import clock
+from im_core.patience import Silence
 from im_core.shm import SharedBlock
-from im_core.silence import Silence
 
 OWNER, SERVO = 0, 1
 

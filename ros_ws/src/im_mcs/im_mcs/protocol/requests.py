@@ -236,7 +236,7 @@ class Sender(ServoRequest):
     """Who asks: whether a group is his is decided by this.
 
     Attributes:
-        client: The process that asks, as :mod:`im_core.ros.callers` knows it; empty: not known.
+        client: The process that asks, as :mod:`im_core.ros.client_identity` knows it; empty: not known.
         names: What it goes by: its nodes, and an owner that the request names.
     """
 

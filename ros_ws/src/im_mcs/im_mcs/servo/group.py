@@ -24,7 +24,7 @@ from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest
-from im_mcs.servo.rest import RestMonitor, RestPhase
+from im_mcs.servo.rest_monitor import RestMonitor, RestPhase
 from im_mcs.servo.stream_gate import StreamGate
 
 EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]

@@ -13,7 +13,7 @@ from im_mcs.model import CellModel
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.servo.group import ControlledGroup
-from im_mcs.servo.rest import RestMonitor
+from im_mcs.servo.rest_monitor import RestMonitor
 
 
 class Partitions:

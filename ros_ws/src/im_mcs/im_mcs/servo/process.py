@@ -8,7 +8,7 @@ from im_cell.robot import load_cell
 from im_core import clock, scheduling
 from im_core.end_signals import END_SIGNALS, heed_end_signals
 from im_core.errors import LinkError
-from im_core.silence import Silence
+from im_core.patience import Silence
 from im_core.startup import patience_s
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel

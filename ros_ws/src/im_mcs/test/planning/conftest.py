@@ -19,7 +19,7 @@ from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import parse_request
 from im_mcs.servo.group import ControlledGroup
-from im_mcs.servo.rest import RestMonitor
+from im_mcs.servo.rest_monitor import RestMonitor
 
 WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.6, 0.9])
 

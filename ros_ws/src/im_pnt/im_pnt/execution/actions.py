@@ -12,7 +12,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
-from im_pnt.execution.record import Record, plain_dict
+from im_pnt.execution.journal_entries import Record, plain_dict
 from im_pnt.execution.timers import Timers
 from im_pnt.expression.scope import read_objects
 from im_pnt.model.action import Action, AwaitAction, FunctionAction, RequestAction, ValuesAction

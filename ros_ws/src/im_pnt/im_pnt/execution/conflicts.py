@@ -16,12 +16,12 @@ from collections.abc import Callable, Sequence
 
 from im_core.errors import FOREIGN, ImError
 from im_pnt.errors import NetError
-from im_pnt.execution.firing.happening import happens
+from im_pnt.execution.firing.entries import happens
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import ActionContext, Functions, clock_period
 from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
+from im_pnt.execution.journal_entries import GuardBroke
 from im_pnt.execution.marking import Enabling
-from im_pnt.execution.record import GuardBroke
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import ObjectPendingError

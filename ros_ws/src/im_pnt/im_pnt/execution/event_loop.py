@@ -18,6 +18,8 @@ from im_pnt.execution.events import (
     Confirmed,
     Event,
     GuardsChanged,
+    JobUpdate,
+    JobUpdateArrived,
     ModeSet,
     NodeForgotten,
     ObjectInvalidated,
@@ -27,17 +29,15 @@ from im_pnt.execution.events import (
     RequestCancelled,
     RequestHeld,
     StepAsked,
-    Tiding,
-    TidingArrived,
     TokenArrived,
 )
-from im_pnt.execution.firing.happening import apply_entry, happens
-from im_pnt.execution.firing.rest import close_forgotten, drop_stale, expire, settle_visits
+from im_pnt.execution.firing.closing import close_forgotten, drop_stale, expire, settle_visits
+from im_pnt.execution.firing.entries import apply_entry, happens
+from im_pnt.execution.firing.foreign_jobs import cancelled_visit
 from im_pnt.execution.firing.rule import FiringRule
-from im_pnt.execution.firing.visits import cancelled_visit
 from im_pnt.execution.jobs import Activity, ActivityState, Job, Reply
+from im_pnt.execution.journal_entries import ActivityEnded, NetEntry, changed_data, plain_dict
 from im_pnt.execution.operator import Mode, Operator
-from im_pnt.execution.record import ActivityEnded, NetEntry, changed_data, plain_dict
 from im_pnt.execution.timers import Timers
 from im_pnt.model.net import Role
 
@@ -238,12 +238,12 @@ class EventLoop:
                     self._watch_symbols()
                 if cancelled is not None and cancelled.last_failure is not None:
                     self._cancel([cancelled], cancelled.last_failure)
-            case TidingArrived():
+            case JobUpdateArrived():
                 cancelled = cancelled_visit(rule, event)
                 happens(rule, event)
                 if cancelled is not None and cancelled.last_failure is not None:
                     self._cancel([cancelled], cancelled.last_failure)
-                elif event.tiding is not Tiding.SETTLED:
+                elif event.update is not JobUpdate.SETTLED:
                     self.conflicts.wake("")
             case NodeForgotten(node, _, error):
                 ending = [job for job in rule.ledger.visits.values() if job.visit and job.visit.node == node]

@@ -4,7 +4,7 @@ import enum
 from dataclasses import dataclass, field
 
 from im_core.errors import ImError
-from im_pnt.execution.jobs import Activity, Carried, Job, JobKey, Request
+from im_pnt.execution.jobs import Activity, Job, JobKey, Request, TokenContext
 from im_pnt.execution.operator import Mode
 
 
@@ -93,10 +93,10 @@ class TokenArrived:
 
     place: str
     count: int
-    carried: Carried | None = None
+    context: TokenContext | None = None
 
 
-class Tiding(enum.StrEnum):
+class JobUpdate(enum.StrEnum):
     """What one net tells another of a job whose tokens have crossed between them."""
 
     SETTLED = "settled"
@@ -114,13 +114,13 @@ class Tiding(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class TidingArrived:
+class JobUpdateArrived:
     """A net hears from another of a job whose tokens have crossed.
 
     Attributes:
         key: The job, at home.
         home: Whether that is here.
-        tiding: What is told.
+        update: The change.
         net: Net that tells it.
         error: Why it is cancelled, or has failed.
         results: What has been done for it.
@@ -128,7 +128,7 @@ class TidingArrived:
 
     key: JobKey
     home: bool
-    tiding: Tiding
+    update: JobUpdate
     net: str
     error: ImError | None = None
     results: dict[str, object] = field(default_factory=dict)
@@ -214,7 +214,7 @@ Event = (
     | RequestCancelled
     | RequestHeld
     | TokenArrived
-    | TidingArrived
+    | JobUpdateArrived
     | NodeForgotten
     | ActionEnded
     | ObjectInvalidated

@@ -27,9 +27,9 @@ from im_pnt.execution.events import (
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job
+from im_pnt.execution.journal_entries import NetEntry, Record, plain
 from im_pnt.execution.notification import Nowhere, Observer, Outlet
 from im_pnt.execution.operator import Mode, Operator
-from im_pnt.execution.record import NetEntry, Record, plain
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.timers import Timers
 from im_pnt.execution.values import Objects
@@ -99,7 +99,7 @@ class Executor:
         check_objects: Looks whether data objects are valid and calls back with the error, if any; None: not checked.
         strategies: What was learned about strategies; None: begins anew.
         clock: Present time, monotonic [s].
-        record: Takes what happens before it does, see :mod:`im_pnt.execution.record`; None: no journal.
+        record: Takes what happens before it does, see :mod:`im_pnt.execution.journal_entries`; None: no journal.
         objects: Data objects that expressions read and store; None: there are none here.
         draw: Says which of some contending transitions is taken, by its rank; None: their weights do, with the seed.
 
@@ -291,8 +291,8 @@ class Executor:
 
     def concerned(self, node: str, nets: Collection[str]) -> bool:
         """Whether anything here has to do with tokens that came from a node, or went to one of its nets."""
-        came = (event.carried for event in list(self._inbox) if isinstance(event, TokenArrived))
-        return any(carried is not None and carried.node == node for carried in came) or any(
+        came = (event.context for event in list(self._inbox) if isinstance(event, TokenArrived))
+        return any(context is not None and context.node == node for context in came) or any(
             not job.away.keys().isdisjoint(nets) or (job.visit is not None and job.visit.node == node)
             for job in self.jobs()
         )

@@ -127,7 +127,7 @@ class Owner:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class TokenContext:
     """What a token of a job carries to another net.
 
     Attributes:

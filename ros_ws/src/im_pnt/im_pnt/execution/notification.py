@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from im_core.errors import ImError
-from im_pnt.execution.events import Tiding
+from im_pnt.execution.events import JobUpdate
 from im_pnt.execution.jobs import Job, JobKey, Lineage, Request
 from im_pnt.execution.operator import Mode
 from im_pnt.model.net import RemotePlace, Transition
@@ -92,7 +92,7 @@ class Observer:
         """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""
 
 
-class Leaving(NamedTuple):
+class Departure(NamedTuple):
     """What tokens of a job take along to another net.
 
     Attributes:
@@ -111,11 +111,11 @@ class Leaving(NamedTuple):
 class Outlet(Protocol):
     """Where tokens for other nets and replies to callers go."""
 
-    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+    def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
         """Sends tokens to a place of another net; with what they take along, where they are of a job."""
 
-    def send_tiding(
-        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    def send_job_update(
+        self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
         """Tells another net of a job whose tokens have crossed."""
 
@@ -131,11 +131,11 @@ class Outlet(Protocol):
 class Nowhere:
     """Takes what a net sends that is brought back or run again, and sends nothing: it has been sent."""
 
-    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+    def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
         """Sends nothing."""
 
-    def send_tiding(
-        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    def send_job_update(
+        self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
         """Sends nothing."""
 

@@ -56,6 +56,9 @@ _ELSEWHERE = {
 }
 """Commands of packages above this one, which name themselves as entry points."""
 
+_PROGRAMS = {"run": "run nets", "mission": "does a recorded mission run as it did?"}
+"""Those of them with a command line of their own."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs ``pnt``.
@@ -70,8 +73,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     raw = argparse.RawDescriptionHelpFormatter
     parser = NumberParser(prog="im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for program in extensions("im_pnt.programs", *words[:1]) if words[:1] and words[0] in _ELSEWHERE else ():
-        return int(program(words[1:], f"im pnt {words[0]}"))
+    if words[:1] and words[0] in _PROGRAMS:
+        for program in extensions("im_pnt.programs", words[0]):
+            return int(program(words[1:], f"im pnt {words[0]}"))
+        return _not_installed(words[0])
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, formatter_class=raw)
@@ -80,10 +85,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if called not in _COMMANDS:
         for add in extensions("im_pnt.commands"):
             add(commands)
+        for name, text in _PROGRAMS.items():
+            commands.add_parser(name, help=text)
         if called in _ELSEWHERE and called not in commands.choices:
-            package = _ELSEWHERE[called]
-            print(f"pnt: {called} is a command of the package {package}, which is not installed", file=sys.stderr)
-            return BAD_INPUT
+            return _not_installed(called)
     parser.description = _DESCRIPTION.format(draw=_DRAW if "draw" in commands.choices else "")
     options = parsed(parser, words)
     try:
@@ -104,6 +109,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\npnt: interrupted", file=sys.stderr)
         return INTERRUPTED
     return code
+
+
+def _not_installed(command: str) -> int:
+    package = _ELSEWHERE[command]
+    print(f"pnt: {command} is a command of the package {package}, which is not installed", file=sys.stderr)
+    return BAD_INPUT
 
 
 def _give_up_output() -> None:

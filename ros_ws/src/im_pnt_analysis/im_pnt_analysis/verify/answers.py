@@ -7,7 +7,7 @@ from itertools import chain, islice
 from im_core.clock import thread_cpu
 from im_pnt.model.net import Net
 from im_pnt.verification import Counterexample
-from im_pnt_analysis.composition.holding import UndecidedError, unheld
+from im_pnt_analysis.composition.resource_proof import UndecidedError, unheld
 from im_pnt_analysis.search.coverability import Coverability
 from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.search.reachability_graph import ReachabilityGraph, place_bounds, stuck

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ImError
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Phase

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import LinkError
 from im_core.process import ChildProcess
 from im_pnt_display.page.hosts import is_everywhere

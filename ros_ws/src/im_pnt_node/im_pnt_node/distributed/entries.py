@@ -4,16 +4,18 @@ from typing import NamedTuple
 
 from im_pnt.execution.events import (
     CommandHeld,
+    JobUpdateArrived,
     NodeForgotten,
     RequestArrived,
     RequestCancelled,
     RequestHeld,
-    TidingArrived,
     TokenArrived,
 )
-from im_pnt.execution.record import ActivityEnded
+from im_pnt.execution.journal_entries import ActivityEnded
 
-Arrival = TokenArrived | TidingArrived | NodeForgotten | RequestArrived | RequestCancelled | RequestHeld | CommandHeld
+Arrival = (
+    TokenArrived | JobUpdateArrived | NodeForgotten | RequestArrived | RequestCancelled | RequestHeld | CommandHeld
+)
 Delivery = Arrival | ActivityEnded
 """An event for a net, as the net that takes it records it: so it is known when it was."""
 

@@ -12,10 +12,10 @@ from typing import Protocol
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError, nearest
 from im_pnt.errors import NetError
-from im_pnt.execution.events import ActionEnded, CommandHeld, NodeForgotten, RequestArrived, Tiding, TidingArrived
+from im_pnt.execution.events import ActionEnded, CommandHeld, JobUpdate, JobUpdateArrived, NodeForgotten, RequestArrived
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.jobs import NO_COMMAND, Activity, Carried, Command, Job, JobKey, Owner, Request, scope_of
-from im_pnt.execution.notification import Leaving, Observer
+from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Job, JobKey, Owner, Request, TokenContext, scope_of
+from im_pnt.execution.notification import Departure, Observer
 from im_pnt.model.action import RequestAction
 from im_pnt.model.net import RemotePlace
 from im_pnt_node.distributed.entries import (
@@ -127,15 +127,15 @@ class Exchange:
 
     # What the nets of this process send.
 
-    def send_token(self, net: str, target: RemotePlace, count: int, leaving: Leaving | None = None) -> None:
+    def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
         """Sends tokens to a place of another net; with what they take along, where they are of a job."""
-        message, carried = token_message(target.net, target.place), None
-        if leaving is not None:
-            carried = self._carried(net, target.net, leaving)
-            message = token_of_job(target, carried)
+        message, context = token_message(target.net, target.place), None
+        if departure is not None:
+            context = self._carried(net, target.net, departure)
+            message = token_of_job(target, context)
         for _ in range(count):
             if target.net in self.nets:
-                self._kept(message, self.inboxes.token(target.net, target.place, carried))
+                self._kept(message, self.inboxes.token(target.net, target.place, context))
             elif self._transport is not None and (node := self._node_of(target.net)):
                 try:
                     self._transport.send(node, message)
@@ -144,15 +144,15 @@ class Exchange:
             else:
                 self._kept(message, f"there is no net {target.net}{nearest(target.net, self.nets)}")
 
-    def _carried(self, net: str, target: str, leaving: Leaving) -> Carried:
-        job, failure, results, held = leaving
+    def _carried(self, net: str, target: str, departure: Departure) -> TokenContext:
+        job, failure, results, held = departure
         if job.visit is not None:
             owner = job.visit.owner
         else:
             symbol = job.symbol if job.from_tape else ""
             owner = Owner(self._key_of(net, job), symbol, job.command, job.arguments)
         cancelled = (job.last_failure or cancelled_by(net)) if job.cancelled else None
-        return Carried(owner, self._is_home(owner.key, target), "", net, failure, results, cancelled, held)
+        return TokenContext(owner, self._is_home(owner.key, target), "", net, failure, results, cancelled, held)
 
     def _node_of(self, net: str) -> str:
         """The node of a net of another process; empty where the net is here, or is known to be nowhere else."""
@@ -167,20 +167,20 @@ class Exchange:
     def _is_home(self, key: JobKey, net: str) -> bool:
         return key.process == self.book.prefix and key.net == net
 
-    def send_tiding(
-        self, net: str, job: Job, tiding: Tiding, to: str, error: ImError | None, results: dict[str, object]
+    def send_job_update(
+        self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
         """Tells another net of a job whose tokens have crossed."""
-        told = TidingArrived(self._key_of(net, job), False, tiding, net, error, results)
+        told = JobUpdateArrived(self._key_of(net, job), False, update, net, error, results)
         self._send_tiding(self._node_of(to), to, told)
 
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
         """Tells the net that has sent a token of a job that the work of that is done."""
-        self._send_tiding(node, to, TidingArrived(key, False, Tiding.SETTLED, net, error, results))
+        self._send_tiding(node, to, JobUpdateArrived(key, False, JobUpdate.SETTLED, net, error, results))
 
-    def _send_tiding(self, node: str, to: str, told: TidingArrived) -> None:
+    def _send_tiding(self, node: str, to: str, told: JobUpdateArrived) -> None:
         if node and self._transport is not None:
             self._transport.send(node, tiding_message(to, told))
         elif to in self.nets:
@@ -313,10 +313,10 @@ class Exchange:
         return self._take_request(request_of(sender, message), held is True)
 
     def _token_from(self, sender: str, message: Message) -> str:
-        carried = carried_by(sender, message)
-        if carried is not None:
-            carried = replace(carried, home=self._is_home(carried.owner.key, message.net))
-        return self.inboxes.token(message.net, message.place, carried)
+        context = carried_by(sender, message)
+        if context is not None:
+            context = replace(context, home=self._is_home(context.owner.key, message.net))
+        return self.inboxes.token(message.net, message.place, context)
 
     def refused(self, message: Message, why: str) -> None:
         """Takes back a message that its receiver refused; a token is kept as undeliverable."""
@@ -435,9 +435,9 @@ class Exchange:
         if why:
             self._happens(TokenKept(message.net, message.place))
             self._dropped(f"{message} is undeliverable and kept: {why}")
-            carried = carried_by("", message)
-            if carried is not None:
-                self.send_settled(message.net, carried.owner.key, "", carried.net, NetError(why), {})
+            context = carried_by("", message)
+            if context is not None:
+                self.send_settled(message.net, context.owner.key, "", context.net, NetError(why), {})
 
     # What happens to the exchange, now and when a journal is replayed.
 

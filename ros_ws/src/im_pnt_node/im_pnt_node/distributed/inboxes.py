@@ -9,16 +9,16 @@ from im_core.errors import DataError, ImError, nearest
 from im_pnt.execution.events import (
     ActionEnded,
     CommandHeld,
+    JobUpdateArrived,
     NodeForgotten,
     RequestArrived,
     RequestCancelled,
     RequestHeld,
-    TidingArrived,
     TokenArrived,
 )
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.jobs import Carried, Request
-from im_pnt.execution.record import ActivityEnded, NetEntry, plain_dict
+from im_pnt.execution.jobs import Request, TokenContext
+from im_pnt.execution.journal_entries import ActivityEnded, NetEntry, plain_dict
 from im_pnt_node.distributed.entries import Arrival, Delivery, EventPosted, ExchangeEntry, RequestClosed
 
 
@@ -57,10 +57,10 @@ class Deliveries:
 def _name_of(event: Delivery) -> tuple[type, object]:
     """Returns what tells an event from the others of its inbox."""
     match event:
-        case TokenArrived(place, count, carried):
-            return TokenArrived, (place, count, carried and (carried.owner.key, carried.node, carried.net))
-        case TidingArrived(key, _, tiding, net):
-            return TidingArrived, (key, tiding, net)
+        case TokenArrived(place, count, context):
+            return TokenArrived, (place, count, context and (context.owner.key, context.node, context.net))
+        case JobUpdateArrived(key, _, update, net):
+            return JobUpdateArrived, (key, update, net)
         case NodeForgotten(node):
             return NodeForgotten, node
         case RequestArrived(request):
@@ -123,11 +123,11 @@ class Inboxes:
             self.deliveries.put_delivery(executor.net.name, kept)
         executor.post(event)
 
-    def token(self, net: str, name: str, carried: Carried | None = None) -> str:
+    def token(self, net: str, name: str, context: TokenContext | None = None) -> str:
         """Delivers a token to a place of a net; returns why not, empty if it was."""
         door = self._doors.get((net, name))
         executor = self.nets[net]
-        if door is not None and door.executor is executor and carried is None:
+        if door is not None and door.executor is executor and context is None:
             if self.record is not None:
                 self.record(door.posted)
                 self.deliveries.put_delivery(net, door.event)
@@ -138,8 +138,8 @@ class Inboxes:
             return f"net {net} has no place {name}{nearest(name, executor.net.places)}"
         if not place.remote or name.startswith("I."):
             return f"place {name} of net {net} is not open to other nets (remote: true)"
-        event = TokenArrived(name, 1, carried)
-        if carried is None:
+        event = TokenArrived(name, 1, context)
+        if context is None:
             self._doors[net, name] = _Door(executor, event, EventPosted(net, event))
         self.post(executor, event)
         return ""

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from im_pnt.errors import decode_error, encode_error
-from im_pnt.execution.events import Tiding, TidingArrived
-from im_pnt.execution.jobs import Carried, Command, JobKey, Owner, Request
+from im_pnt.execution.events import JobUpdate, JobUpdateArrived
+from im_pnt.execution.jobs import Command, JobKey, Owner, Request, TokenContext
 from im_pnt.model.expand import input_place
 from im_pnt.model.net import RemotePlace
 from im_pnt_node.distributed.packets import Message, MessageKind
@@ -74,38 +74,38 @@ def with_hold(message: Message, held: bool) -> Message:
     What is done for nobody is as it was: nobody could resume it.
     """
     payload = message.payload
-    if message.kind is MessageKind.TIDING and payload.get("tiding") in (Tiding.HELD, Tiding.RELEASED):
-        return message._replace(payload={**payload, "tiding": (Tiding.HELD if held else Tiding.RELEASED).value})
+    if message.kind is MessageKind.TIDING and payload.get("tiding") in (JobUpdate.HELD, JobUpdate.RELEASED):
+        return message._replace(payload={**payload, "tiding": (JobUpdate.HELD if held else JobUpdate.RELEASED).value})
     of_somebody = message.kind in (MessageKind.REQUEST, MessageKind.TOKEN) and message.command_id != 0
     if of_somebody or "held" in payload:
         return message._replace(payload={**payload, "held": held})
     return message
 
 
-def token_of_job(target: RemotePlace, carried: Carried) -> Message:
+def token_of_job(target: RemotePlace, context: TokenContext) -> Message:
     """Returns the message that carries a token of a job to another process."""
-    owner = carried.owner
+    owner = context.owner
     payload: dict[str, object] = {
         "job": [*owner.key],
         "symbol": owner.symbol,
         "command": [owner.command.symbol, owner.command.arguments, owner.command.priority, owner.command.scope],
         "arguments": owner.arguments,
-        "results": carried.results,
-        "cancelled": encode_error(carried.cancelled),
-        "held": carried.held,
+        "results": context.results,
+        "cancelled": encode_error(context.cancelled),
+        "held": context.held,
     }
     return Message(
         MessageKind.TOKEN,
         target.net,
         target.place,
-        caller_net=carried.net,
+        caller_net=context.net,
         command_id=owner.command.id,
-        error=carried.failure,
+        error=context.failure,
         payload=payload,
     )
 
 
-def carried_by(sender: str, message: Message) -> Carried | None:
+def carried_by(sender: str, message: Message) -> TokenContext | None:
     """Returns what a token from another process carries, None where it is nobody's; whether it is at home is not told.
 
     Raises:
@@ -126,24 +126,24 @@ def carried_by(sender: str, message: Message) -> Carried | None:
             command = Command(message.command_id, name, given, priority, scope)
             owner = Owner(JobKey(process, net, number), symbol, command, arguments)
             why = decode_error(cancelled)
-            return Carried(owner, False, sender, message.caller_net, message.error, results, why, held)
+            return TokenContext(owner, False, sender, message.caller_net, message.error, results, why, held)
     raise ValueError(f"{str(message.payload)[:200]} does not tell whose a token is")
 
 
-def tiding_message(to: str, told: TidingArrived) -> Message:
+def tiding_message(to: str, told: JobUpdateArrived) -> Message:
     """Returns the message that tells a net of another process of a job."""
-    payload: dict[str, object] = {"job": [*told.key], "tiding": told.tiding.value, "results": told.results}
+    payload: dict[str, object] = {"job": [*told.key], "tiding": told.update.value, "results": told.results}
     return Message(MessageKind.TIDING, to, "", caller_net=told.net, error=told.error, payload=payload)
 
 
-def tiding_of(message: Message) -> TidingArrived:
+def tiding_of(message: Message) -> JobUpdateArrived:
     """Returns what a message tells of a job; whether that is at home is not told.
 
     Raises:
         ValueError: It makes no sense.
     """
     match message.payload:
-        case {"job": [str(process), str(net), int(number)], "tiding": str(tiding), "results": dict(results)}:
+        case {"job": [str(process), str(net), int(number)], "tiding": str(update), "results": dict(results)}:
             key = JobKey(process, net, number)
-            return TidingArrived(key, False, Tiding(tiding), message.caller_net, message.error, results)
+            return JobUpdateArrived(key, False, JobUpdate(update), message.caller_net, message.error, results)
     raise ValueError(f"{str(message.payload)[:200]} tells nothing of a job")

@@ -25,7 +25,7 @@ Of a net, ``["net", name, entry]``::
     ["forgotten", job, error]
 
 ``data`` is ``[memory, results, progress]``, or ``{"memory": difference, "results": difference, "progress": number}``
-with what has changed (:func:`im_pnt.execution.record.difference`). An ``error`` is what
+with what has changed (:func:`im_pnt.execution.journal_entries.difference`). An ``error`` is what
 :func:`im_pnt.errors.encode_error` makes.
 
 Of the exchange, ``["exchange", entry]``; a delivery is written as the net does that takes it::
@@ -55,19 +55,18 @@ from im_pnt.execution.events import (
     CommandCancelled,
     CommandHeld,
     CommandWritten,
+    JobUpdate,
+    JobUpdateArrived,
     ModeSet,
     NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
     RequestHeld,
-    Tiding,
-    TidingArrived,
     TokenArrived,
 )
-from im_pnt.execution.jobs import Carried, Command, Job, JobData, JobKey, Owner, Request
-from im_pnt.execution.operator import Mode
-from im_pnt.execution.record import (
+from im_pnt.execution.jobs import Command, Job, JobData, JobKey, Owner, Request, TokenContext
+from im_pnt.execution.journal_entries import (
     ActivityEnded,
     EndFired,
     GuardBroke,
@@ -80,6 +79,7 @@ from im_pnt.execution.record import (
     VisitSettled,
     plain,
 )
+from im_pnt.execution.operator import Mode
 from im_pnt_node.distributed.entries import (
     Delivery,
     EventPosted,
@@ -139,7 +139,7 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
                 if behind is None:
                     behind = behind_number[transition] = f",{encode_json(transition)},null,null]]"
                 return f"{before_number}{number}{behind}"
-        if isinstance(entry, TokenArrived) and entry.carried is None:
+        if isinstance(entry, TokenArrived) and entry.context is None:
             text = arrived.get((entry.place, entry.count))
             if text is None:
                 text = arrived[entry.place, entry.count] = f"{prefix}{encode_json(encode_net_entry(entry))}]"
@@ -230,11 +230,11 @@ def encode_delivery(event: Delivery) -> list[object]:
         NetError: JSON cannot carry the arguments of a request.
     """
     match event:
-        case TokenArrived(place, count, carried):
-            return ["token", place, count, *([] if carried is None else [_encode_carried(carried)])]
-        case TidingArrived(key, home, tiding, net, failure, results):
+        case TokenArrived(place, count, context):
+            return ["token", place, count, *([] if context is None else [_encode_carried(context)])]
+        case JobUpdateArrived(key, home, update, net, failure, results):
             told = plain(results, f"what net {net} tells")
-            return ["tiding", [*key], home, tiding.value, net, encode_error(failure), told]
+            return ["tiding", [*key], home, update.value, net, encode_error(failure), told]
         case NodeForgotten(node, nets, error):
             return ["node_forgotten", node, [*nets], encode_error(error)]
         case RequestArrived(request):
@@ -259,10 +259,10 @@ def decode_delivery(content: object) -> Delivery:
     match content:
         case ["token", str(place), int(count)]:
             return TokenArrived(place, count)
-        case ["token", str(place), int(count), carried]:
-            return TokenArrived(place, count, _decode_carried(carried))
+        case ["token", str(place), int(count), context]:
+            return TokenArrived(place, count, _decode_carried(context))
         case ["tiding", [str(process), str(of), int(job)], bool(home), str(what), str(net), error, dict(results)]:
-            return TidingArrived(JobKey(process, of, job), home, Tiding(what), net, decode_error(error), results)
+            return JobUpdateArrived(JobKey(process, of, job), home, JobUpdate(what), net, decode_error(error), results)
         case ["node_forgotten", str(node), list(nets), error]:
             return NodeForgotten(node, tuple(map(str, nets)), _reason(error))
         case ["request", request]:
@@ -300,24 +300,24 @@ def decode_owner(content: object) -> Owner:
     raise ValueError(f"{str(content)[:200]} does not tell whose a token is")
 
 
-def _encode_carried(carried: Carried) -> list[object]:
+def _encode_carried(context: TokenContext) -> list[object]:
     return [
-        *encode_owner(carried.owner),
-        carried.home,
-        carried.node,
-        carried.net,
-        encode_error(carried.failure),
-        plain(carried.results, f"what net {carried.net} tells"),
-        encode_error(carried.cancelled),
-        carried.held,
+        *encode_owner(context.owner),
+        context.home,
+        context.node,
+        context.net,
+        encode_error(context.failure),
+        plain(context.results, f"what net {context.net} tells"),
+        encode_error(context.cancelled),
+        context.held,
     ]
 
 
-def _decode_carried(content: object) -> Carried:
+def _decode_carried(content: object) -> TokenContext:
     match content:
         case [*job, bool(home), str(node), str(net), failure, dict(results), why, bool(held)]:
             owner = decode_owner(job)
-            return Carried(owner, home, node, net, decode_error(failure), results, decode_error(why), held)
+            return TokenContext(owner, home, node, net, decode_error(failure), results, decode_error(why), held)
     raise ValueError(f"{str(content)[:200]} is not what a token carries")
 
 

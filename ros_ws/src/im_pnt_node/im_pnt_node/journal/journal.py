@@ -18,8 +18,8 @@ from im_pnt.errors import DamagedJournalError, JournalError, NetError
 from im_pnt.execution.actions import ActionOwner, Runner
 from im_pnt.execution.functions import ActionContext, ActionFunction
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.journal_entries import EndFired, NetEntry, Record, TransitionFired
 from im_pnt.execution.notification import Observer
-from im_pnt.execution.record import EndFired, NetEntry, Record, TransitionFired
 from im_pnt.model.action import Action, RequestAction
 from im_pnt.model.net import Net, ObjectScope
 from im_pnt_node.distributed.entries import ExchangeEntry

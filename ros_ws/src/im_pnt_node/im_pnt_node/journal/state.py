@@ -8,8 +8,8 @@ from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply, Visit
+from im_pnt.execution.journal_entries import data_of, plain, recorded_data, take_data
 from im_pnt.execution.operator import Mode
-from im_pnt.execution.record import data_of, plain, recorded_data, take_data
 from im_pnt.model.net import Net, RemotePlace
 from im_pnt_node.distributed.entries import RequestAsked
 from im_pnt_node.distributed.exchange import Exchange

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage
-from im_pnt.execution.record import NetEntry
+from im_pnt.execution.journal_entries import NetEntry
 from im_pnt.model.net import Net
 from im_pnt_node.journal.codec import encode_net_entry
 from im_pnt_node.rerun.difference import Difference, first_difference

@@ -15,8 +15,8 @@ from im_pnt.execution.events import ActionEnded, GuardsChanged, ObjectInvalidate
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activity, Reply
+from im_pnt.execution.journal_entries import ActivityEnded
 from im_pnt.execution.notification import Nowhere, Observer
-from im_pnt.execution.record import ActivityEnded
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import expand
 from im_pnt.model.net import Net

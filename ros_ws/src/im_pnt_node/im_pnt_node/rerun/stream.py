@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from pydantic import BaseModel, ConfigDict
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError
 from im_pnt_node.rerun.log import Key
 

@@ -210,12 +210,12 @@ class Loader:
         if present is None:
             return report, None
         await self._until_rest(present, patience_s)
-        carried = carried_over(present, net)
-        if carried is net:
+        context = carried_over(present, net)
+        if context is net:
             return report, None
-        report = await self.verified(carried, beside)
+        report = await self.verified(context, beside)
         await self._until_rest(present, patience_s)
-        if carried_over(present, net) != carried:
+        if carried_over(present, net) != context:
             raise StateError(f"net {net.name} went on while its successor was verified; load it again")
         return report, net_state(present)
 

@@ -14,7 +14,6 @@ from rclpy.parameter import Parameter
 from im_core.clock import monotonic
 from im_core.errors import FOREIGN, ImError, StateError, as_exception
 from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
-from im_core.open_commands import OpenCommandNote, noted, set_aside
 from im_core.ros import qos
 from im_core.ros.calls import LONGEST_S, pause, run_in_thread
 from im_core.ros.coroutines import calling
@@ -22,6 +21,7 @@ from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_core.startup import net_digest, nets_sentence
+from im_core.unfinished_commands import OpenCommandNote, noted, set_aside
 from im_msgs.msg import ObjectChange
 from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.actions import Ask, FunctionRunner

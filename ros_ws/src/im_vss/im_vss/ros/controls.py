@@ -9,7 +9,7 @@ from im_cell.sensor import SensorControls
 from im_core.errors import ImError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
-from im_vss.rhythm import Rhythm
+from im_vss.image_rate import Rhythm
 from im_vss.rig import CameraControls
 from im_vss.settings import VssSettings
 
@@ -18,7 +18,7 @@ POLL_S = 0.01
 
 
 class ImageStream:
-    """Has images taken when :class:`im_vss.rhythm.Rhythm` says so, by the node's clock: testbed time with /clock."""
+    """Take images at the rate of :class:`im_vss.image_rate.Rhythm`, by the clock of the node."""
 
     def __init__(
         self, node: ManagedNode, take: Callable[[tuple[str, ...]], int], await_image: Callable[[int | None], None]

@@ -16,7 +16,7 @@ from im_cell.robot import Cell, far_end
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.interfaces import decoded
-from im_vss.mounts import Pose
+from im_vss.camera_poses import Pose
 
 Array = NDArray[np.float64]
 

@@ -21,12 +21,12 @@ from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
 from im_core.startup import patience_s
 from im_vss.camera_book import CameraBook
+from im_vss.camera_poses import Mounts
 from im_vss.catalogue import load_catalogue
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import LinkedScanner
-from im_vss.mounts import Mounts
 from im_vss.rig import LaserRig, Rig
-from im_vss.ros.askers import Askers
+from im_vss.ros.client_liveness import Askers
 from im_vss.ros.controls import ControlParameters, ImageStream
 from im_vss.ros.light_tracker import LightTracker
 from im_vss.ros.messages import from_camera_info

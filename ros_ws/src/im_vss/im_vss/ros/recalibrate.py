@@ -27,7 +27,7 @@ from im_core import clock
 from im_core.errors import DataError, ImError
 from im_core.names import results_dir
 from im_vss.camera_book import CameraBook
-from im_vss.mounts import Pose
+from im_vss.camera_poses import Pose
 from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request

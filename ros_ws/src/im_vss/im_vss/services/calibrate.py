@@ -15,8 +15,8 @@ from im_cell.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
 from im_core.memory import give_back_freed
 from im_vss.camera_book import CameraBook
+from im_vss.camera_poses import Pose
 from im_vss.managers import VisionClient
-from im_vss.mounts import Pose
 from im_vss.services.service import VisionService
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from im_cell.frames import Exposed, nobody
 from im_core.errors import ConfigError, DataError
 from im_core.stopwatch import Stopwatch
-from im_vss.looks import Look
 from im_vss.managers import VisionClient
+from im_vss.pending_looks import Look
 from im_vss.services.service import VisionService
 from im_vss.spot import SpotFinding
 from im_vss.tools.spot import StereoFinding

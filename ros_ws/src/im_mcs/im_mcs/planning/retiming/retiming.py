@@ -13,8 +13,8 @@ from im_core.errors import LimitError
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.envelope import first_excess
 from im_mcs.planning.retiming.asked_path import AskedPath
-from im_mcs.planning.retiming.rests import SAME_S, rests, standing
 from im_mcs.planning.retiming.rounding import rounded
+from im_mcs.planning.retiming.stops import SAME_S, rests, standing
 from im_mcs.planning.retiming.stretch import Retimed, check_count, retime_stretch
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, powers
 

@@ -12,7 +12,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_core.ros import qos
-from im_core.ros.callers import client_of
+from im_core.ros.client_identity import client_of
 from im_core.ros.guard import GuardedActionServer
 from im_mcs.client.servo_client import OnProgress
 from im_mcs.protocol.requests import Policy
@@ -193,7 +193,7 @@ class Goals:
         self._servers.append(server)
 
     def client(self, handle: ServerGoalHandle) -> str:
-        """Who sent a goal, as :func:`im_core.ros.callers.client_of` says."""
+        """Who sent a goal, as :func:`im_core.ros.client_identity.client_of` says."""
         goal = bytes(handle.goal_id.uuid)
         return next((server.clients[goal] for server in self._servers if goal in server.clients), "")
 

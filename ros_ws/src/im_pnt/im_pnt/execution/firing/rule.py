@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
-from im_pnt.execution.events import Tiding
+from im_pnt.execution.events import JobUpdate
 from im_pnt.execution.jobs import (
     NO_COMMAND,
     NO_LINEAGE,
@@ -23,9 +23,7 @@ from im_pnt.execution.jobs import (
     object_name,
     scope_of,
 )
-from im_pnt.execution.marking import Tokens
-from im_pnt.execution.notification import Leaving, Notifier, Observer, Outlet, Phase, failure_of
-from im_pnt.execution.record import (
+from im_pnt.execution.journal_entries import (
     EndFired,
     MessageBuilt,
     PhaseFired,
@@ -35,6 +33,8 @@ from im_pnt.execution.record import (
     plain_dict,
     recorded_data,
 )
+from im_pnt.execution.marking import Tokens
+from im_pnt.execution.notification import Departure, Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.values import NetValues, Objects
 from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import compile_net
@@ -201,13 +201,13 @@ class FiringRule:
             text = f"net {self.net.name} offers no service and reads no symbol {request.service}"
             self.close(job, NetError(text, net=self.net.name, service=request.service))
 
-    def _leaving(self, job: Job | None, net: str, count: int) -> Leaving | None:
+    def _departure(self, job: Job | None, net: str, count: int) -> Departure | None:
         """Returns what tokens take along to another net, None where they are nobody's; their job is away there."""
         if job is None:
             return None
         job.away[net] = job.away.get(net, 0) + count
         failure = None if job.visit is None else job.last_failure
-        return Leaving(job, failure, self.news(job, net), self.is_held(job))
+        return Departure(job, failure, self.news(job, net), self.is_held(job))
 
     def news(self, job: Job, net: str) -> dict[str, object]:
         """Returns the results of a visit that a net has not been told; those of a job that is at home stay there."""
@@ -224,11 +224,11 @@ class FiringRule:
             job.told[net] = {**told, **news}
         return news
 
-    def pass_on(self, job: Job, tiding: Tiding, error: ImError | None) -> None:
+    def pass_on(self, job: Job, update: JobUpdate, error: ImError | None) -> None:
         """Tells the nets where tokens of a job have gone what becomes of it; not its own, from where that comes."""
         for net in job.away:
             if job.visit is None or job.visit.owner.key.net != net:
-                self.outlet.send_tiding(self.net.name, job, tiding, net, error, {})
+                self.outlet.send_job_update(self.net.name, job, update, net, error, {})
 
     def hold(self, number: int, held: bool, jobs: Iterable[Job], scope: str = "") -> None:
         """Has nothing begun any more for jobs, or again, also where their tokens have gone; see :attr:`held`."""
@@ -239,7 +239,7 @@ class FiringRule:
         else:
             del self.held[number]
         for job in jobs:
-            self.pass_on(job, Tiding.HELD if held else Tiding.RELEASED, None)
+            self.pass_on(job, JobUpdate.HELD if held else JobUpdate.RELEASED, None)
 
     @staticmethod
     def hold_number(job: Job) -> int:
@@ -272,7 +272,7 @@ class FiringRule:
         if self._is_held_by_command(job) and not any(map(self._is_held_by_command, self._of_number(job.command.id))):
             del self.held[job.command.id]
         if was_open:
-            self.pass_on(job, Tiding.ENDED, None)
+            self.pass_on(job, JobUpdate.ENDED, None)
         for word in self.ledger.tape.waiting() if self._words else ():
             address = word.arguments.get(ADDRESS)
             if word.symbol in self._words and address is not None and not self._under_way(address):
@@ -300,7 +300,7 @@ class FiringRule:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
             else:
-                self.pass_on(job, Tiding.CANCELLED, error)
+                self.pass_on(job, JobUpdate.CANCELLED, error)
                 job.unwanted = self._awaits_acceptance(job) or self.is_held(job)
                 job.cancelled = True
                 job.last_failure = error
@@ -315,8 +315,8 @@ class FiringRule:
                 if done is not None:
                     error = None if done else failure_of(lineage.job, transition, lineage.failure)
                     news = self.news(lineage.job, visit.owner.key.net)
-                    self.outlet.send_tiding(
-                        self.net.name, lineage.job, Tiding.CONCLUDED, visit.owner.key.net, error, news
+                    self.outlet.send_job_update(
+                        self.net.name, lineage.job, JobUpdate.CONCLUDED, visit.owner.key.net, error, news
                     )
                     continue
             job = self.ledger.ended_by(emitted, lineage.job)
@@ -624,7 +624,7 @@ class FiringRule:
             lineage = NO_LINEAGE
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
-            self.outlet.send_token(self.net.name, target, count, self._leaving(lineage.job, target.net, count))
+            self.outlet.send_token(self.net.name, target, count, self._departure(lineage.job, target.net, count))
 
 
 def hands_on(activity: Activity) -> bool:

@@ -8,17 +8,17 @@ from diagnostic_msgs.msg import KeyValue
 
 from im_core.clock import stamp_name, wall
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
-from im_core.open_commands import OpenCommandNote
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
+from im_core.unfinished_commands import OpenCommandNote
 from im_msgs.msg import Status
 from im_pnt.errors import NetError
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import ADDRESS
 from im_pnt.execution.jobs import Command, CommandResult, Job
+from im_pnt.execution.journal_entries import plain_dict
 from im_pnt.execution.notification import Firing, Phase
-from im_pnt.execution.record import plain_dict
 from im_pnt_node.journal.ended import EndedCommand, EndedCommands
 
 MOST_EVENTS = 5

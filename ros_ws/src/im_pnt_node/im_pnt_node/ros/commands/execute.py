@@ -13,7 +13,7 @@ from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import String
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer

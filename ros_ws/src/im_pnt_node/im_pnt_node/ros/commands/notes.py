@@ -5,10 +5,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from im_core.errors import ImError
-from im_core.open_commands import OpenCommandNote, note
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
+from im_core.unfinished_commands import OpenCommandNote, note
 
 
 class CommandNotes:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from im_core.ros.node import ManagedNode
-from im_core.ros.reminders import LINK, Reminders
+from im_core.ros.repeated_warnings import LINK, Reminders
 from im_pnt.execution.jobs import Job
 from im_pnt.execution.notification import Firing, Observer
 from im_pnt.execution.operator import Mode

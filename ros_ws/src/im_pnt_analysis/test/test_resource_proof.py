@@ -9,7 +9,7 @@ from im_core.errors import ImError
 from im_pnt.execution.events import CommandCancelled
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
-from im_pnt_analysis.composition.holding import unheld
+from im_pnt_analysis.composition.resource_proof import unheld
 from im_pnt_analysis.verify.load import verify_to_load
 from im_pnt_analysis.verify.verdict import verify
 from support.process import Process, hold

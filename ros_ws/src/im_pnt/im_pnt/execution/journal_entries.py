@@ -24,13 +24,13 @@ from im_pnt.execution.events import (
     CommandCancelled,
     CommandHeld,
     CommandWritten,
+    JobUpdateArrived,
     ModeSet,
     NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
     RequestHeld,
-    TidingArrived,
     TokenArrived,
 )
 from im_pnt.execution.jobs import Job, JobData
@@ -143,7 +143,7 @@ NetEntry = (
     | RequestCancelled
     | RequestHeld
     | TokenArrived
-    | TidingArrived
+    | JobUpdateArrived
     | NodeForgotten
     | VisitSettled
     | ActivityEnded

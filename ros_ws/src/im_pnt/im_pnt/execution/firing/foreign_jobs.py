@@ -9,42 +9,42 @@ order.
 from collections.abc import Iterable
 
 from im_core.errors import ImError
-from im_pnt.execution.events import Tiding, TidingArrived, TokenArrived
+from im_pnt.execution.events import JobUpdate, JobUpdateArrived, TokenArrived
 from im_pnt.execution.firing.rule import FiringRule
-from im_pnt.execution.jobs import NO_LINEAGE, Carried, Job, Lineage, Visit
-from im_pnt.execution.record import add_results
+from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage, TokenContext, Visit
+from im_pnt.execution.journal_entries import add_results
 
 
 def take_token(rule: FiringRule, event: TokenArrived) -> None:
     """Takes a token of a job that comes from another net."""
-    carried = event.carried
-    assert carried is not None
-    owner, home = carried.owner, carried.home
+    context = event.context
+    assert context is not None
+    owner, home = context.owner, context.home
     job, place = rule.ledger.of_key(owner.key, home), rule.place[event.place]
     known, stays = job is not None, rule.tokens.carries(place)
     if job is None and stays and not home:
-        job = Job(owner.command, owner.arguments, visit=Visit(owner, carried.node, carried.net))
+        job = Job(owner.command, owner.arguments, visit=Visit(owner, context.node, context.net))
         rule.ledger.add(job)
     if job is not None:
-        add_results(job, carried.results, rule.keeps)
-        job.last_failure = carried.failure or job.last_failure
+        add_results(job, context.results, rule.keeps)
+        job.last_failure = context.failure or job.last_failure
     if job is not None and not home:
-        if carried.held:
+        if context.held:
             rule.hold(-job.number, True, [job])
-        if carried.cancelled is not None and not job.cancelled:
-            rule.cancel([job], carried.cancelled)
+        if context.cancelled is not None and not job.cancelled:
+            rule.cancel([job], context.cancelled)
     rule.tokens.put_tokens(place, event.count, NO_LINEAGE if job is None else Lineage(job, None))
     if known or job is None:
-        rule.outlet.send_settled(rule.net.name, owner.key, carried.node, carried.net, None, {})
+        rule.outlet.send_settled(rule.net.name, owner.key, context.node, context.net, None, {})
 
 
-def hear(rule: FiringRule, event: TidingArrived) -> None:
+def hear(rule: FiringRule, event: JobUpdateArrived) -> None:
     """Does what another net tells of a job whose tokens have crossed."""
     job = rule.ledger.of_key(event.key, event.home)
     if job is None:  # it has ended meanwhile
         return
-    match event.tiding:
-        case Tiding.SETTLED:
+    match event.update:
+        case JobUpdate.SETTLED:
             add_results(job, event.results, rule.keeps)
             job.last_failure = event.error or job.last_failure
             left = job.away.get(event.net, 0) - 1
@@ -52,13 +52,13 @@ def hear(rule: FiringRule, event: TidingArrived) -> None:
                 job.away[event.net] = left
             else:
                 job.away.pop(event.net, None)
-        case Tiding.CANCELLED if _is_from_parent(job, event.net):
+        case JobUpdate.CANCELLED if _is_from_parent(job, event.net):
             rule.cancel([job], event.error or cancelled_elsewhere(event.net))
-        case Tiding.HELD | Tiding.RELEASED if _is_from_parent(job, event.net):
-            rule.hold(-job.number, event.tiding is Tiding.HELD, [job])
-        case Tiding.ENDED:
+        case JobUpdate.HELD | JobUpdate.RELEASED if _is_from_parent(job, event.net):
+            rule.hold(-job.number, event.update is JobUpdate.HELD, [job])
+        case JobUpdate.ENDED:
             rule.close(job, None)
-        case Tiding.CONCLUDED if event.home and job.from_tape:
+        case JobUpdate.CONCLUDED if event.home and job.from_tape:
             add_results(job, event.results, rule.keeps)
             rule.close(job, event.error)
 
@@ -66,10 +66,10 @@ def hear(rule: FiringRule, event: TidingArrived) -> None:
 def cancelled_visit(rule: FiringRule, event: object) -> Job | None:
     """Returns the job of another net whose actions an event will have to end early, None where there is none."""
     match event:
-        case TokenArrived(carried=Carried(owner=owner, home=False, cancelled=ImError())):
+        case TokenArrived(context=TokenContext(owner=owner, home=False, cancelled=ImError())):
             job = rule.ledger.visits.get(owner.key)
             return None if job is None or job.cancelled else job
-        case TidingArrived(key=key, tiding=Tiding.CANCELLED, net=net):
+        case JobUpdateArrived(key=key, update=JobUpdate.CANCELLED, net=net):
             job = rule.ledger.visits.get(key)
             return job if job is not None and _is_from_parent(job, net) else None
     return None
@@ -81,7 +81,7 @@ def forget_node(rule: FiringRule, node: str, nets: Iterable[str], error: ImError
         for net in job.away.keys() & set(nets):
             del job.away[net]
             job.last_failure = error
-            rule.outlet.send_tiding(rule.net.name, job, Tiding.ENDED, net, error, {})
+            rule.outlet.send_job_update(rule.net.name, job, JobUpdate.ENDED, net, error, {})
         if job.visit is not None and job.visit.node == node:
             rule.cancel([job], error)
             leave(rule, job)

@@ -14,13 +14,13 @@ from dataclasses import replace
 
 from im_core.clock import thread_cpu
 from im_pnt.execution.jobs import ends
-from im_pnt.model.acting import speaks_of_resources, untold
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand
 from im_pnt.model.net import Net, ReadFor, Role, Transition
+from im_pnt.model.resource_use import speaks_of_resources, untold
 from im_pnt.model.resources import resource_places
 from im_pnt.verification import Counterexample
-from im_pnt_analysis.composition.acting import NOBODY, VISIT, Acting, UntoldError, Work, works_of
+from im_pnt_analysis.composition.resource_use import NOBODY, VISIT, Acting, UntoldError, Work, works_of
 from im_pnt_analysis.structure.semiflows import p_semiflows
 
 MOST = 100_000

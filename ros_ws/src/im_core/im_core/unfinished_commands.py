@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from im_core.arrivals import read_json
+from im_core.bounded_json import read_json
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, make_folder, read_text, write_whole
 

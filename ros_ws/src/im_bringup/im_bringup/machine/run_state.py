@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from im_core import names, open_commands
+from im_core import names, unfinished_commands
 from im_core.clock import stamp_name
 from im_core.files import make_folder, move, write_whole
 
@@ -43,10 +43,10 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     Raises:
         StoreError: Something cannot be moved.
     """
-    moving = run_dir / open_commands.MISSIONS / _MOVING
+    moving = run_dir / unfinished_commands.MISSIONS / _MOVING
     if any((moving / part).exists() and (run_dir / part).exists() for part in PARTS):
         _give_name(moving)  # it was whole when the mission that is here began
-    unfinished = open_commands.noted(run_dir) or open_commands.noted(moving)
+    unfinished = unfinished_commands.noted(run_dir) or unfinished_commands.noted(moving)
     died = (run_dir / _ALIVE).exists()
     known = ", ".join(map(str, unfinished))
     if (unfinished or died) and not fresh and (run_dir / "journal").is_dir() and not moving.exists():
@@ -84,7 +84,7 @@ def end(run_dir: Path) -> None:
 def _set_aside(run_dir: Path) -> Path | None:
     """Moves what there is of a mission, also the rest of one whose move was cut short; it stays whole."""
     found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
-    moving = run_dir / open_commands.MISSIONS / _MOVING
+    moving = run_dir / unfinished_commands.MISSIONS / _MOVING
     if not found and not moving.exists():
         return None
     make_folder(moving)

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from im_core import clock
-from im_core.silence import Patience, Silence
+from im_core.patience import Patience, Silence
 
 SPIN = "while True: pass"
 SLEEP = "import time; time.sleep(600)"

@@ -4,19 +4,19 @@ from im_pnt.execution.events import (
     CommandCancelled,
     CommandHeld,
     CommandWritten,
+    JobUpdateArrived,
     ModeSet,
     NodeForgotten,
     PauseSet,
     RequestArrived,
     RequestCancelled,
     RequestHeld,
-    TidingArrived,
     TokenArrived,
 )
+from im_pnt.execution.firing.foreign_jobs import forget_node, hear, leave, take_token
 from im_pnt.execution.firing.rule import FiringRule
-from im_pnt.execution.firing.visits import forget_node, hear, leave, take_token
 from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, Reply
-from im_pnt.execution.record import (
+from im_pnt.execution.journal_entries import (
     ActivityEnded,
     EndFired,
     GuardBroke,
@@ -51,7 +51,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.mark_place(place, count, NO_LINEAGE)
         case TokenArrived():
             take_token(rule, entry)
-        case TidingArrived():
+        case JobUpdateArrived():
             hear(rule, entry)
         case NodeForgotten(node, nets, error):
             forget_node(rule, node, nets, error)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import evaluate
 from im_pnt.expression.template import OPENS, nodes
-from im_pnt.model.acting import Values, choices_of, filled, named_arguments, possible, shown, values_of
 from im_pnt.model.action import RequestAction
 from im_pnt.model.arguments import ArgumentSchema
 from im_pnt.model.net import Guard, Net, Transition
+from im_pnt.model.resource_use import Values, choices_of, filled, named_arguments, possible, shown, values_of
 
 
 @dataclass(frozen=True)

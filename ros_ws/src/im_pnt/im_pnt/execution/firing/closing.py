@@ -2,10 +2,10 @@
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
-from im_pnt.execution.firing.happening import happens
+from im_pnt.execution.firing.entries import happens
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.jobs import Job
-from im_pnt.execution.record import JobForgotten, VisitSettled
+from im_pnt.execution.journal_entries import JobForgotten, VisitSettled
 
 
 def settle_visits(rule: FiringRule) -> None:

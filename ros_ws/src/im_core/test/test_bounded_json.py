@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_core.arrivals import LARGEST, member, read_json
+from im_core.bounded_json import LARGEST, member, read_json
 from im_core.errors import DataError
 
 
