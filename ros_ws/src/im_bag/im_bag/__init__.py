@@ -1,4 +1,4 @@
-"""Recordings of ROS messages (rosbag2): written, completed after the death of their recorder, read, and played.
+"""Recordings of ROS messages (rosbag2): written, completed after the death of the recorder, read, and played.
 
 | to learn | open |
 |---|---|
@@ -31,7 +31,7 @@ _FACE = {
 
 
 def __getattr__(name: str) -> object:
-    """Import the name that is asked for; a reader of decoded messages waits for no writer."""
+    """Import the requested name only, so a reader of decoded messages does not wait for the import of a writer."""
     for module, names in _FACE.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)

@@ -29,7 +29,7 @@ class _File(Protocol):
 
 
 class ChunkWriter:
-    """Writes an MCAP file (https://mcap.dev/spec) whose messages are in compressed chunks, with indexes and a summary.
+    """Writer of an MCAP file (https://mcap.dev/spec) with messages in compressed chunks, indexes and a summary.
 
     Args:
         file: Where to.
@@ -80,7 +80,7 @@ class ChunkWriter:
         chunk += data
 
     def end_chunk(self) -> None:
-        """Write what was appended, if there are messages, as a chunk with its index."""
+        """Write the appended messages, if there are any, as a chunk with an index."""
         if not self._indexes:
             return
         times = [time for index in self._indexes.values() for time in (min(index[::2]), max(index[::2]))]
@@ -126,7 +126,7 @@ class ChunkWriter:
         self._indexes.clear()
 
     def finish(self) -> None:
-        """Write what was appended, and the end of the file."""
+        """Write the appended messages, and the end of the file."""
         self.end_chunk()
         self._file.write(bytes(self._chunk))  # topics without a message since: what the summary has, the data have
         self._file.write(end_of(self._contents, self._file.tell()))

@@ -1,11 +1,11 @@
-"""The command line of whatever works on one bag."""
+"""Command line of the programs for one bag."""
 
 import argparse
 from collections.abc import Sequence
 
 
 def parsed(parser: argparse.ArgumentParser, words: Sequence[str] | None = None) -> argparse.Namespace:
-    """The options of a command line; a usage error says of a second bag what to do with two.
+    """Parse the options of a command line; the usage error for a second bag explains how to handle two bags.
 
     Args:
         parser: What reads it; its argument ``bag``, where a command has one, is the bag.

@@ -1,4 +1,4 @@
-"""What an MCAP file holds, record by record (https://mcap.dev/spec), and the end that belongs to it."""
+"""Contents of an MCAP file, record by record (https://mcap.dev/spec), and the matching end of the file."""
 
 import os
 import struct
@@ -57,7 +57,7 @@ unpacking.install()
 
 @dataclass
 class Contents:
-    """What the data section of an MCAP file holds.
+    """Contents of the data section of an MCAP file.
 
     Attributes:
         end: Where its last whole record ends [bytes].
@@ -83,7 +83,7 @@ class Contents:
     last: dict[int, MessageIndex] = field(default_factory=dict)
 
     def add_message(self, head: bytes, offset: int) -> int:
-        """Count a message, from its first bytes and its place in its chunk; its time [ns]."""
+        """Count a message, given the first bytes and the offset in the chunk; return the time of the message [ns]."""
         channel, _, logged_ns, _ = MESSAGE.unpack_from(head)
         self.begin_ns = logged_ns if not self.counts else min(self.begin_ns, logged_ns)
         self.end_ns = max(self.end_ns, logged_ns)
@@ -104,7 +104,7 @@ class Contents:
 
     @property
     def statistics(self) -> Statistics:
-        """As the summary has them; attachments and metadata, which no recorder of ours writes, are not counted."""
+        """Statistics for the summary; attachments and metadata are not counted, since our recorders write none."""
         return Statistics(
             attachment_count=0,
             channel_count=len(self.channels),
@@ -119,7 +119,7 @@ class Contents:
 
 
 def scan(path: Path, file: BinaryIO) -> Contents:
-    """Read an MCAP file record by record, as far as they are whole.
+    """Read an MCAP file record by record, as far as the records are whole.
 
     A chunk that is damaged is left out, with what belongs to it; where whole ones follow, the file goes on to these.
 
@@ -177,7 +177,7 @@ def _records(path: Path, file: BinaryIO, size: int) -> Iterator[tuple[int, int, 
 
 
 def _unpacked(path: Path, body: bytes, offset: int) -> tuple[Chunk, bytes] | None:
-    """A chunk, and what is in it; None if it is damaged.
+    """Return a chunk and the unpacked content; None if the chunk is damaged.
 
     Raises:
         FileError: It is compressed in a way that is not known here, or larger than what is unpacked.
@@ -193,7 +193,7 @@ def _unpacked(path: Path, body: bytes, offset: int) -> tuple[Chunk, bytes] | Non
 
 
 def _add_chunk(contents: Contents, chunk: Chunk, raw: bytes, offset: int, length: int) -> bool:
-    """Add a chunk with what is in it; False if its channels were defined in one that is damaged."""
+    """Add a chunk with all content; return False if the channels were defined in a damaged chunk."""
     held = list(_held(raw))
     known = contents.channels.keys() | {_number(raw, start) for opcode, _, start, _ in held if opcode == Opcode.CHANNEL}
     if any(opcode == Opcode.MESSAGE and _number(raw, start) not in known for opcode, _, start, _ in held):
@@ -231,7 +231,7 @@ def _check_readable(path: Path, chunk: Chunk, offset: int) -> None:
 
 
 def _held(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
-    """Opcode and offset of each record of a chunk, and where its body begins and ends."""
+    """Yield opcode and offset of each record of a chunk, and begin and end of the record's body."""
     at = 0
     while at + HEAD.size <= len(raw):
         opcode, length = HEAD.unpack_from(raw, at)
@@ -241,7 +241,7 @@ def _held(raw: bytes) -> Iterator[tuple[int, int, int, int]]:
 
 
 def _number(raw: bytes, start: int) -> int:
-    """Number of the channel that a record defines or is of."""
+    """Return the channel number of a record: of the defined channel, or of the message's channel."""
     return int.from_bytes(raw[start : start + 2], "little")
 
 
@@ -253,7 +253,7 @@ def _add_index(contents: Contents, body: bytes, offset: int) -> None:
 
 
 def last_index(contents: Contents) -> bytes:
-    """The index of the last chunk, as bytes, where it is missing; the chunk ends where the data do."""
+    """Return the missing index of the last chunk, as bytes; the chunk ends at the end of the data."""
     builder = RecordBuilder()
     if contents.chunks and contents.last:
         chunk = contents.chunks[-1]
@@ -266,7 +266,7 @@ def last_index(contents: Contents) -> bytes:
 
 
 def end_of(contents: Contents, at: int) -> bytes:
-    """What follows the data: their end, the summary and the footer.
+    """Return the bytes behind the data: end of the data, summary and footer.
 
     Args:
         contents: What the data hold.

@@ -1,4 +1,4 @@
-"""Definitions of message types, with all that they contain, as MCAP files carry them.
+"""Definitions of message types with all contained types, in the form used by MCAP files.
 
 Messages as ``ros2msg``. Events of services and actions as ``ros2idl``: their names, such as ``Advance_Event``, are
 none of a message file, and readers of ``ros2msg`` refuse them.
@@ -32,7 +32,7 @@ _SAME = {"char": "uint8"}
 
 
 class Definition(NamedTuple):
-    """A type and all types that it contains.
+    """Definition of a type and of all contained types.
 
     Attributes:
         encoding: Of the text: ``ros2msg`` or ``ros2idl``.
@@ -44,7 +44,7 @@ class Definition(NamedTuple):
 
 
 def full_definition(name: str) -> Definition:
-    """A type and, after it, all types that it contains.
+    """Return the definition of a type, followed by the definitions of all contained types.
 
     Args:
         name: E.g. ``im_msgs/msg/Firing``, or ``im_msgs/srv/Advance_Event``.
@@ -67,7 +67,7 @@ def full_definition(name: str) -> Definition:
 
 
 def is_defined_so(name: str, recorded: MessageDefinition) -> bool:
-    """Whether a type, with all that it contains, has the same fields in a bag and here; also where nothing tells.
+    """Check whether a type and all contained types have the same fields in a bag and here; True if unknown.
 
     Args:
         name: E.g. ``im_msgs/msg/Firing``.
@@ -88,7 +88,7 @@ def is_defined_so(name: str, recorded: MessageDefinition) -> bool:
 
 
 def _fields(definition: tuple[Any, Any]) -> list[tuple[str, Any]]:
-    """Fields, by name and description, as they are in a message and in IDL."""
+    """Return the fields by name and description, in a form common to messages and IDL."""
     return [(name, _alike(description)) for name, description in definition[1] if name != _FILLED]
 
 
@@ -101,7 +101,7 @@ def _alike(description: Any) -> Any:
 
 @functools.lru_cache(maxsize=1024)
 def definition_of(name: str) -> str:
-    """Text of one type; that of a part or an event of a service or an action is made as ROS makes it.
+    """Return the text of one type; generate the text of parts and events of services and actions as ROS does.
 
     Raises:
         DataError: No sourced workspace defines it.
@@ -138,13 +138,13 @@ def _file(name: str, package: str, path: str) -> str:
 
 @functools.lru_cache(maxsize=1024)
 def _folders(package: str) -> Sequence[Path]:
-    """Where workspaces have what a package shares; there is a prefix for each package, and most have none of it."""
+    """Return the shared folders of a package in the workspaces; each package has a prefix, most lack the folder."""
     folders = (prefix / "share" / package for prefix in prefixes())
     return [folder for folder in folders if folder.is_dir()]
 
 
 def _contained(name: str, text: str) -> Iterator[str]:
-    """Types of the fields of a definition, by their full names."""
+    """Yield the full names of the types of a definition's fields."""
     for _, description in _read(name, text)[1]:
         for part in _named_types(description):
             yield _existing(part)
@@ -161,7 +161,7 @@ def _read(name: str, text: str) -> tuple[Any, Any]:
 
 
 def _idl(name: str, text: str) -> str:
-    """A definition in IDL, as ``rosidl_adapter`` makes it, without comments and defaults."""
+    """Return a definition in IDL, as made by ``rosidl_adapter``, without comments and defaults."""
     package, kind, own = name.split("/")
     constants, fields = _read(name, text)
     members = [_idl_member(each, description) for each, description in fields]
@@ -196,7 +196,7 @@ def _idl_value(value: object) -> str:
 
 
 def _existing(name: str) -> str:
-    """A field's type by its full name; parts of services and actions are written like messages."""
+    """Return the full name of a field's type; parts of services and actions are written like messages."""
     if "_" not in name.rpartition("/")[2]:
         return name
     for kind in ("/msg/", "/srv/", "/action/"):

@@ -1,4 +1,4 @@
-"""How the messages of a topic are delivered, as bags keep it."""
+"""Delivery (QoS) of the messages of a topic, as stored in bags."""
 
 from dataclasses import dataclass
 from typing import Any, Self
@@ -23,7 +23,7 @@ class Delivery:
     depth: int
 
     def to_qos(self) -> dict[str, Any]:
-        """As rosbag2 writes it in a bag of version 9."""
+        """Return the QoS as written by rosbag2 in a bag of version 9."""
         return {
             "history": "keep_last",
             "depth": self.depth,

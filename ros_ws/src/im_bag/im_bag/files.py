@@ -1,4 +1,4 @@
-"""The files of a bag, told in ``metadata.yaml``; a recording that was cut short is completed."""
+"""Files of a bag, listed in ``metadata.yaml``; completion of an interrupted recording."""
 
 import fcntl
 import os
@@ -35,7 +35,7 @@ _BEGIN = struct.Struct(f"<{len(MAGIC)}sBQ")
 
 
 def complete_bag(bag: Path) -> None:
-    """Complete what a recorder that was killed has left: files without an end, and a folder without metadata.
+    """Complete the bag of a killed recorder: files without an end, and a folder without metadata.
 
     A file that a recorder is writing is left alone; the bag is then what was complete before it.
 
@@ -73,12 +73,12 @@ def complete_bag(bag: Path) -> None:
 
 
 def parts(bag: Path) -> list[Path]:
-    """The MCAP files in the folder of a bag, in the order of their first messages; without those that are empty."""
+    """Return the MCAP files in the folder of a bag, ordered by first message; empty files are left out."""
     return list(_contents(bag.glob("*.mcap")))
 
 
 def _contents(files: Iterable[Path]) -> dict[Path, Contents]:
-    """What files hold, in the order of their first messages, whatever their names; empty ones are left out."""
+    """Return the contents of files, ordered by first message and not by file name; empty ones are left out."""
     found = {}
     for path in files:
         if not _is_empty(path):
@@ -88,7 +88,7 @@ def _contents(files: Iterable[Path]) -> dict[Path, Contents]:
 
 
 def _is_empty(path: Path) -> bool:
-    """Whether of a file that a recorder began not even its header came to the disk, or zeros in the place of that."""
+    """Check whether a file has no header on the disk, or zeros in place of the header: the recorder had only begun."""
     with path.open("rb") as file:
         begin = file.read(_BEGIN.size)
         if begin.startswith(MAGIC):
@@ -98,7 +98,7 @@ def _is_empty(path: Path) -> bool:
 
 
 def _check_belonging(bag: Path, listed: Sequence[str], contents: Mapping[Path, Contents]) -> None:
-    """Refuse what a recorder that was killed cannot have left: a copy of a part, a file of another bag, a gap.
+    """Refuse files not left by a killed recorder: a copy of a part, a file of another bag, a gap.
 
     Raises:
         FileError: A listed file is missing, or one that is not listed does not belong to the bag.
@@ -127,7 +127,7 @@ def _is_of_the_same_time(one: Contents, other: Contents) -> bool:
 
 
 def is_recorded(path: Path) -> bool:
-    """Whether a recorder has this file open."""
+    """Check whether a recorder has the file open."""
     try:
         with path.open("rb") as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -137,7 +137,7 @@ def is_recorded(path: Path) -> bool:
 
 
 def complete_file(path: Path) -> None:
-    """Cut a file after its last whole record, and append the summary and the end that it lacks.
+    """Cut a file after the last whole record, and append the missing summary and end.
 
     Args:
         path: An MCAP file.
@@ -167,7 +167,7 @@ def complete_file(path: Path) -> None:
 
 
 def _check_settled(path: Path, status: os.stat_result, size: int) -> None:
-    """Refuse a file that grows, or to which bytes came just now: its recorder may go on."""
+    """Refuse a growing file, or a file with bytes added just now: the recorder may still be running."""
     if status.st_size != size:
         raise FileError(path, _RECORDED)
     if abs(clock.wall() - status.st_mtime) < _SETTLED_S:
@@ -176,7 +176,7 @@ def _check_settled(path: Path, status: os.stat_result, size: int) -> None:
 
 
 def write_metadata(bag: Path, files: Sequence[Path]) -> None:
-    """Write ``metadata.yaml`` of a bag from the summaries of its files.
+    """Write ``metadata.yaml`` of a bag from the summaries of the files.
 
     Args:
         bag: Folder of the bag.
@@ -207,7 +207,7 @@ def _has_end(path: Path) -> bool:
 
 
 def _is_cut(path: Path) -> bool:
-    """Whether it is an MCAP file as far as it goes."""
+    """Check whether the existing part of a file is an MCAP file."""
     if _has_end(path):
         return False
     with path.open("rb") as file:
@@ -215,7 +215,7 @@ def _is_cut(path: Path) -> bool:
 
 
 def _summary(path: Path) -> Contents:
-    """What the summary of a complete file says, or the file itself where that does not tell all channels and types."""
+    """Return the contents by the summary of a complete file, or by the file if the summary lacks channels or types."""
     with path.open("rb") as file:
         try:
             summary = make_reader(file).get_summary()
@@ -278,7 +278,7 @@ def _described(files: Sequence[tuple[Path, Contents]]) -> dict[str, Any]:
 
 
 def _topics(files: Sequence[Contents]) -> list[dict[str, Any]]:
-    """Each topic, once for each type and each hash of it that it has."""
+    """Return each topic, once for each type and type hash."""
     counts: Counter[tuple[str, str, str]] = Counter()
     told: dict[tuple[str, str, str], dict[str, Any]] = {}
     for contents in files:

@@ -1,4 +1,4 @@
-"""The pace of a replay: when each message is due, and what pause, step and seek make of it."""
+"""Pace of a replay: due time of each message, and the effect of pause, step and seek."""
 
 import threading
 from collections import deque
@@ -25,7 +25,7 @@ Message = tuple[str, int, bytes]
 
 @dataclass
 class Controls:
-    """What the user wants; used from any thread."""
+    """User's controls of the replay; usable from any thread."""
 
     paused: bool = False
     ended: bool = False
@@ -34,7 +34,7 @@ class Controls:
     changed: threading.Event = field(default_factory=threading.Event)
 
     def press(self, key: str) -> None:
-        """Do what a key stands for; see :data:`KEYS`; others do nothing."""
+        """Execute the function of a key, see :data:`KEYS`; ignore other keys."""
         match key:
             case " ":
                 self.paused = not self.paused
@@ -49,7 +49,7 @@ class Controls:
         self.changed.set()
 
     def take_step(self) -> None:
-        """Count a message that is let through as one of the steps that are wanted, if it is paused."""
+        """Count a published message as one of the requested steps, if the replay is paused."""
         if self.paused and self.steps:
             self.steps -= 1
 
@@ -59,7 +59,7 @@ class Controls:
 
 
 class Playback:
-    """Messages of a bag, each when it is due.
+    """Messages of a bag, each at the due time.
 
     Args:
         bag: The bag.
@@ -90,7 +90,7 @@ class Playback:
         self._rate, self._start_s, self._loop, self._begins = rate, start_s, loop, begins
 
     def messages(self) -> Iterator[Message]:
-        """Topic, time [ns] and bytes, when they are due.
+        """Yield topic, time [ns] and bytes of each message at the due time.
 
         What was latched before the place where it begins, or goes on after a seek, comes first, with the time of the
         place.
@@ -111,7 +111,7 @@ class Playback:
                 return
 
     def _latched(self, begin_ns: int) -> list[Message]:
-        """The messages that one who came to latched topics at this time would have got, in order of time."""
+        """Return the latched messages for a late subscriber at ``begin_ns``, in order of time."""
         deliveries = self._bag.deliveries
         kept = {
             t: deque[Message](maxlen=max(deliveries[t].depth, LATCHED)) for t in self._topics if deliveries[t].latched
@@ -124,7 +124,7 @@ class Playback:
         return self._bag.messages(topics, end_ns=end_ns) if end_ns > self._bag.begin_ns else iter(())
 
     def _from(self, begin_ns: int) -> Generator[Message, None, float | None]:
-        """Messages from a time on, up to the bag's end if it begins again there.
+        """Yield messages from a given time on; a looping replay also waits for the end of the bag.
 
         Returns:
             Where to go on, if the user wants to be elsewhere [s].

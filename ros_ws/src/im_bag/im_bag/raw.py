@@ -1,4 +1,4 @@
-"""Reading bags, MCAP or SQLite; one that was cut short is completed first."""
+"""Reader of bags, MCAP or SQLite; an interrupted bag is completed first."""
 
 import os
 from collections import Counter
@@ -43,7 +43,7 @@ class BagReader:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
+        """Close the bag."""
         self._reader.close()
 
     @property
@@ -80,7 +80,7 @@ class BagReader:
         return {connection.topic: Delivery.of(connection) for connection in self._reader.connections}
 
     def check_type(self, topic: str) -> None:
-        """Refuse a topic whose messages cannot be told apart.
+        """Refuse a topic with several types, or with several definitions of one type.
 
         Raises:
             DataError: It has several types, or several definitions of one.
@@ -93,7 +93,7 @@ class BagReader:
             raise DataError(f"{topic} has several definitions of {types[0]} in {self._path}", topic=topic)
 
     def check_definition(self, topic: str) -> None:
-        """Refuse a topic whose type has other fields in the bag than here.
+        """Refuse a topic if the fields of the type differ between the bag and the local definition.
 
         Raises:
             DataError: It has.
@@ -133,7 +133,7 @@ class BagReader:
 
 
 def changed_type(topic: str, type_name: str) -> DataError:
-    """Says that the messages of a topic are of another definition than its type has here."""
+    """Return the error: a topic's messages in the bag have another definition than the type has here."""
     return DataError(
         f"{topic}: {type_name} has another definition here than when it was recorded; leave the topic out (--topics), "
         "or replay with the workspace of the recording",

@@ -1,4 +1,4 @@
-"""Messages out of a bag (rosbag2: MCAP, SQLite), decoded; whatever is wrong with a bag is one sentence."""
+"""Decoded messages of a bag (rosbag2: MCAP, SQLite); each fault of a bag is reported in one sentence."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -49,7 +49,7 @@ class BagMessage:
 
 
 def open_bag(bag: Path) -> Reader:
-    """A bag, looked at before it is opened, and completed where its recorder was killed.
+    """Open a bag after a check; complete the bag first if the recorder was killed.
 
     How long it is has no limit: its messages are read one by one.
 
@@ -84,7 +84,7 @@ def open_bag(bag: Path) -> Reader:
 
 
 def no_bag_in(folder: Path) -> str:
-    """Says of a folder that is no bag where one could be."""
+    """Return the sentence: the folder is no bag, though a bag was expected there."""
     if single := sorted(path.name for path in folder.glob("*.db3")):
         return f"lacks {METADATA}; name one of its files: {', '.join(single[:8])}"
     if any(folder.glob(_PACKED)):
@@ -145,7 +145,7 @@ def messages_of(
 
 
 def read_on(bag: Path, messages: Iterator[MessageT]) -> Iterator[MessageT]:
-    """What is read from a bag, as it is.
+    """Yield the messages read from a bag, unchanged.
 
     Raises:
         DataError: The bag is damaged where it is read.
@@ -167,7 +167,7 @@ def _decoded(reader: Reader, connections: Sequence[Connection], store: Typestore
 
 
 def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
-    """Types of Jazzy, and others as the bag defines them.
+    """Return the types of Jazzy, and other types as defined in the bag.
 
     Raises:
         DataError: It does not define one, or defines it in several ways, or in one that makes no sense.
@@ -191,7 +191,7 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
 
 
 def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
-    """The types that a definition holds, as ``rosbags`` reads them.
+    """Return the types in a definition, as read by ``rosbags``.
 
     Args:
         name: The type that is defined, with all that it contains.
@@ -210,7 +210,7 @@ def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
 
 
 def unreadable_bag(bag: Path, error: Exception) -> DataError:
-    """What a bag's reader raised as one sentence, however many lines it used."""
+    """Return the exception of a bag's reader as an error of one sentence, even if the exception has many lines."""
     told = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     reason = " ".join(told.split()) or type(error).__name__
     return FileError(bag, f"cannot be read: {printable(reason)[:200]}")

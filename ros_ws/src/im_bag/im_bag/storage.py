@@ -34,10 +34,10 @@ _SERIALIZED = "cdr"
 
 
 class WholeMcapReader(McapReader):
-    """Reads every message of a file, whatever its index leaves out, and the hashes that its channels tell."""
+    """Reader of every message of a file, even with an incomplete index, and of the type hashes in the channels."""
 
     def open(self) -> None:
-        """Open it.
+        """Open the file.
 
         Raises:
             ReaderError: It is damaged, or holds messages or definitions of types that are not those of ROS 2.
@@ -57,7 +57,7 @@ class WholeMcapReader(McapReader):
         ]
 
     def read_index(self) -> None:
-        """Read the summary; all of the file where that does not say what there is."""
+        """Read the summary; read the whole file if the summary is incomplete."""
         super().read_index()
         if self.statistics is not None and len(self.chunks) != self.statistics.chunk_count:
             self.chunks.clear()  # so that the file is read from its beginning
@@ -72,7 +72,7 @@ class WholeMcapReader(McapReader):
     def messages(
         self, connections: Collection[Connection], start: int | None = None, stop: int | None = None
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Read messages in the order of their times, also where they lie one by one, without chunks, in another.
+        """Yield messages in order of time, also messages stored one by one, without chunks, in another order.
 
         Args:
             connections: Whose.
@@ -92,7 +92,7 @@ class WholeMcapReader(McapReader):
     def _places(
         self, wanted: Container[int], start: int | None, stop: int | None
     ) -> Iterator[tuple[int, int, int, int]]:
-        """Channel, time, offset and size of the data of each message that is wanted; see ``messages``."""
+        """Yield channel, time, offset and data size of each wanted message; see ``messages``."""
         assert self.bio is not None
         at = self.data_start
         while at < self.data_end:
@@ -149,7 +149,7 @@ class WholeSqliteReader(Sqlite3Reader):
 
 
 def _by_ending(path: Path) -> Any:
-    """Return the reader of a file of a bag whose metadata do not tell the kind of its files."""
+    """Return the reader of a file of a bag whose metadata do not tell the kind of the files."""
     if path.suffix not in _BY_ENDING:
         raise ReaderError(f"{path.name} is no file of a bag: {', '.join(_BY_ENDING)}")
     return _BY_ENDING[path.suffix](path)
@@ -162,7 +162,7 @@ class _WholeDirectoryReader(DirectoryReader):
     STORAGE_PLUGINS: Mapping[str, Any] = {"mcap": WholeMcapReader, "sqlite3": WholeSqliteReader, "": _by_ending}
 
     def open(self) -> None:
-        """Open it, with all that its files hold: metadata may name one type of a topic that has several."""
+        """Open the bag with the types found in the files: metadata may name only one of several types of a topic."""
         super().open()
         self.connections = [each._replace(digest=_hash(each.digest)) for each in self.connections]
         for each in (each for storage in self.storages for each in storage.connections):
@@ -175,7 +175,7 @@ class _WholeDirectoryReader(DirectoryReader):
 
 
 class WholeReader(Reader):
-    """Reads bags, folders and files, every message of them."""
+    """Reader of bags, folders and files, with every contained message."""
 
     STORAGE_PLUGINS: Mapping[str, Any] = {
         "dir": _WholeDirectoryReader,
@@ -184,18 +184,18 @@ class WholeReader(Reader):
 
 
 def _is_same(stored: Connection, listed: Connection) -> bool:
-    """Whether messages of a connection of a file are given as those of one that the metadata list."""
+    """Check whether a file's connection is presented as a given connection of the metadata."""
     told = (listed.topic, listed.msgtype, listed.ext) == (stored.topic, stored.msgtype, stored.ext)
     return told and (not listed.digest or not stored.digest or listed.digest == stored.digest)
 
 
 def _hash(text: str) -> str:
-    """A hash of a type; empty for what stands in its place where a publisher tells none (``INVALID``)."""
+    """Return the hash of a type; empty for the placeholder of a publisher without a hash (``INVALID``)."""
     return text if text.startswith("RIHS") else ""
 
 
 def _told(metadata: bytes) -> dict[str, str]:
-    """What a channel tells beside its topic: texts, each after its name."""
+    """Return the metadata of a channel beside the topic: texts, each after a name."""
     stream, told = BytesIO(metadata), {}
     while stream.tell() < len(metadata):
         name = read_string(stream)

@@ -1,4 +1,4 @@
-"""Compressed bags unpack within limits: a kilobyte of them may stand for a gigabyte of zeros.
+"""Limits for the unpacking of compressed bags: one kilobyte may stand for a gigabyte of zeros.
 
 ``rosbags`` unpacks a chunk, a message or a file whole and looks at its size afterwards. What it unpacks with is
 replaced here, once and for all its readers in this process.
@@ -24,7 +24,7 @@ _zstd: Any = vars(reader)["zstd"]  # the module, by whatever name this Python ha
 
 
 class UnpackingError(ValueError):
-    """Something unpacks to more than it may."""
+    """Error: unpacking gives more data than allowed."""
 
 
 def install() -> None:
@@ -48,7 +48,7 @@ def unpack_zstd(data: bytes, size: int | None = None) -> bytes:
 
 
 def check_files(bag: Path, paths: Iterable[Path]) -> None:
-    """Refuse a bag whose files, each packed as a whole, unpack to too much; nothing of them is kept.
+    """Refuse a bag with files too large after unpacking, each packed as a whole; no unpacked data are kept.
 
     Args:
         bag: The bag, for the message.

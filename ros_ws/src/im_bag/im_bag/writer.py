@@ -1,4 +1,4 @@
-"""Writing bags: MCAP in chunks, each on the disk when it is flushed; messages are the bytes of the middleware."""
+"""Writer of bags: MCAP in chunks, each on the disk when flushed; messages are the bytes of the middleware."""
 
 import fcntl
 import os
@@ -36,7 +36,7 @@ class PartLimits:
 
 
 class _PartFile:
-    """The file of a part, locked while it is open; what cannot be written whole leaves no trace in it."""
+    """File of a part, locked while open; an incomplete write leaves no trace in the file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -46,7 +46,7 @@ class _PartFile:
         self._written = 0
 
     def write(self, data: bytes) -> int:
-        """Take some bytes; they are written when the file is flushed."""
+        """Take some bytes, to be written at the next flush of the file."""
         self._waiting += data
         return len(data)
 
@@ -55,7 +55,7 @@ class _PartFile:
         return self._written + len(self._waiting)
 
     def flush(self) -> None:
-        """Write what was taken.
+        """Write the bytes taken so far.
 
         Raises:
             OSError: Not all of it can be; none of it is.
@@ -72,16 +72,16 @@ class _PartFile:
         self._waiting = bytearray()
 
     def is_empty(self) -> bool:
-        """Whether nothing of it came to the disk."""
+        """Check whether no byte of the file has reached the disk."""
         return not self._written
 
     def close(self) -> None:
-        """Close it; what was not flushed is gone."""
+        """Close the file; bytes not flushed are lost."""
         os.close(self._file)
 
 
 class BagWriter:
-    """Writes a bag in parts: each is a file that is complete when the next begins.
+    """Writer of a bag in parts: each part is a complete file before the next one begins.
 
     A recorder that is killed loses what it has not flushed; readers complete its last part
     (:func:`im_bag.files.complete_bag`).
@@ -157,7 +157,7 @@ class BagWriter:
             self._attempt(self._begin_part)
 
     def flush(self) -> None:
-        """Write what was appended as a chunk: from now on it outlives this process.
+        """Write the appended messages as a chunk; from now on the chunk outlives the process.
 
         Raises:
             StoreError: As of :meth:`write`.
@@ -190,7 +190,7 @@ class BagWriter:
         write_metadata(self.path, [*self._parts, self._file.path])
 
     def _attempt(self, act: Callable[[], Any]) -> Any:
-        """Do what may find the disk full."""
+        """Run an operation on the disk; a failure (for example a full disk) fails all later operations, too."""
         if self._broken is not None:
             raise self._broken
         try:
@@ -217,7 +217,7 @@ class BagWriter:
         self._file.flush()
 
     def _end_part(self) -> None:
-        """Finish the file that is written, and list it."""
+        """Finish the current file, and list the file."""
 
         def finish() -> None:
             self._writer.finish()
@@ -231,5 +231,5 @@ class BagWriter:
 
 @cache
 def _profiles(delivery: Delivery) -> str:
-    """As channels tell it; topics are many, and announced in each part, ways to deliver are few."""
+    """Return the QoS profile as written in channels; cached: many topics in each part share few kinds of delivery."""
     return write_yaml([delivery.to_qos()])

@@ -1,4 +1,4 @@
-"""Brings the Intelligent Machine up and down, records and replays it; knows ``im_core`` and ``im_cell`` only.
+"""Start, stop, recording and replay of the Intelligent Machine; depends on ``im_core`` and ``im_cell`` only.
 
 - :mod:`im_bringup.tasks`: the deployment file, executables, the agent of a host, the registry of all tasks;
 - :mod:`im_bringup.machine`: bootstrap, ``start`` and ``stop``, the record of a machine, leftovers of a killed one;

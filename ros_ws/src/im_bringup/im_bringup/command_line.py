@@ -1,4 +1,4 @@
-"""Commands of the Dispatcher on a command line: options, help and values from the schema of their arguments."""
+"""Commands of the Dispatcher on a command line: options, help and values from the schema of the arguments."""
 
 import argparse
 import json
@@ -44,7 +44,7 @@ class CommandParser(NumberParser):
             self.add_argument("--arguments", type=json_object, default={}, metavar="JSON", help="a JSON object")
 
     def read(self, texts: Sequence[str]) -> tuple[dict[str, object], argparse.Namespace]:
-        """Returns the arguments that are given, and the options of every command; ends the process with 2 otherwise."""
+        """Parse the given arguments and the options common to all commands; exit the process with code 2 on error."""
         options, rest = self.parse_known_args(texts)
         if rest:
             known = [option for action in self._actions for option in action.option_strings if option != "-h"]
@@ -53,7 +53,7 @@ class CommandParser(NumberParser):
         return {**given, **getattr(options, "arguments", {})}, options
 
     def error(self, message: str) -> NoReturn:
-        """Says what is wrong in one sentence."""
+        """Report the error in one sentence."""
         self.exit(2, f"{self.prog}: {message}; {self.prog} {self._help} tells more\n")
 
     def _add(self, name: str, schema: Schema, required: bool) -> None:
@@ -74,7 +74,7 @@ class CommandParser(NumberParser):
 
 
 def command_told(commands: Sequence[Mapping[str, Any]], symbol: str) -> Mapping[str, Any]:
-    """Returns what is told of a command.
+    """Return the Dispatcher's description of a command.
 
     Raises:
         NotFoundError: There is no such command.
@@ -86,7 +86,7 @@ def command_told(commands: Sequence[Mapping[str, Any]], symbol: str) -> Mapping[
 
 
 def completions(commands: Sequence[Mapping[str, Any]]) -> str:
-    """Returns the names for a shell to complete: a line for each command, its options and their choices behind it."""
+    """Return the names for shell completion: a line for each command, followed by options and choices."""
     lines = []
     for told in commands:
         words, properties = [str(told["symbol"])], told.get("arguments", {}).get("properties", {})
@@ -100,7 +100,7 @@ def completions(commands: Sequence[Mapping[str, Any]]) -> str:
 
 
 def json_object(text: str) -> dict[str, object]:
-    """Reads a JSON object.
+    """Parse a JSON object.
 
     Raises:
         ArgumentTypeError: It is none.
@@ -112,7 +112,7 @@ def json_object(text: str) -> dict[str, object]:
 
 
 def json_value(text: str) -> object:
-    """Reads JSON.
+    """Parse a JSON value.
 
     Raises:
         ArgumentTypeError: It is none.
@@ -146,7 +146,7 @@ def _options(name: str) -> list[str]:
 
 
 def _own_options(arguments: Iterable[str]) -> list[str]:
-    """The options of every command; one whose name the command has for an argument is behind ``--run-``."""
+    """Return the options common to all commands; one with the name of an argument gets the prefix ``--run-``."""
     taken = {option for name in arguments for option in _options(name)}
     own = []
     for option in _OWN:

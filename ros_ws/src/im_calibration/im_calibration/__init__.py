@@ -1,4 +1,4 @@
-"""Camera calibration: where cameras are and how they image, from a wrist LED moved by the robot.
+"""Camera calibration: pose and imaging of cameras, from a wrist LED moved by the robot.
 
 A library: no ROS, no vision services; of our packages it knows `im_core` and `im_cell`. The story is told in
 :mod:`im_calibration.pipeline`: problem, estimation, judgement; then reporting, and :mod:`im_calibration.design` for

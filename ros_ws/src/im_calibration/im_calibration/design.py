@@ -31,7 +31,7 @@ _UNIT = 1e-3
 
 @dataclass(frozen=True)
 class Candidates:
-    """Poses that could be measured next.
+    """Candidate poses for the next measurement.
 
     Attributes:
         names: One label a pose.
@@ -52,7 +52,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class NextPose:
-    """A pose to measure, and what it will bring.
+    """Pose to measure, with the expected benefit.
 
     Attributes:
         index: Its place among the candidates.
@@ -72,7 +72,7 @@ class NextPose:
 def next_best_poses(
     calibration: Calibration, problem: CalibrationProblem, candidates: Candidates, count: int = 1
 ) -> tuple[NextPose, ...]:
-    """The poses to measure next, best first, each on top of those before it.
+    """Return the poses to measure next, best first, each in addition to the earlier ones.
 
     Best is what lowers the expected triangulation error most; reprojection error where no two cameras see a common part
     of the workspace. No candidate comes twice.
@@ -112,7 +112,7 @@ def next_best_poses(
 
 
 def unknowns_of(calibration: Calibration, poses: int) -> Unknowns:
-    """The estimate as a value of all unknowns, the LED of any number of poses where the robot puts it."""
+    """Return the estimate as a value of all unknowns, with the LED of any number of poses at the robot's positions."""
     models = [camera.model for camera in calibration.cameras]
     return Unknowns(
         tuple(m.lens for m in models),
@@ -147,7 +147,7 @@ class _Errors:
 
 
 def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Unknowns) -> CalibrationProblem:
-    """The candidates as a problem whose spots are where the calibration expects them, none outside the images."""
+    """Return the candidates as a problem with spots at the places expected by the calibration, all in the images."""
     m = len(candidates.positions)
     if np.shape(candidates.spot_covariances) != (len(problem.camera_names), m, 2, 2):
         raise DataError(f"Spot covariances of {m} candidates in {len(problem.camera_names)} cameras are needed.")
@@ -204,7 +204,7 @@ class PoseFile(Model):
 
 
 def load_candidates(path: Path, problem: CalibrationProblem) -> Candidates:
-    """Poses of a file, to be measured like those of a problem: with its mean position noise and typical spot noise.
+    """Read poses from a file, to be measured with the mean position noise and the typical spot noise of a problem.
 
     Args:
         path: The file (YAML).

@@ -1,4 +1,4 @@
-"""Errors of the calibration: what makes an estimate impossible, as opposed to a verdict on one."""
+"""Errors of the calibration: reasons why an estimate is impossible, as opposed to verdicts on an estimate."""
 
 from im_core.errors import DataError
 

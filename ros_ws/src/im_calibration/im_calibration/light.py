@@ -1,4 +1,4 @@
-"""What one pose of the arm tells of the light: how surely its position is known, and whether images show that pose."""
+"""Evidence on the light from one arm pose: certainty of the light's position, and test whether images show the pose."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ UNUSABLE = "unusable"
 
 @dataclass(frozen=True)
 class MeasuredRest:
-    """Where an arm was measured while it rested.
+    """Measured pose of an arm at rest.
 
     Attributes:
         jacobian: Of the wrist, linear above angular part, world axes, shape (6, n).
@@ -30,7 +30,7 @@ class MeasuredRest:
     since_ns: int
 
     def light_covariance(self, offset: Array) -> Array:
-        """Covariance of the light's position that follows from that of the joints.
+        """Return the covariance of the light's position, following from the covariance of the joints.
 
         Args:
             offset: Nominal position of the light in the wrist frame, shape (3,) [m].
@@ -54,7 +54,7 @@ class MeasuredRest:
         return 0.5 * (covariance + covariance.T)
 
     def require_shown(self, exposed_ns: int, pose: str) -> None:
-        """An image tells of a position only if it was taken in the same rest.
+        """Refuse an image exposed before the rest: an image gives a position only if taken during the same rest.
 
         Args:
             exposed_ns: Testbed time of the exposure [ns].

@@ -98,19 +98,19 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
 
 
 def _nonsense(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
-    """Whether it is worth to ask what the data may be instead."""
+    """Check whether a search for the cause of bad data is worthwhile."""
     return not plausible(gated, problem, layout) or _beyond_noise(gated, problem)
 
 
 def _beyond_noise(gated: Gated, problem: CalibrationProblem) -> bool:
-    """Whether the typical residual is so large a part of the image that no camera has such noise."""
+    """Check whether the typical residual is too large a part of the image for the noise of any camera."""
     residuals = np.linalg.norm(gated.fit.linearisation.residuals.reshape(-1, 2), axis=1)
     width = min(width for width, _ in problem.image_sizes)
     return bool(np.median(residuals[residuals > 0.0]) > _NO_NOISE_SHARE * width)
 
 
 def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, cause: str) -> NoiseFactors:
-    """What the residuals say about the stated noise; where it is too small, gates have cut them off, and must widen."""
+    """Return noise factors from residuals; if stated noise is too small, gates cut residuals off and must widen."""
     dof = _freedom(gated.fit, gated.used, layout)
     few = bool(np.any(gated.used.sum(axis=1) < TRUSTED_SHARE * problem.detected.sum(axis=1)))
     chi2 = gated.fit.chi2 - layout.prior(gated.fit.unknowns).lens_chi2
@@ -120,7 +120,7 @@ def _factors(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout,
 
 
 def _freedom(fit: Fit, used: Mask, layout: ParameterLayout) -> int:
-    """Degrees of freedom of chi-square; what a lens prior contributes is none, its share of what is known counts."""
+    """Return the degrees of freedom of chi-square; a lens prior adds none, but a share of the knowledge counts."""
     prior = layout.prior(fit.unknowns)
     from_prior = float((covariance_of(fit.information).matrix * prior.lens_information).sum())
     return round(2 * int(used.sum()) - layout.cameras_size + from_prior)
@@ -202,7 +202,7 @@ def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> Ca
 
 
 def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, ...]:
-    """One entry a pose if nothing of it counts, else one a spot."""
+    """Return one entry per pose if no spot of the pose counts, else one per spot."""
     rejections = []
     for i, pose in enumerate(problem.pose_names):
         out = np.flatnonzero(problem.detected[:, i] & ~gated.used[:, i])
@@ -219,7 +219,7 @@ def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, .
 
 
 def _canonical_order(problem: CalibrationProblem) -> NDArray[np.intp]:
-    """Order of the poses by their data alone."""
+    """Return the order of the poses by data alone."""
     n = len(problem.positions)
     keys = np.column_stack(
         (

@@ -1,4 +1,4 @@
-"""What stands in the cell, for who moves it, sees it, calibrates it or simulates it; knows ``im_core`` only.
+"""Contents of the cell, for moving, seeing, calibrating or simulating; depends on ``im_core`` only.
 
 - :mod:`im_cell.robot`: geometry and dynamics of robots, cameras, targets and lights, as drawn;
 - :mod:`im_cell.camera_model`, :mod:`im_cell.laser_model`, :mod:`im_cell.sensor`, :mod:`im_cell.psf`,

@@ -78,7 +78,7 @@ def evaluate(estimated: Sequence[CameraModel], true: Sequence[CameraModel], poin
 
 
 def triangulate(cameras: Sequence[CameraModel], images: ArrayLike, seen: ArrayLike, guess: ArrayLike) -> Array:
-    """Points whose projections are nearest to given images, by Gauss-Newton with equal weights.
+    """Compute the points with projections nearest to given images, by Gauss-Newton with equal weights.
 
     Args:
         cameras: The c cameras.

@@ -1,4 +1,4 @@
-"""How well cameras are known, together: what one calibration gave is off in common."""
+"""Uncertainty of several cameras together: errors of one calibration are common to the cameras."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -27,24 +27,24 @@ class CameraCovariance:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras of which it is known how well they are known."""
+        """Cameras with a known uncertainty."""
         return tuple(dict.fromkeys(_camera(parameter) for parameter in self.parameters))
 
     def only(self, cameras: Iterable[str]) -> "CameraCovariance":
-        """That of some of the cameras."""
+        """Return the covariance of some of the cameras."""
         wanted = set(cameras)
         places = [rank for rank, parameter in enumerate(self.parameters) if _camera(parameter) in wanted]
         return CameraCovariance(tuple(self.parameters[place] for place in places), self.matrix[np.ix_(places, places)])
 
     def updated(self, cameras: Iterable[str], anew: "CameraCovariance") -> "CameraCovariance":
-        """With some cameras described anew, independently of the others; those that `anew` lacks are unknown."""
+        """Return a covariance with some cameras described independently anew; cameras not in `anew` are unknown."""
         changed = set(cameras)
         kept = self.only(set(self.cameras) - changed)
         given = anew.only(changed)
         return CameraCovariance(kept.parameters + given.parameters, scipy.linalg.block_diag(kept.matrix, given.matrix))
 
     def of(self, cameras: Iterable[str]) -> Array:
-        """Covariance of all parameters of c cameras, one after the other; 0 of those that are not known.
+        """Return the covariance of all parameters of c cameras, one after the other; 0 for unknown cameras.
 
         Args:
             cameras: Names of the cameras.
@@ -61,7 +61,7 @@ class CameraCovariance:
         return matrix
 
     def on_mount(self, camera: str, origin: Array) -> "CameraCovariance":
-        """That of the cameras with the pose of one relative to a frame instead of the world.
+        """Return the covariance with the pose of one camera relative to a frame instead of the world.
 
         Args:
             camera: Its name.

@@ -162,7 +162,7 @@ class CameraModel:
         return self.lens.undistort(pixels @ np.linalg.inv(self.K[:2, :2]).T, self.D)
 
     def ray(self, uv: ArrayLike) -> Array:
-        """Unit directions in the world through pixels; they start at :attr:`position`.
+        """Return unit directions in the world through pixels; the rays start at :attr:`position`.
 
         Args:
             uv: Pixels, shape (..., 2) [px].

@@ -19,7 +19,7 @@ _CODES = (
 
 @cache
 def code_of(number: int) -> NDArray[np.bool_]:
-    """Which cells of a fiducial are white, its upper left first, shape (6, 6)."""
+    """Return the white cells of a fiducial as True, the upper left cell first, shape (6, 6)."""
     code = np.zeros((CELLS, CELLS), dtype=bool)
     code[1:-1, 1:-1] = (_CODES[number] >> np.arange(15, -1, -1)).reshape(4, 4) & 1
     code.setflags(write=False)

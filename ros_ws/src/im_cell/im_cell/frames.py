@@ -1,4 +1,4 @@
-"""Images, and what takes them: orders for exposures, the frames they bring, and the contract of a frame source."""
+"""Images and image sources: orders for exposures, the resulting frames, and the contract of a frame source."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -18,12 +18,12 @@ Exposed = Callable[[tuple[int, ...]], None]
 
 
 def nobody(stamps_ns: tuple[int, ...]) -> None:
-    """Whom it does not concern when shutters close."""
+    """Ignore the shutter times."""
 
 
 @dataclass(frozen=True)
 class SnapOrder:
-    """What to expose: every frame is common to all cameras.
+    """Order of exposures: every frame is common to all cameras.
 
     Attributes:
         cameras: Names of the cameras.
@@ -68,7 +68,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class FrameSet:
-    """What a :class:`SnapOrder` brought.
+    """Result of a :class:`SnapOrder`.
 
     Attributes:
         frames: Images of each camera in the order of the exposures.
@@ -83,7 +83,7 @@ class FrameSet:
 
 @dataclass(frozen=True)
 class FrameSourceSetup:
-    """What a frame source is told when it is made.
+    """Setup given to a frame source at creation.
 
     Attributes:
         cell: Where the cameras are and what sizes their images have.
@@ -105,7 +105,7 @@ class FrameSourceSetup:
 
 
 class FrameSource(ABC):
-    """What takes the images of all cameras; ``vss.yaml`` names the class. One order at a time.
+    """Source of the images of all cameras, one order at a time; ``vss.yaml`` names the class.
 
     Args:
         setup: Cameras and settings.
@@ -113,14 +113,14 @@ class FrameSource(ABC):
 
     @classmethod  # noqa: B027  # most have no processes
     def prepare(cls) -> None:
-        """Prepare what its processes load (:func:`im_core.process.prepare`), before ROS is loaded."""
+        """Prepare modules for the child processes (:func:`im_core.process.prepare`), before ROS is loaded."""
 
     @abstractmethod
     def __init__(self, setup: FrameSourceSetup) -> None: ...
 
     @abstractmethod
     def start(self) -> None:
-        """Begin to get ready; :meth:`wait_ready` waits for it.
+        """Begin to get ready; :meth:`wait_ready` waits for readiness.
 
         Raises:
             ImError: The cameras cannot be had.
@@ -136,7 +136,7 @@ class FrameSource(ABC):
 
     @abstractmethod
     def revive(self) -> str:
-        """Start again what died; what it died of, empty if nothing did."""
+        """Restart dead parts; return the cause of death, empty if nothing died."""
 
     @abstractmethod
     def take_frames(self, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
@@ -151,7 +151,7 @@ class FrameSource(ABC):
         """
 
     def await_image(self, due_ns: int | None) -> None:  # noqa: B027  # time waits for none where it passes by itself
-        """Say when the next image of those at a rate is due, so that time, where it can, waits for it.
+        """Announce the due time of the next image at a rate; simulated time, where possible, waits for the image.
 
         Args:
             due_ns: Testbed time [ns]; None: none is.

@@ -38,7 +38,7 @@ class LaserModel:
     offset: float = 0.0
 
     def rays(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Where beams leave mirror 2 and where they go.
+        """Compute origins of beams on mirror 2, and directions of the beams.
 
         Args:
             angles: Angles the mirrors report, shape (..., 2) [rad].
@@ -53,7 +53,7 @@ class LaserModel:
         return origin @ self.rotation.T + self.position, direction @ self.rotation.T
 
     def planes(self, mirror2: ArrayLike) -> Array:
-        """Normals of the planes that mirror 1 sweeps; all planes contain :attr:`position`.
+        """Compute normals of the planes swept by mirror 1; all planes contain :attr:`position`.
 
         Args:
             mirror2: Angles of mirror 2, shape (...) [rad].
@@ -66,7 +66,7 @@ class LaserModel:
         return np.asarray(normal @ self.rotation.T)
 
     def angles_to(self, target: ArrayLike) -> Array:
-        """Angles that the mirrors must report for the beam to meet a point.
+        """Compute the mirror angles to be reported for the beam to meet a point.
 
         Args:
             target: Points in the world, shape (..., 3) [m].

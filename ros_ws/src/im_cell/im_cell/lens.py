@@ -1,4 +1,4 @@
-"""Lens models by their names in `sensor_msgs/CameraInfo`: from ideal image points to distorted ones, and back.
+"""Lens models by name in `sensor_msgs/CameraInfo`: from ideal image points to distorted ones, and back.
 
 Ideal points are on the plane z = 1 of the camera frame, so that a lens is described up to less than 90 degrees off its
 axis, whatever its model.
@@ -43,7 +43,7 @@ class LensModel(ABC):
     powers: tuple[int, ...]
 
     def all_of(self, coefficients: ArrayLike) -> Array:
-        """D of coefficients the last of which may be left out where they are 0: all that a calibration never estimates.
+        """Return the full D from coefficients; trailing zeros, of terms never estimated, may be left out.
 
         Raises:
             DataError: There are too few or too many.
@@ -94,7 +94,7 @@ class Brown(LensModel):
     _all_powers = (2, 4, 1, 1, 6, 2, 4, 6)
 
     def __init__(self, name: str, coefficients: int, estimated: int) -> None:
-        """A model with the first of the coefficients."""
+        """Create a model with the first coefficients of the list."""
         self.name, self.estimated = name, estimated
         self.coefficients = COEFFICIENTS[:coefficients]
         self.powers = self._all_powers[:coefficients]
@@ -154,7 +154,7 @@ class Brown(LensModel):
         raise _not_invertible(self, D)
 
     def _radial(self, r2: Array, D: ArrayLike) -> tuple[Array, Array, Array]:
-        """Radial factor, twice its derivative by `r2`, and its denominator."""
+        """Return the radial factor, twice the derivative by `r2`, and the denominator of the factor."""
         k1, k2, _, _, k3, *rest = np.asarray(D, dtype=float).tolist()
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         above_slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
@@ -223,7 +223,7 @@ class Equidistant(LensModel):
         return np.asarray(target * scale[..., None])
 
     def _scale(self, points: Array, D: ArrayLike) -> tuple[Array, Array, Array]:
-        """Angle off the axis, factor on ideal points, and its derivative by the radius over the radius."""
+        """Return the angle off axis, the factor on ideal points, and the derivative by the radius over the radius."""
         r2 = (points**2).sum(axis=-1)
         theta = np.arctan(np.sqrt(r2))
         angle, slope = self._polynomial(theta, D)
@@ -239,7 +239,7 @@ class Equidistant(LensModel):
         return np.asarray(np.where(r2 < _ON_AXIS, 1.0, theta / np.sqrt(np.maximum(r2, _ON_AXIS))))
 
     def _polynomial(self, theta: Array, D: ArrayLike) -> tuple[Array, Array]:
-        """Distance from the axis in the image [focal lengths], and its derivative by the angle."""
+        """Return the distance from the axis in the image [focal lengths], and the derivative by the angle."""
         k1, k2, k3, k4 = np.asarray(D, dtype=float)
         t2 = theta * theta
         angle = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))

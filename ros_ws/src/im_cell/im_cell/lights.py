@@ -1,4 +1,4 @@
-"""What the testbed tells of the wrist lights."""
+"""State of the wrist lights, as reported by the testbed."""
 
 from im_cell.robot import Cell
 from im_core.bounded_json import read_json
@@ -6,7 +6,7 @@ from im_core.errors import DataError
 
 
 def lights_told(text: str, cell: Cell) -> dict[str, bool]:
-    """Which lights are on, by what came on ``/testbed/lights``.
+    """Return the state of each light, from the text received on ``/testbed/lights``.
 
     Args:
         text: JSON object, on or off by the name of the light.

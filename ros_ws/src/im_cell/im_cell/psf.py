@@ -11,7 +11,7 @@ _SQRT2PI = float(np.sqrt(2.0 * np.pi))
 
 
 def pixel_integrals(centre: float, sigma: float, pixels: Array) -> Array:
-    """Share of a unit Gaussian line that falls on each pixel.
+    """Compute the share of a unit Gaussian line on each pixel.
 
     Args:
         centre: Centre of the Gaussian [px].
@@ -27,7 +27,7 @@ def pixel_integrals(centre: float, sigma: float, pixels: Array) -> Array:
 
 
 def pixel_derivatives(centre: float, sigma: float, pixels: Array) -> tuple[Array, Array]:
-    """Derivatives of :func:`pixel_integrals` with respect to the centre and to sigma, each of shape (n,) [1/px]."""
+    """Compute derivatives of :func:`pixel_integrals` by the centre and by sigma, each of shape (n,) [1/px]."""
     upper = (pixels - centre + 0.5) / sigma
     lower = (pixels - centre - 0.5) / sigma
     g_upper = np.exp(-0.5 * upper**2) / (_SQRT2PI * sigma)

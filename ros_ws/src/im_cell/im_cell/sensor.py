@@ -1,4 +1,4 @@
-"""The sensor of a camera: noise of its pixels, from the data sheet, and what can be set at it."""
+"""Sensor of a camera: pixel noise from the data sheet, and adjustable settings."""
 
 from dataclasses import dataclass
 from typing import TypeVar
@@ -44,11 +44,11 @@ class SensorNoise(Model):
 
 @dataclass(frozen=True)
 class SensorControls:
-    """What can be set at a camera, relative to its data sheet: amplification and read noise [-]."""
+    """Adjustable settings of a camera, relative to the data sheet: amplification and read noise [-]."""
 
     gain: float = 1.0
     noise: float = 1.0
 
     def of(self, sheet: SensorNoise) -> SensorNoise:
-        """The sensor of a data sheet with these controls."""
+        """Return the sensor of a data sheet with the present controls."""
         return sheet.model_copy(update={"gain": sheet.gain / self.gain, "read_noise": sheet.read_noise * self.noise})

@@ -37,7 +37,7 @@ class Workspace:
         return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
     def grid(self, counts: tuple[int, int, int] = (10, 5, 5)) -> Array:
-        """Centres of equal cells, so that a mean over them is a mean over the volume.
+        """Return the centres of equal cells; a mean over the centres is a mean over the volume.
 
         Args:
             counts: Number of cells along each axis.

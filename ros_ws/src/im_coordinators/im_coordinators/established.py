@@ -1,4 +1,4 @@
-"""What was established for a command (power, a light) is lost with the life of the task that kept it."""
+"""Establishments for a command (power, a light), lost when the task in charge gets a new incarnation."""
 
 from im_core.errors import StateError
 
@@ -7,7 +7,7 @@ BEGUN_ANEW = "begun_anew"
 
 
 def lost(task: str, what: str, name: str) -> StateError:
-    """Returns the error of what goes on with something that is not there any more.
+    """Return the error for going on with an establishment lost meanwhile.
 
     Args:
         task: Who kept it.

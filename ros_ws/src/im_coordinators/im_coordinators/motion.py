@@ -1,4 +1,4 @@
-"""What the Motion Coordinator decides: what an arm is to do, in what state it is, and whether a position counts."""
+"""Decisions of the Motion Coordinator: target of an arm, state of an arm, validity of a position."""
 
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from typing import Protocol
@@ -15,7 +15,7 @@ DESTINATIONS = ("destination", "position", "joints")
 
 
 class ToldGroup(Protocol):
-    """What ``/mcs/state`` says of a group: ``im_msgs/GroupStatus``."""
+    """State of a group on ``/mcs/state``: ``im_msgs/GroupStatus``."""
 
     group: str
     state: str
@@ -24,7 +24,7 @@ class ToldGroup(Protocol):
 
 
 def check_told(state: str, groups: Iterable[ToldGroup]) -> None:
-    """Make sure that what came on ``/mcs/state`` can be a state of MCS: else it has not said it.
+    """Check a message from ``/mcs/state`` for states possible in MCS; refuse any other message.
 
     Args:
         state: Of MCS.
@@ -40,7 +40,7 @@ def check_told(state: str, groups: Iterable[ToldGroup]) -> None:
 
 
 def state_for(groups: Iterable[ToldGroup], group: str, owner: str) -> str:
-    """State of a group in the eyes of an owner: cold unless it is reserved for him, or for anyone.
+    """Return the state of a group for an owner: cold unless reserved for the owner, or for anyone.
 
     Args:
         groups: As MCS told them last.
@@ -52,7 +52,7 @@ def state_for(groups: Iterable[ToldGroup], group: str, owner: str) -> str:
 
 
 def way_asked(arguments: Mapping[str, object], ways: tuple[str, ...], what: str) -> str:
-    """Returns which of some arguments says where to move; the others are empty.
+    """Return the one argument with the destination of a move; all other candidates are empty.
 
     Args:
         arguments: Of the request.
@@ -70,7 +70,7 @@ def way_asked(arguments: Mapping[str, object], ways: tuple[str, ...], what: str)
 
 
 def planned_beforehand(arguments: Mapping[str, object], memory: Mapping[str, object]) -> bool:
-    """Whether the path of a move was planned before it was asked for, and the arm still stands where it begins.
+    """Return whether the path of a move was planned before the request, and the arm still stands at the path's start.
 
     Args:
         arguments: Of the request.
@@ -80,7 +80,7 @@ def planned_beforehand(arguments: Mapping[str, object], memory: Mapping[str, obj
 
 
 def take_path(memory: MutableMapping[str, object]) -> None:
-    """Takes the path that was planned beforehand, once.
+    """Take the path planned beforehand, once.
 
     Args:
         memory: Of the request.
@@ -89,7 +89,7 @@ def take_path(memory: MutableMapping[str, object]) -> None:
 
 
 def depends_on_here(arguments: Mapping[str, object]) -> bool:
-    """Whether where a move is to lead depends on where the tool is when it is planned.
+    """Return whether the destination of a move depends on the tool's place at planning time.
 
     Args:
         arguments: Of the request.
@@ -98,7 +98,7 @@ def depends_on_here(arguments: Mapping[str, object]) -> bool:
 
 
 def note_end(memory: MutableMapping[str, object], positions: Sequence[float]) -> None:
-    """Keeps where a path leads that is about to be followed.
+    """Store the end of a path about to be followed.
 
     Args:
         memory: Of the request.
@@ -108,7 +108,7 @@ def note_end(memory: MutableMapping[str, object], positions: Sequence[float]) ->
 
 
 def end_noted(memory: Mapping[str, object]) -> object:
-    """Returns where the path led that was followed for a request, None where none was or it need not be known.
+    """Return the end of the path followed for a request, None without a path or without need for the end.
 
     Args:
         memory: Of the request; of a move in doubt nobody knows how far its arm has gone: it may be there already.
@@ -117,7 +117,7 @@ def end_noted(memory: Mapping[str, object]) -> object:
 
 
 def require_rest(group: str, at_rest: bool, reason: str = "") -> None:
-    """A position counts only at rest.
+    """Check for rest: a position counts only at rest.
 
     Args:
         group: Name of the group.

@@ -1,4 +1,4 @@
-"""What the Path Planning Coordinator tries before it hands an error up (paper, section 6)."""
+"""Attempts of the Path Planning Coordinator before an error is handed up (paper, section 6)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,7 @@ DETOUR_FAILURES = frozenset({"collision"})
 
 
 def configuration(positions: object, joints: Sequence[str], group: str) -> list[float]:
-    """Returns joint positions that a request asks for.
+    """Return the joint positions requested.
 
     Args:
         positions: Of each joint of the group, in its order [rad or m].
@@ -33,7 +33,7 @@ def configuration(positions: object, joints: Sequence[str], group: str) -> list[
 
 
 def require_joints(named: Sequence[str], joints: Sequence[str], group: str) -> None:
-    """A given path must be for the joints of the group that follows it, in their order.
+    """Check a given path for the joints of the following group, in the group's order.
 
     Raises:
         DataError: It is for others.
@@ -58,7 +58,7 @@ def another_may_help(failure: ImError | None, memory: Mapping[str, object]) -> b
 
 
 def home_seed(position: Sequence[float], home: Sequence[float]) -> list[float]:
-    """Where to look for a configuration near home: home, or the place of an arm that is there.
+    """Return the seed of a search for a configuration near home: home, or the place of an arm already there.
 
     Args:
         position: Joint positions now, shape (n,) [rad, m].
@@ -69,7 +69,7 @@ def home_seed(position: Sequence[float], home: Sequence[float]) -> list[float]:
 
 
 def tucked_seed(position: Sequence[float], tucked: Sequence[float]) -> list[float]:
-    """Where to look for another configuration: with the arm out of the way, and the cart where it is.
+    """Return the seed of a search for another configuration: the arm out of the way, the cart at the present place.
 
     Args:
         position: Joint positions now, shape (n,) [rad, m].
@@ -79,7 +79,7 @@ def tucked_seed(position: Sequence[float], tucked: Sequence[float]) -> list[floa
 
 
 def detour(start: Sequence[float], goal: Sequence[float], tucked: Sequence[float]) -> list[list[float]]:
-    """A path around an obstacle: tuck the arm, let the cart travel, stretch the arm again.
+    """Return a path around an obstacle: tuck the arm, move the cart, stretch the arm again.
 
     Args:
         start: Joint positions now, shape (n,) [rad, m].

@@ -1,4 +1,4 @@
-"""Where a tool is asked to be: the middle of the jaws, 15 cm before the wrist along its z axis in the shipped cell."""
+"""Place asked of a tool: the middle of the jaws, 15 cm before the wrist along z in the shipped cell."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -40,7 +40,7 @@ class WristPlacement:
 
     @property
     def quaternion(self) -> list[float]:
-        """Its rotation as a quaternion x, y, z, w."""
+        """Rotation of the target as a quaternion x, y, z, w."""
         return [float(each) for each in self.rotation.as_quat()]
 
 
@@ -62,7 +62,7 @@ class ToolTarget:
 
     @classmethod
     def asked(cls, arguments: Mapping[str, object]) -> "ToolTarget":
-        """Reads what a request asks for: ``group``, ``position``, ``orientation``, ``frame``.
+        """Read the arguments of a request: ``group``, ``position``, ``orientation``, ``frame``.
 
         Raises:
             DataError: The position has not three numbers, or the orientation neither none, three nor four, or it is a
@@ -76,7 +76,7 @@ class ToolTarget:
         return cls(str(arguments["group"]), position, turn, str(arguments["frame"]))
 
     def wrist(self, here: WristPlacement, reach: float) -> WristPlacement:
-        """Returns where the wrist is when the tool is there.
+        """Return the placement of the wrist with the tool at the target.
 
         Args:
             here: Where it is now.
@@ -92,7 +92,7 @@ class ToolTarget:
         return WristPlacement(place - turn.apply(along), turn)
 
     def refusal(self, why: ImError) -> ImError:
-        """The error that says of this target why it cannot be."""
+        """Return the error for the target, with the reason why the tool cannot be there."""
         told = ", ".join(f"{each:g}" for each in self.position)
         where = "world" if self.frame == "world" else "the frame of the tool as it is"
         text = f"the tool of {self.group} cannot be at ({told}) m in {where}: {why.message}"
@@ -100,7 +100,7 @@ class ToolTarget:
 
 
 def require_position(arguments: Mapping[str, object], way: str) -> None:
-    """What says more of a position must come with one.
+    """Check the details of a position: allowed only together with a position.
 
     Args:
         arguments: Of the request.

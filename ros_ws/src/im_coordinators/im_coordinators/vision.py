@@ -1,4 +1,4 @@
-"""What the Vision Coordinator decides: whether a light is on, when another look may help, if a look was in vain."""
+"""Decisions of the Vision Coordinator: light on or off, use of another look, success of a look."""
 
 from collections.abc import Mapping
 
@@ -12,12 +12,12 @@ TOO_FAINT, NOT_FOUND = "spot_too_faint", "spot_not_found"
 
 
 def another_look_may_help(failure: ImError | None) -> bool:
-    """Whether a longer exposure may show the spots that a look has missed."""
+    """Return whether a longer exposure may show the spots missed by a look."""
     return failure is not None and failure.code == TOO_FAINT
 
 
 def require_spot(missed: Mapping[str, str], cameras: int) -> None:
-    """One camera that sees the light is enough.
+    """Check for a spot: one camera with the light in view is enough.
 
     Args:
         missed: Why a camera does not, by camera.

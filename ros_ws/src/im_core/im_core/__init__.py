@@ -1,4 +1,4 @@
-"""What all packages share; it knows none of them.
+"""Common base of all packages, independent of all packages.
 
 - :mod:`im_core.errors`: the tree of errors, each with its facts;
 - :mod:`im_core.config`, :mod:`im_core.yamltext`: YAML files into frozen, typed models, with file, line and column;

@@ -1,4 +1,4 @@
-"""Orders of an agent and reports of its tasks, through a socket of which no other process has an end.
+"""Orders of an agent and reports of the tasks, through a socket of which no other process has an end.
 
 The agent makes a pair of sockets for each process that it starts, and the process inherits one of them. Other users of
 the host and participants of DDS reach neither.
@@ -37,7 +37,7 @@ class TaskLife:
 
 @dataclass(frozen=True)
 class AgentOrder:
-    """What an agent tells its processes.
+    """What an agent tells the processes.
 
     Attributes:
         phase: The last phase of the start-up that all tasks may enter, of :class:`im_core.startup.StartupPhase`.
@@ -54,7 +54,7 @@ class AgentOrder:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task tells its agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of its nets by name."""
+    """What a task tells the agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of the nets by name."""
 
     task: str
     incarnation: int

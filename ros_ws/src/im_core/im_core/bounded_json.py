@@ -1,4 +1,4 @@
-"""What arrives in messages, from whomever: text that is to be JSON, numbers that stand for names. One way to read it.
+"""Reading of data in messages from any sender, in one way: JSON texts, and numbers standing for names.
 
 Types of messages say ``string`` and ``uint8``; what may stand in them is checked here, once, where it enters.
 """
@@ -45,7 +45,7 @@ def read_json(kind: type[T], text: str, what: str) -> T:
 
 
 def read_data(kind: type[T], data: object, what: str) -> T:
-    """Read data of a certain form that have been JSON; arguments and errors as of :func:`read_json`."""
+    """Read data of a certain form from decoded JSON; arguments and errors as of :func:`read_json`."""
     try:
         value: T = _reader(cast(Hashable, kind)).validate_python(data, strict=True)
     except pydantic.ValidationError as error:
@@ -54,7 +54,7 @@ def read_data(kind: type[T], data: object, what: str) -> T:
 
 
 def member(kind: type[EnumT], number: int, what: str) -> EnumT:
-    """The member of an enumeration that a number stands for.
+    """Return the member of an enumeration for a number.
 
     Raises:
         DataError: None has it; the message lists those that exist.
@@ -67,7 +67,7 @@ def member(kind: type[EnumT], number: int, what: str) -> EnumT:
 
 
 def _refused(error: pydantic.ValidationError, what: str) -> DataError:
-    """Names the first field that is wrong, what is allowed there, and what was given."""
+    """Return the error naming the first wrong field, the allowed values, and the given value."""
     first = error.errors(include_url=False)[0]
     place, words = field_name(first["loc"]), first["msg"].removeprefix("Value error, ")
     if place:

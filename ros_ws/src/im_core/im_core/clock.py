@@ -1,4 +1,4 @@
-"""The only place that reads the wall clock; everything that waits, waits here."""
+"""The only place to read the wall clock; all waiting is done here."""
 
 import time
 
@@ -12,7 +12,7 @@ def wall() -> float:
 
 
 def cpu() -> float:
-    """CPU time that this process has used, in all its threads [s]."""
+    """Return the CPU time used by the process, in all threads [s]."""
     return time.process_time()
 
 

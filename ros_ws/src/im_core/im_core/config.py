@@ -37,7 +37,7 @@ class Model(pydantic.BaseModel):
 
 
 class FieldError(ValueError):
-    """For validators of a whole model: a rule over several fields that is broken at one of them.
+    """Error for validators of a whole model: a rule over several fields, broken at one field.
 
     Args:
         location: Where below the model, e.g. ``("slots", 3, "name")``.
@@ -81,7 +81,7 @@ class Fault:
 
     @property
     def sentence(self) -> str:
-        """What is wrong, with the value and the nearest right name."""
+        """Description of the fault, with the value and the nearest right name."""
         return self.told(quoted_text)
 
     def told(self, quote: Callable[[str], str]) -> str:
@@ -123,7 +123,7 @@ def load_model(path: str | Path, model: type[ModelT]) -> ModelT:
 
 @lru_cache(maxsize=16)
 def _read(text: str, model: type[pydantic.BaseModel], name: str) -> pydantic.BaseModel:
-    """Several nodes of a process, and processes that begin as copies of one, take the same file; models are frozen."""
+    """Parse a file once for several nodes of a process, and for processes begun as copies; models are frozen."""
     return parse_model(text, model, name)
 
 
@@ -144,12 +144,12 @@ def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
 
 
 def fault_in(path: Path, location: Location, sentence: str) -> ConfigError:
-    """The error for a field of a YAML file that could be read, about what its model alone cannot judge."""
+    """Return the error for a field of a readable YAML file, about a fault beyond the model's own checks."""
     return _config_error(None, (find(read_yaml(_text(path), str(path)), location).value, location, sentence))
 
 
 def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> list[Fault]:
-    """What a model complains of; of very many faults the first, for nobody reads more, and each takes time to place.
+    """Return the faults found by a model; of very many faults only the first, because each takes time to place.
 
     Args:
         error: The complaint.
@@ -171,7 +171,7 @@ def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> 
 
 
 def field_name(location: Location) -> str:
-    """``("slots", 3, "limits")`` as ``slots[3].limits``."""
+    """Return ``("slots", 3, "limits")`` as ``slots[3].limits``."""
     text = ""
     for key in location:
         text += f"[{key}]" if isinstance(key, int) else f".{shortened(key)}" if text else shortened(key)
@@ -188,7 +188,7 @@ def _text(path: Path) -> str:
 def _config_error(
     model: type[pydantic.BaseModel] | None, *told: tuple[Value, Location, "str | Fault"]
 ) -> ConfigError:
-    """Makes the error that says what is wrong at some places, a line each; its facts are those of the first.
+    """Build the error for faults at some places, a line each; the facts are the facts of the first.
 
     Args:
         model: The model of the file, whose own keys are told in full; None: all keys are.
@@ -213,7 +213,7 @@ def _shown_field(location: Location, model: type[pydantic.BaseModel] | None, quo
 
 
 def _keys(model: type[pydantic.BaseModel], location: Location) -> tuple[str, ...]:
-    """Keys of the models that stand at a location; none where no model does."""
+    """Return the keys of the models at a location; none at a location without a model."""
     annotations: list[object] = [model]
     for part in location:
         annotations = [below for annotation in annotations for below in _below(annotation, part)]
@@ -227,7 +227,7 @@ def _keys(model: type[pydantic.BaseModel], location: Location) -> tuple[str, ...
 
 
 def _choices(annotation: object) -> list[object]:
-    """What an annotation allows: the members of a union."""
+    """Return the types allowed by an annotation: the members of a union."""
     if get_origin(annotation) is Annotated:
         return _choices(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -236,7 +236,7 @@ def _choices(annotation: object) -> list[object]:
 
 
 def _below(annotation: object, part: int | str) -> list[object]:
-    """Annotations of what stands under a key or index."""
+    """Return the annotations of the values under a key or index."""
     found: list[object] = []
     for each in _choices(annotation):
         if isinstance(each, type) and issubclass(each, pydantic.BaseModel):

@@ -1,4 +1,4 @@
-"""One tree of errors; each carries its facts and reads as a sentence."""
+"""One tree of errors; each error has facts and reads as a sentence."""
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,38 +26,38 @@ class ImError(Exception):
 
     @classmethod
     def restored(cls, code: str, message: str, facts: Mapping[str, object]) -> "ImError":
-        """The error that another process reported."""
+        """Return the error reported by another process."""
         error = ImError(message, code=code)
         error.facts.update(facts)
         return error
 
 
 class ConfigError(ImError):
-    """A configuration file, parameter or net file says something that is not allowed."""
+    """Forbidden content of a configuration file, parameter or net file."""
 
     default_code = "config"
 
 
 class DataError(ImError):
-    """Data that cannot be used: wrong size, not finite, degenerate, inconsistent."""
+    """Unusable data: wrong size, not finite, degenerate, inconsistent."""
 
     default_code = "data"
 
 
 class ArgumentError(DataError):
-    """Arguments that a schema does not allow: one is unknown, missing, or not what it may be."""
+    """Arguments not allowed by a schema: one is unknown, missing, or of a wrong value."""
 
     default_code = "argument"
 
 
 class StateError(ImError):
-    """A request that the present state does not allow."""
+    """Request not allowed in the present state."""
 
     default_code = "state"
 
 
 class LinkError(ImError):
-    """Another process, or the memory shared with it, is gone or does not answer."""
+    """Another process, or the memory shared with the process, is gone or does not answer."""
 
     default_code = "link"
 
@@ -97,7 +97,7 @@ class StoreError(ImError, OSError):
 
 
 class LimitError(ImError):
-    """A value beyond its limit.
+    """Value beyond a limit.
 
     Args:
         joint: Name of the joint or quantity.
@@ -121,7 +121,7 @@ class LimitError(ImError):
 
 
 class WaitTimeoutError(ImError):
-    """Something that was waited for did not come.
+    """Wait without success.
 
     Args:
         what: What was waited for.
@@ -135,7 +135,7 @@ class WaitTimeoutError(ImError):
 
 
 class NotFoundError(ImError):
-    """A name that is not known.
+    """Unknown name.
 
     Args:
         kind: Kind of thing, e.g. ``camera``.
@@ -155,12 +155,12 @@ class NotFoundError(ImError):
 
 
 def printable(text: str) -> str:
-    """A text as every log and message can hold it: what is no character of UTF-8, and zeros, are written out."""
+    """Return a text fit for every log and message: zeros and characters outside UTF-8 are written out."""
     return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
 def require_text(text: str, what: str) -> str:
-    """Returns a text that every message can carry: half a character (a lone surrogate) ends a process of ROS.
+    """Return a text fit for every message: half a character (a lone surrogate) ends a process of ROS.
 
     Such texts come from JSON, and as names of files and arguments that are no UTF-8.
 
@@ -185,12 +185,12 @@ FOREIGN = (Exception, SystemExit)
 
 
 def as_exception(error: BaseException) -> Exception:
-    """What code of users has raised, as an exception that can be raised where its outcome is awaited."""
+    """Convert an error raised by user code to an exception fit to be raised at the waiting caller."""
     return error if isinstance(error, Exception) else RuntimeError(f"it has called sys.exit: {error}")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Says what may have been meant: `` (did you mean 'x'?)``, or the known names where none is near.
+    """Return a hint at the intended name: `` (did you mean 'x'?)``, or the known names without a near one.
 
     Args:
         name: The name that was not found.
@@ -212,7 +212,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _closest(name: str, names: Sequence[str]) -> str | None:
-    """The name that was meant; long ones, and of many, are not compared, which takes time by their product."""
+    """Return the name probably meant; long names and long lists are skipped: the time grows with the product."""
     if len(name) > _LONGEST_NAME or len(names) > _MOST_COMPARED:
         return None
     short = [each for each in names if len(each) <= _LONGEST_NAME]

@@ -13,7 +13,7 @@ def prefixes() -> list[Path]:
 
 
 def packages() -> list[str]:
-    """Names of the packages of colcon workspaces that have executables, sorted."""
+    """Return the names of the packages of colcon workspaces with executables, sorted."""
     workspaces = [Path(text) for text in os.environ.get("COLCON_PREFIX_PATH", "").split(os.pathsep) if text]
     near = [prefix for prefix in prefixes() if any(prefix.is_relative_to(workspace) for workspace in workspaces)]
     return sorted({folder.name for prefix in near for folder in (prefix / "lib").glob("*") if _programs(folder)})
@@ -45,12 +45,12 @@ def path_of(package: str, executable: str) -> Path:
 
 
 def packages_with(executable: str) -> list[str]:
-    """Names of the packages of colcon workspaces that have an executable of that name, sorted."""
+    """Return the names of the packages of colcon workspaces with an executable of the given name, sorted."""
     return [package for package in packages() if executable in executables(package)]
 
 
 def main() -> int:
-    """Run it; with less than two arguments, list what there is.
+    """Run the executable; with less than two arguments, list the choices.
 
     Returns:
         0 after a listing, 2 if there is no such thing; does not return otherwise.
@@ -72,7 +72,7 @@ def main() -> int:
 
 
 def _path_anywhere(package: str, executable: str) -> Path:
-    """Path of an executable; of the one other package that has it where this one has not, which is said.
+    """Return the path of an executable; without one, the path in the only other package with one, with a message.
 
     Raises:
         NotFoundError: Nobody has it, or several others have.

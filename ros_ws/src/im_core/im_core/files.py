@@ -15,7 +15,7 @@ LARGEST = 64 * MEBIBYTE
 
 
 class FileError(DataError):
-    """A file that is not read: missing, no regular file, too large, not text, or not what it should be.
+    """Unreadable file: missing, not regular, too large, not text, or of wrong content.
 
     Args:
         file: The file.
@@ -37,7 +37,7 @@ class FileError(DataError):
 
 
 def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -> bytes:
-    """Read a file whatever the path leads to: nothing is waited for, and no more is read than may be there.
+    """Read a file of any kind safely: without waiting, and without reading more than the allowed size.
 
     Args:
         path: The file.
@@ -71,7 +71,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -
 
 
 def check_regular(path: str | Path, status: os.stat_result) -> None:
-    """Refuse what is no regular file.
+    """Refuse anything but a regular file.
 
     Raises:
         FileError: It is something else.
@@ -81,7 +81,7 @@ def check_regular(path: str | Path, status: os.stat_result) -> None:
 
 
 def read_text(path: str | Path, largest: int = LARGEST) -> str:
-    """Read a text; arguments as of :func:`read_bytes`. A mark of the byte order is not part of it.
+    """Read a text, without a byte order mark; arguments as of :func:`read_bytes`.
 
     Raises:
         FileError: As of :func:`read_bytes`, or it is not UTF-8; line and column are named.
@@ -96,7 +96,7 @@ def read_text(path: str | Path, largest: int = LARGEST) -> str:
 
 
 def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
-    """Write a file in one step: whoever reads it sees the old one or the new one, which after this outlives the power.
+    """Write a file in one step: readers see the old or the new file; after the return, power loss keeps the new file.
 
     Args:
         path: The file; where it is a symbolic link, what it points to is replaced.
@@ -179,12 +179,12 @@ def synchronise_mark(path: Path) -> None:
 
 
 def is_same(one: str | Path, other: str | Path) -> bool:
-    """Whether two paths are of one file that is there, by whatever names and links."""
+    """Return whether two paths lead to one existing file, by any names and links."""
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 def make_folder(path: Path, mode: int = 0o777) -> Path:
-    """Make a folder, and those it is in, where they are missing; they are there after a loss of power, too.
+    """Make a folder and missing parent folders; all survive a loss of power.
 
     Args:
         path: The folder.
@@ -207,7 +207,7 @@ def make_folder(path: Path, mode: int = 0o777) -> Path:
 
 
 def move(source: Path, target: Path) -> None:
-    """Move a file or a folder; after a loss of power it is where it was moved to.
+    """Move a file or a folder durably: a loss of power does not undo the move.
 
     Raises:
         StoreError: It cannot be moved.
@@ -221,7 +221,7 @@ def move(source: Path, target: Path) -> None:
 
 
 def synchronise_names(folder: Path) -> None:
-    """Return when the disk has the names of what is in a folder, if its file system knows of such a thing.
+    """Wait until the disk has the names in a folder, if the file system supports synchronisation.
 
     Raises:
         OSError: The disk has failed.

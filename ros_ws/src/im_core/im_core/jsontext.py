@@ -1,4 +1,4 @@
-"""JSON files from elsewhere, in bounded time and memory whatever they hold; :mod:`.arrivals` reads that of messages."""
+"""JSON files from elsewhere, read in bounded time and memory; :mod:`.bounded_json` reads JSON in messages."""
 
 import json
 import math
@@ -17,7 +17,7 @@ _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class JsonError(ValueError):
-    """A text that is not read.
+    """Unreadable text.
 
     Attributes:
         sentence: What is wrong.
@@ -72,7 +72,7 @@ def decode_json(text: str) -> object:
 
 
 def check_keys(text: str) -> None:
-    """Make sure that no key is twice in an object of a JSON; what is no JSON is left to whoever reads it.
+    """Refuse a duplicate key in an object of a JSON text; a text without valid JSON is left to the reader.
 
     Raises:
         JsonError: One is.

@@ -1,4 +1,4 @@
-"""What a process tells its agent of its loop, in memory that both share: it needs no lock, no message and no clock."""
+"""Report of a process's loop to the agent, in shared memory: without a lock, a message or a clock."""
 
 import mmap
 import os
@@ -28,7 +28,7 @@ class Beat:
 
 
 class Pulse:
-    """The last beat of a process; the memory ends with those who have it.
+    """Last beat of a process; the memory ends with the sharing processes.
 
     Args:
         descriptor: Of a file in memory.
@@ -42,19 +42,19 @@ class Pulse:
         self._memory = mmap.mmap(descriptor, _FIELDS.size)
 
     def keep(self) -> None:
-        """Close the file: nobody else need get it, and the memory stays."""
+        """Close the file: no other process needs the descriptor, and the memory stays."""
         os.close(self.descriptor)
 
     @classmethod
     def create(cls) -> "Pulse":
-        """A new one, for a child."""
+        """Create a new pulse, for a child."""
         descriptor = os.memfd_create("pulse")
         os.ftruncate(descriptor, _FIELDS.size)
         return cls(descriptor)
 
     @classmethod
     def inherited(cls) -> "Pulse | None":
-        """That which the agent has given to this process, None if there is none; children of this one get none."""
+        """Return the pulse given by the agent to the process, None without one; child processes get none."""
         descriptor = os.environ.pop(VARIABLE, "")
         if not descriptor:
             return None
@@ -63,7 +63,7 @@ class Pulse:
         return pulse
 
     def beat(self, beat: Beat) -> None:
-        """Tell how the loop is; who reads meanwhile sees each number as it was or as it is, and no beat half made.
+        """Report the state of the loop; a reader meanwhile sees each number old or new, and never a half-written beat.
 
         ``pack_into`` writes zeros first: a loop that may stand still for 0 s would be read, and count as hung.
         """
@@ -72,5 +72,5 @@ class Pulse:
         self._memory[: _TICKS.size] = told[: _TICKS.size]
 
     def last(self) -> Beat:
-        """What was told last."""
+        """Return the last report."""
         return Beat(*_FIELDS.unpack_from(self._memory, 0))

@@ -1,4 +1,4 @@
-"""Whether the loop of a process turns: seen by a thread beside it, told to the agent, who treats a hang as a death."""
+"""Watch of a process's loop by a thread: the agent is told about progress and treats a hang as a death."""
 
 import math
 import os
@@ -12,7 +12,7 @@ TICK_S = 0.5
 
 
 class LoopWatch:
-    """A thread that looks whether a loop turns.
+    """Thread checking the progress of a loop.
 
     It counts ticks of its own, not time: while the process is stopped, neither turns. Of a tick in which a thread of
     the process was ready to run but waited for a processor, that wait does not count: a busy computer makes late.
@@ -72,7 +72,7 @@ class LoopWatch:
 
 
 def waits_of_threads() -> dict[str, float]:
-    """How long each thread of this process has waited for a processor so far [s]; empty if the kernel does not say."""
+    """Return the time each thread of the process has waited for a processor so far [s]; empty without kernel data."""
     waits = {}
     for thread in os.listdir("/proc/self/task"):
         told = scheduled(os.getpid(), int(thread))

@@ -1,4 +1,4 @@
-"""Memory that nobody uses, given back to the kernel: what was freed, and what a library has written zeros over."""
+"""Return of unused memory to the kernel: freed memory, and memory filled with zeros by a library."""
 
 import ctypes
 import gc
@@ -16,7 +16,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def give_back_freed() -> None:
-    """Give back what a large piece of work has left: objects that refer to each other, and pages that are free.
+    """Give back the remains of a large piece of work: objects in reference cycles, and free pages.
 
     The collector of the interpreter looks at old objects late, and ``malloc`` keeps what is freed below what is in
     use, in each of its arenas (as many as 8 for each processor); a thread that works later may get another arena.
@@ -27,7 +27,7 @@ def give_back_freed() -> None:
 
 
 def give_back_zeros() -> int:
-    """Give back the blocks of large anonymous mappings that hold nothing but zeros; they read as zeros ever after.
+    """Give back large anonymous blocks with nothing but zeros; the blocks read as zeros ever after.
 
     To be called while no other thread of the process writes to them.
 

@@ -40,7 +40,7 @@ def run_dir() -> Path:
 
 
 def display_file() -> Path:
-    """File with the address of the page, while it is served.
+    """Return the file with the address of the page, present while the page is served.
 
     Raises:
         StoreError: The folder for it cannot be made.
@@ -59,7 +59,7 @@ def results_dir() -> Path:
 
 
 def cache_dir() -> Path:
-    """Folder of the user for what can be found out again, ``$XDG_CACHE_HOME/im``; made if missing.
+    """Return the user's folder for recomputable data, ``$XDG_CACHE_HOME/im``; created if missing.
 
     Raises:
         StoreError: It cannot be made.

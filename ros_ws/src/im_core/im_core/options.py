@@ -1,4 +1,4 @@
-"""Numbers on a command line: what takes them, and the ``type`` of argparse that says what was given and is allowed."""
+"""Numbers on a command line: a parser, and the ``type`` functions of argparse with the given and allowed values."""
 
 import argparse
 import math
@@ -13,7 +13,7 @@ _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re
 
 
 class NumberParser(argparse.ArgumentParser):
-    """A parser to which every negative number is a value; argparse takes ``-1e-3``, as Python prints it, for an option.
+    """Parser with negative numbers as values; argparse takes ``-1e-3``, as printed by Python, for an option.
 
     Args:
         options: Those of :class:`argparse.ArgumentParser`.
@@ -25,7 +25,7 @@ class NumberParser(argparse.ArgumentParser):
 
 
 def finite_number(text: str) -> float:
-    """Reads a finite number.
+    """Read a finite number.
 
     Raises:
         ArgumentTypeError: It is none.
@@ -36,21 +36,21 @@ def finite_number(text: str) -> float:
 
 
 def seconds(text: str) -> float:
-    """Reads a time to wait [s], above 0 and up to :data:`LONGEST_S`; raises as :func:`finite_number`."""
+    """Read a time to wait [s], above 0 and up to :data:`LONGEST_S`; raises as :func:`finite_number`."""
     if not 0.0 < (value := _value(text)) <= LONGEST_S:
         raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time between 0 and {LONGEST_S:g} s")
     return value
 
 
 def computing_seconds(text: str) -> float:
-    """Reads how long something may compute [s], above 0; raises as :func:`finite_number`."""
+    """Read a computing time [s], above 0; raises as :func:`finite_number`."""
     if not 0.0 < (value := _value(text)) < math.inf:
         raise argparse.ArgumentTypeError(f"{text[:_SHOWN]} is no time above 0 s")
     return value
 
 
 def whole(text: str) -> int:
-    """Reads a whole number.
+    """Read a whole number.
 
     Raises:
         ArgumentTypeError: It is none.
@@ -61,7 +61,7 @@ def whole(text: str) -> int:
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """What reads a whole number that is not below ``least``; it raises as :func:`whole`."""
+    """Return a reader of whole numbers not below ``least``; the reader raises as :func:`whole`."""
 
     def number_from(text: str) -> int:
         if (value := whole(text)) < least:
@@ -72,7 +72,7 @@ def at_least(least: int) -> Callable[[str], int]:
 
 
 def _value(text: str) -> float:
-    """NaN for what is no number."""
+    """Return the number in a text, NaN for a text without a number."""
     try:
         return float(text)
     except ValueError:

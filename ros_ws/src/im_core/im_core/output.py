@@ -1,4 +1,4 @@
-"""What a program says beside its work, as starting a machine or recording: whether anybody hears it changes nothing."""
+"""Messages of a program beside the work (starting, recording): a missing reader changes nothing."""
 
 import sys
 from contextlib import suppress
@@ -6,12 +6,12 @@ from typing import TextIO
 
 
 def say(sentence: str) -> None:
-    """Say something, to whoever listens: ``start | head -1``, or into a log on a full disk, starts the machine."""
+    """Print a message; a closed pipe (``start | head -1``) or a log on a full disk does not stop the start."""
     _write(sys.stdout, sentence)
 
 
 def complain(sentence: str) -> None:
-    """Say what is wrong; likewise."""
+    """Print a complaint; safe like :func:`say`."""
     _write(sys.stderr, sentence)
 
 

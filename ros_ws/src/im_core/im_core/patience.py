@@ -1,4 +1,4 @@
-"""Silence of processes that are waited for, without the time in which a busy computer gave them no processor."""
+"""Silence of awaited processes, without the time a busy computer gave no processor."""
 
 import math
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ _LONGEST_LOOK_S = 0.1
 
 
 class Silence:
-    """How long a process of this host could have answered and did not.
+    """Silence of a process of the host: time with a possible but missing answer.
 
     A process that is dead, stopped, asleep or that computes is silent; one that wants a processor and gets none is
     not.
@@ -51,7 +51,7 @@ class Silence:
 
 
 class Patience:
-    """How long processes of this host that were asked to end could have done so: on a busy computer they may be late.
+    """Time available so far to processes asked to end; on a busy computer, waits for a processor do not count.
 
     Time in which one of them wants a processor and gets none does not count for any: they may wait for each other.
 
@@ -67,7 +67,7 @@ class Patience:
         self._silences = [Silence(pid, longest_look_s=_LONGEST_LOOK_S) for pid in pids]
 
     def look(self) -> float:
-        """Count the time since the last look, and return all of it [s]; infinite if there is no process."""
+        """Count the time since the last look, and return the total [s]; infinite without any process."""
         before = [silence.seconds for silence in self._silences]
         passed = [silence.look() - since for silence, since in zip(self._silences, before, strict=True)]
         self.seconds += min(passed, default=math.inf)

@@ -1,4 +1,4 @@
-"""The loader of what configuration names as ``module:Class``: control laws, drivers, vision services, commands."""
+"""Loader of objects named ``module:Class`` in configuration: control laws, drivers, vision services, commands."""
 
 import os
 from importlib import import_module
@@ -20,7 +20,7 @@ def load(reference: str, contract: None, what: str) -> object: ...
 
 
 def load(reference: str, contract: type[object] | None, what: str) -> object:
-    """Find what a reference names.
+    """Load the object named by a reference.
 
     Args:
         reference: ``module:Class``; the module may be any that Python can import.
@@ -52,7 +52,7 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
 
 
 def require_current(reference: str, what: str) -> None:
-    """Make sure that the file of a module that was loaded is still what it was: Python imports each module once.
+    """Check a loaded module's file for changes: Python imports each module once.
 
     Args:
         reference: As of :func:`load`; of a module that was not loaded nothing is said.
@@ -73,7 +73,7 @@ def require_current(reference: str, what: str) -> None:
 
 
 def _stamp(module: ModuleType) -> tuple[int, int] | None:
-    """What the file of a module is; None: it has none."""
+    """Return a stamp of the file of a module; None: the module has no file."""
     try:
         told = os.stat(getattr(module, "__file__", None) or "")
     except OSError:

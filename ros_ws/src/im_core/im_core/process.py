@@ -34,7 +34,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 class ChildProcess:
-    """A process in a session of its own, which ends with whoever started it.
+    """Process in a separate session; ends with the starting process.
 
     Args:
         argv: Program and arguments.
@@ -112,14 +112,14 @@ class ChildProcess:
         stdin: str = "",
         inherit: Sequence[int] = (),
     ) -> Self:
-        """Run a module with ``python -m``, or by the copy that was prepared for it; arguments as of the class.
+        """Run a module with ``python -m``, or by the prepared copy; arguments as of the class.
 
         Its name is that of the module.
         """
         return cls([*_words(module), *arguments], name=module, log=log, stdin=stdin, inherit=inherit)
 
     def poll(self) -> int | None:
-        """Exit code, or None while it runs."""
+        """Return the exit code, or None while the process runs."""
         return self._process.poll()
 
     def check(self) -> None:
@@ -132,22 +132,22 @@ class ChildProcess:
             raise LinkError(self.obituary(), exit_code=self.poll())
 
     def obituary(self) -> str:
-        """How it ended, and the last line it wrote."""
+        """Describe the end of the process, with the last line written."""
         words = self.last_words()
         return f"the process {self.name} ended with code {self.poll()}{': ' + words if words else ''}"
 
     def last_words(self) -> str:
-        """The last line it wrote into its log, not those before it did; empty if SIGKILL left it no time for any."""
+        """Return the last line written to the log by the process; empty if killed by SIGKILL without time."""
         if self._log is None or self.poll() == -signal.SIGKILL:
             return ""
         return last_words(self._log, self._log_begin)
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send a signal; nothing happens if it has ended."""
+        """Send a signal; no effect on an ended process."""
         self._process.send_signal(number)
 
     def await_end(self, timeout_s: float) -> bool:
-        """Wait until it has ended, at most ``timeout_s`` [s]; whether it has. Nothing is looked at meanwhile."""
+        """Wait for the end, at most ``timeout_s`` [s], without looking at anything else; return whether ended."""
         if self.poll() is not None:
             return True
         descriptor = os.pidfd_open(self.pid)
@@ -158,7 +158,7 @@ class ChildProcess:
         return self.poll() is not None
 
     def stop(self, timeout_s: float = 2.0) -> None:
-        """End it with SIGTERM, after ``timeout_s`` [s] with SIGKILL, counted as :class:`.Patience` does."""
+        """End the process with SIGTERM, after ``timeout_s`` [s] with SIGKILL, counted as by :class:`.Patience`."""
         patience = Patience([self.pid])
         self.send_signal(signal.SIGTERM)
         if not await_ends([self], patience, timeout_s):
@@ -167,7 +167,7 @@ class ChildProcess:
 
 
 class _Copy:
-    """A copy of this process, with that of :class:`subprocess.Popen` that is used here.
+    """Copy of the process, with the parts of :class:`subprocess.Popen` in use here.
 
     Attributes:
         pid: Process id; 0 in the copy itself.
@@ -182,20 +182,20 @@ class _Copy:
                 _prepared.popitem()[1].forget()
 
     def poll(self) -> int | None:
-        """Exit code, or None while it runs."""
+        """Return the exit code, or None while the process runs."""
         if self._code is None:
             pid, status = os.waitpid(self.pid, os.WNOHANG)
             self._code = os.waitstatus_to_exitcode(status) if pid else None
         return self._code
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send a signal; nothing happens if it has ended."""
+        """Send a signal; no effect on an ended process."""
         if self.poll() is None:
             os.kill(self.pid, number)
 
 
 class _Prepared(_Copy):
-    """A copy of this process that loads a module, and waits until it is told to run it. It dies with this thread."""
+    """Copy of the process, with a module loaded, waiting for the order to run; the copy dies with the thread."""
 
     def __init__(self, module: str) -> None:
         self._orders, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -210,7 +210,7 @@ class _Prepared(_Copy):
         its.close()
 
     def run(self, argv: Sequence[str], environment: Mapping[str, str], standard: Sequence[int]) -> bool:
-        """Have it run its module; whether it is there to do so. Standard are its first file descriptors, in order."""
+        """Run the module in the copy; return whether the copy exists; ``standard``: first descriptors, in order."""
         orders = json.dumps({"argv": list(argv), "environment": dict(environment)}).encode()
         try:
             socket.send_fds(self._orders, [orders], standard)
@@ -221,11 +221,11 @@ class _Prepared(_Copy):
         return True
 
     def forget(self) -> None:
-        """Leave it to the process that it is a child of; its file descriptor is closed otherwise."""
+        """Leave the copy to the parent process, and keep the file descriptor open."""
         self._orders.detach()
 
     def end(self) -> None:
-        """End it."""
+        """End the copy."""
         self._orders.close()
         self.send_signal(signal.SIGKILL)
         if self._code is None:
@@ -237,7 +237,7 @@ _prepared: dict[str, _Prepared] = {}
 
 
 def prepare(module: str) -> None:
-    """Have a copy of this process load a module now, for the child that will run it (:meth:`ChildProcess.of_module`).
+    """Let a copy of the process load a module now, for a child to run later (:meth:`ChildProcess.of_module`).
 
     What is loaded here need not be loaded there, takes its memory once, and the rest is loaded beside what this process
     loads. Nothing is done where this process may not be copied, or has loaded ROS, which such children must not have.
@@ -247,13 +247,13 @@ def prepare(module: str) -> None:
 
 
 def dismiss_prepared() -> None:
-    """End the copies that nobody has told to run."""
+    """End the copies never told to run."""
     while _prepared:
         _prepared.popitem()[1].end()
 
 
 def may_copy(program: str) -> bool:
-    """Whether a program may begin as a copy of this process: of Python, of this very one, while there is one thread.
+    """Return whether a program may begin as a copy: same Python as the present process, and a single thread.
 
     Other threads would not be in the copy, but what they have locked would be locked there for ever.
     """
@@ -275,7 +275,7 @@ def _is_module(argv: Sequence[str]) -> bool:
 
 
 def _end_with(parent: int, death_signal: signal.Signals | None) -> None:
-    """Have the kernel send this process a signal when the thread that started it ends; in a process that begins."""
+    """Let the kernel signal a new process when the starting thread ends."""
     if death_signal is not None:
         _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
         if os.getppid() != parent:  # it has ended already
@@ -283,7 +283,7 @@ def _end_with(parent: int, death_signal: signal.Signals | None) -> None:
 
 
 def _keep_open(standard: Sequence[int], others: Collection[int]) -> None:
-    """Make file descriptors the standard ones, in their order, and close all that are neither standard nor others."""
+    """Make file descriptors the standard ones, in order, and close all neither standard nor in ``others``."""
     for number, descriptor in enumerate(standard):
         os.dup2(descriptor, number)
     for descriptor in map(int, os.listdir("/proc/self/fd")):
@@ -293,7 +293,7 @@ def _keep_open(standard: Sequence[int], others: Collection[int]) -> None:
 
 
 def _run(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
-    """Run a Python script, or a module, as if this process had been started with it; its exit code."""
+    """Run a Python script or module as if started with the process; return the exit code."""
     if environment is not None:
         os.environ.clear()
         os.environ.update(environment)
@@ -317,7 +317,7 @@ def _run(argv: Sequence[str], environment: Mapping[str, str] | None) -> int:
 
 
 def _run_when_told(module: str, orders: socket.socket) -> int:
-    """Load a module, and run it when that is told; its exit code."""
+    """Load a module, run the module on order, and return the exit code."""
     _tell(_words(module))
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # neither is replaced
@@ -336,7 +336,7 @@ def _run_when_told(module: str, orders: socket.socket) -> int:
 
 
 def _tell(argv: Sequence[str]) -> None:
-    """Have the kernel tell these arguments and this program of this process, as far as there is room for them."""
+    """Show the given arguments and program in the kernel's data of the process, as far as space permits."""
     name = argv[len(_PYTHON)].rpartition(".")[2] if _is_module(argv) else Path(argv[0]).name
     _LIBC.prctl(_PR_SET_NAME, name.encode())
     with open("/proc/self/stat", encoding="ascii", errors="replace") as file:
@@ -346,7 +346,7 @@ def _tell(argv: Sequence[str]) -> None:
 
 
 def await_ends(children: Sequence[ChildProcess], patience: Patience, until_s: float) -> bool:
-    """Wait until all have ended, at most until patience has counted so much [s]; whether they have."""
+    """Wait until all children have ended, within the limit counted by patience [s]; return whether all ended."""
     while any(child.poll() is None for child in children):
         if patience.look() >= until_s:
             return False
@@ -361,7 +361,7 @@ def last_words(log: Path, begin: int = 0) -> str:
 
 
 def end_of_log(log: Path, begin: int, most_bytes: int) -> str:
-    """The end of a log, of what stands from its byte ``begin`` on; empty if it cannot be read.
+    """The end of a log, of what stands from the byte ``begin`` on; empty if it cannot be read.
 
     Of a log that is shorter than ``begin`` all counts: it was rotated since.
     """

@@ -1,4 +1,4 @@
-"""What the kernel tells of running processes and threads in ``/proc``."""
+"""Kernel data of running processes and threads in ``/proc``."""
 
 import os
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ def stat_fields(pid: int) -> list[str] | None:
 
 @dataclass(frozen=True)
 class ProcessId:
-    """A process of this host: its pid alone is used again by the kernel, pid and start time together are not.
+    """Process of the host: the kernel reuses a pid, but not pid and start time together.
 
     Attributes:
         pid: Process id; 0 stands for "no process".
@@ -45,7 +45,7 @@ class ProcessId:
 
     @classmethod
     def of(cls, pid: int) -> "ProcessId":
-        """Identity of a process that runs now; start is -1 if there is none."""
+        """Return the identity of a process running now; start is -1 without such a process."""
         return cls(pid, _start_of_running(pid))
 
     @classmethod
@@ -54,18 +54,18 @@ class ProcessId:
         return cls.of(os.getpid())
 
     def alive(self) -> bool:
-        """Whether this very process still runs; one that died and was not reaped yet does not."""
+        """Return whether the very same process still runs; a dead process not yet reaped does not."""
         return self.pid > 0 and _start_of_running(self.pid) == self.start
 
 
 def _start_of_running(pid: int) -> int:
-    """Start time of a running process, -1 if it does not exist or is a zombie."""
+    """Return the start time of a running process, -1 if missing or a zombie."""
     fields = stat_fields(pid)
     return -1 if fields is None or fields[0] in "ZX" else int(fields[19])
 
 
 def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:
-    """How the main thread of a process, or one of its threads, was scheduled; None if it has ended or nobody counts."""
+    """Return the scheduling of a process's main thread, or of another thread; None if ended or not counted."""
     folder = f"/proc/{pid}" if thread is None else f"/proc/{pid}/task/{thread}"
     told = _told(f"{folder}/schedstat")
     if not told:
@@ -75,7 +75,7 @@ def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:
 
 
 def threads_queued_s(pid: int) -> float:
-    """For how long all threads of a process together have waited for a processor, as far as they live [s]."""
+    """Return the time all living threads of a process together have waited for a processor [s]."""
     return sum(found.queued_s for thread in threads_of(pid) if (found := scheduled(pid, thread)) is not None)
 
 
@@ -93,7 +93,7 @@ def thread_name(pid: int, thread: int) -> str:
 
 
 def waits_of(pid: int, thread: int) -> tuple[int, float] | None:
-    """How often a thread has given up its processor to wait, and its time on one [s]; None if it has ended."""
+    """How often a thread has given up the processor to wait, and the time on one [s]; None if it has ended."""
     status, found = _told(f"/proc/{pid}/task/{thread}/status"), scheduled(pid, thread)
     if not status or found is None:
         return None
@@ -107,7 +107,7 @@ def private_bytes(pid: int) -> int:
 
 
 def mappings(least: int) -> list[tuple[int, int]]:
-    """Where the anonymous memory of this process is that it may read and write.
+    """Find the readable and writable anonymous memory of the process.
 
     Args:
         least: Size of the smallest that counts [bytes].
@@ -122,7 +122,7 @@ def mappings(least: int) -> list[tuple[int, int]]:
 
 
 def _told(path: str) -> str | None:
-    """What a file of one line says; None if its process or thread has ended. Read often: who rests is watched."""
+    """Read a one-line file; None if the process or thread has ended; called often to watch idle processes."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:

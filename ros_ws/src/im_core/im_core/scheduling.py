@@ -1,4 +1,4 @@
-"""What a process of the real-time chain asks of the scheduler."""
+"""Scheduling requests of a process in the real-time chain."""
 
 import contextlib
 import ctypes
@@ -15,7 +15,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def reserve() -> dict[str, str]:
-    """What the environment of a paced machine's processes says, so that its servo meets its deadlines.
+    """Return the environment for processes of a paced machine, to let the servo meet deadlines.
 
     Where SCHED_FIFO is not permitted, processes that :func:`prefer` have the highest core to themselves, and those that
     :func:`keep_off` leave it to them. Nothing where it is permitted, where there is one core only, or where whoever
@@ -26,7 +26,7 @@ def reserve() -> dict[str, str]:
 
 
 def keep_off() -> None:
-    """Leave the core that is reserved, if one is; holds for threads and processes that are started from now on."""
+    """Leave the reserved core, if any; holds for threads and processes started from now on."""
     if _CORE in os.environ:
         os.sched_setaffinity(0, os.sched_getaffinity(0) - {int(os.environ[_CORE])})
 
@@ -73,5 +73,5 @@ def _fifo_permitted() -> bool:
 
 
 def release() -> None:
-    """Let the garbage collector take everything again, so that libraries are torn down in order."""
+    """Let the garbage collector take everything again, for an orderly teardown of libraries."""
     gc.unfreeze()

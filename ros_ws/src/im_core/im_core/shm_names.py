@@ -1,4 +1,4 @@
-"""The names of shared memory, which outlive processes that were killed; without what maps it, which needs numpy."""
+"""Names of shared memory, outliving killed processes; without the mapping code and numpy."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -9,7 +9,7 @@ SHM = Path("/dev/shm")
 
 
 def remove_all(prefix: str) -> list[str]:
-    """Remove every block and semaphore whose name begins with ``prefix``, as after ``kill -9`` of their owners.
+    """Remove every block and semaphore with names beginning with ``prefix``, as after ``kill -9`` of the owners.
 
     Names begin with the machine's instance and an underscore: ``remove_all("im7_")`` clears all of ``im7``. What
     belongs to another user, or cannot be removed, stays (:func:`left`).
@@ -26,5 +26,5 @@ def remove_all(prefix: str) -> list[str]:
 
 
 def left(prefix: str) -> list[Path]:
-    """Files of ``/dev/shm`` that :func:`remove_all` would remove; among them those that were being written."""
+    """Return the ``/dev/shm`` files still to be removed by :func:`remove_all`, files being written included."""
     return sorted(path for path in SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))

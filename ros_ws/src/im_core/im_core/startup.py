@@ -1,4 +1,4 @@
-"""Synchronised start-up (paper, section 3): its phases, and the topics that tell of them."""
+"""Synchronised start-up (paper, section 3): the phases, and the topics that tell of them."""
 
 import hashlib
 import os
@@ -30,12 +30,12 @@ def patience_s() -> float:
 
 
 def start_timeout_s() -> float:
-    """How long the start of the machine may take that this process is part of [s]."""
+    """Return the longest time for the start of the machine with the present process [s]."""
     return float(os.environ.get(START_TIMEOUT) or START_TIMEOUT_S)
 
 
 def unproved_allowed() -> bool:
-    """Whether nets may run of which it could not be decided in time whether they may; none that is refused may."""
+    """Return whether nets with a check undecided in time may run; a refused net never may."""
     return os.environ.get(UNPROVED) == "1"
 
 
@@ -44,18 +44,18 @@ _NET = re.compile("[A-Za-z_][A-Za-z0-9_]{0,199}")
 
 
 def nets_sentence(nets: Iterable[str]) -> str:
-    """What a task that is configured tells of the nets that it runs, so that START waits for their descriptions."""
+    """Return the sentence of a configured task naming the nets in use; START waits for the nets' descriptions."""
     names = ", ".join(nets)
     return f"{_NETS}{names}" if names else ""
 
 
 def net_digest(text: str) -> str:
-    """The digest of a net file: its description on DDS counts only if the task has reported the same digest."""
+    """The digest of a net file: the description on DDS counts only if the task has reported the same digest."""
     return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
 
 def nets_told(detail: str) -> tuple[str, ...]:
-    """The nets that a task runs, as :func:`nets_sentence` told; none where something else is told."""
+    """Return the nets of a task in the text of :func:`nets_sentence`; none in any other text."""
     names = detail.removeprefix(_NETS).split(", ") if detail.startswith(_NETS) else []
     return tuple(name for name in names if _NET.fullmatch(name))
 

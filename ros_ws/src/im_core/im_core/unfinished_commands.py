@@ -1,4 +1,4 @@
-"""Which commands a task has not ended: a file for whoever finds what a killed machine has left."""
+"""Unfinished commands of a task, in a file for the inspection of the remains of a killed machine."""
 
 import json
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _FOLDER = "commands"
 
 @dataclass(frozen=True)
 class OpenCommandNote:
-    """A command that has not ended.
+    """Note of an unfinished command.
 
     Attributes:
         task: That runs it.
@@ -47,7 +47,7 @@ def note(run_dir: Path, task: str, commands: Sequence[OpenCommandNote]) -> None:
 
 
 def noted(run_dir: Path) -> list[OpenCommandNote]:
-    """The commands that were not ended when the machine of a run folder was; a file that is none says nothing."""
+    """Read the commands unfinished at the end of the machine of a run folder; a bad file gives none."""
     found = []
     for file in sorted((run_dir / _FOLDER).glob("*.json")):
         try:
@@ -59,6 +59,6 @@ def noted(run_dir: Path) -> list[OpenCommandNote]:
 
 
 def set_aside(run_dir: Path) -> list[tuple[OpenCommandNote, Path]]:
-    """The commands that were set aside unfinished, each with the folder of what it has left."""
+    """Return the commands set aside unfinished, each with the folder of the remains."""
     folders = sorted((run_dir / MISSIONS).glob("*"))
     return [(command, folder) for folder in folders for command in noted(folder)]

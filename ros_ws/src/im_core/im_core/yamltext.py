@@ -1,4 +1,4 @@
-"""YAML text to values that remember where they stand, in bounded time and memory whatever the text is.
+"""YAML text to values with the place in the file, in bounded time and memory for any text.
 
 The parser's events are put together here instead of by the library, whose own composer recurses as deep as the text
 nests, and lets a few aliases stand for billions of values. Unquoted words are read as YAML 1.2 does: ``on`` and ``yes``
@@ -37,7 +37,7 @@ Location = tuple[int | str, ...]
 
 
 class Kind(Enum):
-    """What a value is."""
+    """Kind of a value."""
 
     SCALAR = "scalar"
     LIST = "list"
@@ -46,7 +46,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value as it stands in a file, whatever the file's format.
+    """Value as written in a file of any format.
 
     Attributes:
         kind: Scalar, list or mapping.
@@ -76,19 +76,19 @@ class Value:
         return self.kind is Kind.SCALAR and not self.quoted and self.text in _NULL
 
     def shown(self) -> str:
-        """Returns a short form for messages."""
+        """Return a short form for messages."""
         if self.kind is not Kind.SCALAR:
             return "a mapping" if self.kind is Kind.MAPPING else "a list"
         return "nothing" if self.is_null else quoted_text(self.text)
 
 
 def quoted_text(text: str, most: int = SHOWN) -> str:
-    """Returns the beginning of a text in quotes."""
+    """Return the beginning of a text in quotes."""
     return repr(shortened(text, most))
 
 
 def shortened(text: str, most: int = SHOWN) -> str:
-    """Returns a text, or its beginning with dots behind it."""
+    """Returns a text, or the beginning with dots behind it."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
@@ -110,22 +110,22 @@ class Quotation:
 
 
 def scalar(text: str, near: Value, *, quoted: bool = True) -> Value:
-    """Makes a scalar that stands where another value stands."""
+    """Make a scalar at the place of another value."""
     return Value(Kind.SCALAR, near.file, near.line, near.column, text=text, quoted=quoted, note=near.note)
 
 
 def sequence(children: Iterable[Value], near: Value) -> Value:
-    """Makes a list that stands where another value stands."""
+    """Make a list at the place of another value."""
     return Value(Kind.LIST, near.file, near.line, near.column, children=tuple(children), note=near.note)
 
 
 def mapping(pairs: Iterable[tuple[Value, Value]], near: Value) -> Value:
-    """Makes a mapping that stands where another value stands."""
+    """Make a mapping at the place of another value."""
     return Value(Kind.MAPPING, near.file, near.line, near.column, pairs=tuple(pairs), note=near.note)
 
 
 class YamlError(ValueError):
-    """A text that is not read.
+    """Refused text.
 
     Args:
         place: What is wrong, or stands nearest to it.
@@ -170,7 +170,7 @@ class Found(NamedTuple):
 
 
 def find(root: Value, location: Location) -> Found:
-    """Follows a location as far as there is something; a value that is no list counts as a list of one."""
+    """Follow a location as far as it exists; a value without a list counts as a list of one."""
     value, key, way = root, None, list[int | str]()
     for part in location:
         if isinstance(part, int) and value.kind is not Kind.LIST:
@@ -191,7 +191,7 @@ def find(root: Value, location: Location) -> Found:
 
 
 def plain_scalar(value: Value) -> object:
-    """Returns a scalar as plain Python; a whole number of more than 20 digits is a float."""
+    """Return a scalar as plain Python; a whole number of more than 20 digits is a float."""
     text = value.text
     if value.quoted:
         return text
@@ -212,7 +212,7 @@ def plain_scalar(value: Value) -> object:
 
 
 def as_data(value: Value, scalar_data: Callable[[Value], object] = plain_scalar, location: Location = ()) -> object:
-    """Returns a value as plain Python: dictionaries, lists, and what a function makes of scalars.
+    """Return a value as plain Python: dictionaries, lists, and converted scalars.
 
     Raises:
         YamlError: A key is there twice, or is not a text.
@@ -235,14 +235,14 @@ def as_data(value: Value, scalar_data: Callable[[Value], object] = plain_scalar,
 
 
 def control_character(text: str) -> str:
-    """Says which character of a text is not allowed; empty where all are."""
+    """Return the forbidden character of a text; empty without one."""
     match = _CONTROL.search(text)
     return f"control character U+{ord(match.group()):04X} is not allowed in a text" if match else ""
 
 
 @dataclass(slots=True)
 class _Open:
-    """A list or mapping whose end has not come yet."""
+    """List or mapping without the end so far."""
 
     event: yaml.NodeEvent
     children: list[Value] = field(default_factory=list)
@@ -250,7 +250,7 @@ class _Open:
 
 
 def read_yaml(text: str, file: str) -> Value:
-    """Parses one YAML document.
+    """Parse one YAML document.
 
     Args:
         text: The document.
@@ -278,16 +278,16 @@ def read_yaml(text: str, file: str) -> Value:
 
 
 def write_yaml(data: object) -> str:
-    """Writes plain data as YAML, keys in their order; a text is read as a text, whoever reads it."""
+    """Write plain data as YAML, keys in the order; a text is read back as a text by any reader."""
     text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False)
     return text
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # there is no C on every computer
-    """Quotes what may be taken for something else."""
+    """Dumper with quotes around ambiguous texts."""
 
     def represent_text(self, text: str) -> yaml.ScalarNode:
-        """A text, quoted where it must be."""
+        """Represent a text, quoted where needed."""
         style = "'" if _TAKEN.fullmatch(text) else None
         node: yaml.ScalarNode = self.represent_scalar("tag:yaml.org,2002:str", text, style=style)
         return node

@@ -1,4 +1,4 @@
-"""What a command of the Dispatcher is made of, and what it may use of the node that runs it."""
+"""Parts of a command of the Dispatcher, and the view of the node."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,16 +15,16 @@ ValueT = TypeVar("ValueT")
 
 
 class CommandHost(Protocol):
-    """The node that runs commands, as their functions see it."""
+    """The node of commands, as the functions see it."""
 
     seed: int
 
     @property
     def recorded(self) -> bool:
-        """Whether the mission is being recorded: who keeps what it has read reads it all the same then."""
+        """Whether the mission is being recorded: cached inputs are then read again."""
 
     async def put_object(self, name: str, value: object, place: str = "") -> None:
-        """Stores a data object.
+        """Store a data object.
 
         Args:
             name: Its name.
@@ -36,37 +36,37 @@ class CommandHost(Protocol):
         """
 
     async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
-        """Returns a data object; one that this node has put costs no call.
+        """Return a data object; one put by this node costs no call.
 
         Raises:
             ImError: There is none that is valid, or ``/dom`` does not answer.
         """
 
     def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what is computed from the world outside, such as a time or a folder; JSON data.
+        """Return a value computed from the world outside, such as a time or a folder; JSON data.
 
         When a mission is run again, this is what was recorded, and nothing is computed.
         """
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Does the same in a thread of its own, for what takes long."""
+        """Return a value computed from the world outside, in a thread of its own, for slow work."""
 
     def time_steps(self, net: str, times: StepTimes) -> None:
-        """Has the firings of a net timed, and of those that it needs."""
+        """Time the firings of a net, and of the nets it needs."""
 
     def nets_for(self, net: str) -> Sequence[Net]:
-        """Returns a net as written, with the nets whose services it needs, as far as they are known."""
+        """Return a net as written, with the known nets of the services."""
 
     def now(self) -> float:
-        """Returns the testbed time [s]."""
+        """Return the testbed time [s]."""
 
     def warn(self, text: str) -> None:
-        """Writes a line to the log."""
+        """Write a line to the log."""
 
 
 @dataclass(frozen=True)
 class CommandDescription:
-    """One net of the Dispatcher with all that it names: what a module of :mod:`im_dispatcher.commands` describes.
+    """One net of the Dispatcher with all the functions, described by a module of :mod:`im_dispatcher.commands`.
 
     Attributes:
         net: The net file; the symbols that it reads are the commands.

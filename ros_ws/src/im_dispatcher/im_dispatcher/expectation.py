@@ -1,4 +1,4 @@
-"""How long a calibrate_camera command is expected to take by its nets, beside how long it took."""
+"""Expected duration of a calibrate_camera command by the nets, beside the true one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

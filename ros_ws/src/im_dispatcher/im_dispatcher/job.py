@@ -1,4 +1,4 @@
-"""One calibrate_camera command: what it asks for, and its loop over the poses.
+"""One calibrate_camera command: the order, and the loop over the poses.
 
 What is asked for is read once, and is a data object from then on. The loop is three numbers, which the command keeps in
 its memory, so that a dispatcher that died goes on where it was and a pose costs the journal the same whether it is the
@@ -25,7 +25,7 @@ POSE_FAILURES = frozenset(
 
 @dataclass(frozen=True)
 class CalibrationOrder:
-    """What a command asks for.
+    """Order of a command.
 
     Attributes:
         cameras: Names of the cameras to calibrate.
@@ -37,7 +37,7 @@ class CalibrationOrder:
 
     @property
     def light(self) -> str:
-        """Name of the light that the cameras look for."""
+        """Name of the light for the cameras."""
         return f"{self.file.group}_led"
 
 
@@ -46,7 +46,7 @@ def order_of(
     known_cameras: Sequence[str],
     load: Callable[[str], PosesFile] = load_named_poses,
 ) -> CalibrationOrder:
-    """Reads and checks what a command asks for.
+    """Read and check the order of a command.
 
     Args:
         arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``.
@@ -82,7 +82,7 @@ def order_of(
 
 @dataclass(frozen=True)
 class PoseVisit:
-    """A pose that is visited.
+    """Visited pose.
 
     Attributes:
         number: Of the pose, from 1.
@@ -95,7 +95,7 @@ class PoseVisit:
 
 @dataclass
 class PoseLoop:
-    """Loop over the poses of one command: the arm is at one, or on its way there, while another is still looked at.
+    """Loop over the poses of one command: the arm is at one, or on the way there, during the look at another.
 
     Attributes:
         poses: How many there are.
@@ -120,12 +120,12 @@ class PoseLoop:
 
     @property
     def progress(self) -> float:
-        """Share of the poses that have been visited, 0..1."""
+        """Share of visited poses, 0..1."""
         return self.taken / self.poses
 
     @property
     def looked_number(self) -> int:
-        """Number of the pose in whose images the light is searched.
+        """Number of the pose with the images under search.
 
         Raises:
             StateError: None was looked at.
@@ -136,12 +136,12 @@ class PoseLoop:
 
     @property
     def looked_progress(self) -> float:
-        """Share of the poses that have been visited when that one was, 0..1."""
+        """Share of visited poses at the time of that one, 0..1."""
         return self.looked_number / self.poses
 
     @property
     def following(self) -> int:
-        """Number of the pose that :meth:`next_pose` goes on to.
+        """Number of the next pose of :meth:`next_pose`.
 
         Raises:
             DataError: None is left.
@@ -155,7 +155,7 @@ class PoseLoop:
         return bool(self.again) or self.remaining > 0
 
     def next_pose(self) -> int:
-        """Go on to the next pose, and give its number, from 1: one to be visited again, or one more is taken.
+        """Go on to the next pose, and return the number, from 1: a repeated one, or a new one.
 
         Raises:
             DataError: None is left.
@@ -169,7 +169,7 @@ class PoseLoop:
         return number
 
     def look(self) -> PoseVisit:
-        """The present pose is looked at; returns it.
+        """Note a look at the present pose, and return it.
 
         Raises:
             DataError: There is none.
@@ -185,7 +185,7 @@ class PoseLoop:
         self.present = None
 
     def give_back_looked(self, longer: bool = False) -> None:
-        """What was looked at, if anything, is to be visited again; ``longer``: exposed as for a light that is faint."""
+        """Give the last seen pose back for another visit; ``longer``: with the exposure for a faint light."""
         if self.looked is not None:
             self._visit_again(PoseVisit(self.looked.number, longer or self.looked.longer))
 
@@ -201,7 +201,7 @@ class PoseLoop:
         return self.skipped
 
     def dispensable(self, failure_code: str) -> bool:
-        """Whether a failure concerns one pose only, and enough poses remain without it."""
+        """Return whether a failure concerns one pose only, and enough poses remain without it."""
         return failure_code in POSE_FAILURES and self.poses - self.skipped - 1 >= FEWEST_POSES
 
     def to_json(self) -> list[object]:
@@ -211,7 +211,7 @@ class PoseLoop:
 
     @classmethod
     def from_json(cls, data: object) -> "PoseLoop":
-        """The loop that :meth:`to_json` wrote.
+        """Return the loop written by :meth:`to_json`.
 
         Raises:
             StateError: There is none.

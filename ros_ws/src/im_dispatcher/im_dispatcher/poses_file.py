@@ -53,7 +53,7 @@ class WristPose(Model):
 
 
 class PosesFile(Model):
-    """A list of wrist poses of one arm, the one that carries the light."""
+    """List of wrist poses of one arm, the one with the light."""
 
     group: Literal["left", "right"]
     frame: Literal["world"]

@@ -1,4 +1,4 @@
-"""Where the time of a command went, and its report on disk."""
+"""Times of a command's steps, and the report on disk."""
 
 import itertools
 import json
@@ -16,7 +16,7 @@ LATEST = "latest"
 
 @dataclass(frozen=True)
 class SkippedPose:
-    """A pose that was left out.
+    """Pose left out.
 
     Attributes:
         pose: Its name.
@@ -29,7 +29,7 @@ class SkippedPose:
 
 @dataclass(frozen=True)
 class SolverReport:
-    """What the calibration reports of itself, as JSON data: data object ``calibration``."""
+    """Report of a calibration on itself, as JSON data: data object ``calibration``."""
 
     content: dict[str, object]
 
@@ -55,7 +55,7 @@ MOST_STARTED = 1000
 
 @dataclass
 class StepTimes:
-    """Adds up the firings of one command by transition; those that contain others count their whole duration.
+    """Sums of the firings of one command by transition; composite ones count the whole duration.
 
     Attributes:
         steps: By transition.
@@ -67,18 +67,18 @@ class StepTimes:
     _started: dict[tuple[str, int], float] = field(default_factory=dict)
 
     def restart(self, command: int) -> None:
-        """Counts those of another command from now on; what runs counts from when it began."""
+        """Count the firings of another command from now on; running ones count from the begin."""
         self.command = command
         self.steps.clear()
 
     def note_start(self, transition: str, command: int, stamp_s: float) -> None:
-        """A transition began for a command at a testbed time [s]."""
+        """Note the start of a transition for a command at a testbed time [s]."""
         self._started[transition, command] = stamp_s
         if len(self._started) > MOST_STARTED:
             del self._started[next(iter(self._started))]
 
     def note_end(self, transition: str, command: int, stamp_s: float, wall_s: float) -> None:
-        """It ended or failed at a testbed time [s], after ``wall_s`` of wall time."""
+        """Note an end or failure at a testbed time [s], after ``wall_s`` of wall time."""
         began_s = self._started.pop((transition, command), stamp_s)
         if command == self.command:
             step = self.steps[transition]
@@ -87,11 +87,11 @@ class StepTimes:
             step.simulated_s += stamp_s - began_s
 
     def to_dict(self) -> dict[str, list[float]]:
-        """The times as JSON data; what runs is not in them."""
+        """Return the times as JSON data, without running steps."""
         return {name: [step.count, step.wall_s, step.simulated_s] for name, step in self.steps.items()}
 
     def add_times(self, times: object) -> None:
-        """Adds the times that :meth:`to_dict` wrote; nothing where they are none."""
+        """Add times written by :meth:`to_dict`; nothing for other data."""
         for name, time in times.items() if isinstance(times, dict) else ():
             count, wall_s, simulated_s = time
             step = self.steps[name]
@@ -119,7 +119,7 @@ class StepTimes:
 
 
 def succeeded(solver: SolverReport, skipped: Sequence[SkippedPose], poses: int) -> dict[str, object]:
-    """The report of a command whose calibration succeeded.
+    """Return the report of a command with a successful calibration.
 
     Args:
         solver: What the calibration reports.
@@ -132,7 +132,7 @@ def succeeded(solver: SolverReport, skipped: Sequence[SkippedPose], poses: int) 
 
 
 def failed(reason: str, skipped: Sequence[SkippedPose]) -> dict[str, object]:
-    """The report of a command that failed."""
+    """Return the report of a failed command."""
     return {"success": False, "message": reason, "points_used": 0, "points_rejected": _rejections(skipped)}
 
 
@@ -141,7 +141,7 @@ def _rejections(skipped: Sequence[SkippedPose]) -> list[dict[str, str]]:
 
 
 def make_directory(results: Path, stamp: str) -> Path:
-    """A new folder ``results/<stamp>``, with a counter behind it when two runs share a second.
+    """Make a new folder ``results/<stamp>``, with a counter behind it for two runs in one second.
 
     Raises:
         StoreError: It cannot be made.
@@ -161,7 +161,7 @@ def make_directory(results: Path, stamp: str) -> Path:
 
 
 def write_report(directory: Path, report: Mapping[str, object]) -> Path:
-    """Write ``report.json`` at one stroke, and let ``latest`` beside the folder point to it.
+    """Write ``report.json`` at one stroke, and point ``latest`` beside the folder to it.
 
     Raises:
         StoreError: It cannot be written; ``latest`` is what it was.

@@ -1,4 +1,4 @@
-"""The newest versions of objects in memory: what was read or written lately need not be read from the disk."""
+"""The newest versions of objects in memory: recent ones need no read from the disk."""
 
 import threading
 from collections import OrderedDict
@@ -13,7 +13,7 @@ RECORD_BYTES = 1024
 
 
 class ObjectCache:
-    """Valid objects as they are on the disk, those that were used last; for any thread.
+    """Valid objects in the state on the disk, the last used ones; for any thread.
 
     Args:
         most: How many bytes they may take; an object of more than a sixteenth of that is not kept.
@@ -25,7 +25,7 @@ class ObjectCache:
         self._lock = threading.Lock()
 
     def get(self, name: str) -> Version | None:
-        """An object, if it is here."""
+        """Return an object, if it is here."""
         with self._lock:
             version = self._versions.get(name)
             if version is not None:
@@ -33,7 +33,7 @@ class ObjectCache:
             return version
 
     def update(self, versions: Mapping[str, Version | None]) -> None:
-        """Takes objects in place of what was known of them; None: one is not valid any more, or not there."""
+        """Replace the known states of objects; None: one is invalid, or missing."""
         with self._lock:
             for name, version in versions.items():
                 before = self._versions.pop(name, None)

@@ -82,7 +82,7 @@ class StoreFile:
         self.move_log()
 
     def number(self) -> None:
-        """Give the transaction that goes on its number.
+        """Give the transaction that goes on the number.
 
         Raises:
             sqlite3.Error: It cannot be written.

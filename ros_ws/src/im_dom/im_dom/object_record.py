@@ -1,4 +1,4 @@
-"""What is known of a data object."""
+"""Record of a data object."""
 
 import zlib
 from dataclasses import astuple, dataclass
@@ -8,7 +8,7 @@ from im_core.errors import ImError
 
 @dataclass(frozen=True, slots=True)
 class ObjectRecord:
-    """What is known of a data object, without its data.
+    """Record of a data object, without the data.
 
     Attributes:
         name: Its name.
@@ -37,7 +37,7 @@ class ObjectRecord:
     data_checksum: int = 0
 
     def checksum(self) -> int:
-        """Return the checksum of all that is known of the object, that of its data included (CRC-32)."""
+        """Return the checksum of all that is known of the object, that of the data included (CRC-32)."""
         return zlib.crc32(repr(astuple(self)).encode())
 
     def fits(self, data: object) -> bool:
@@ -59,7 +59,7 @@ class Damage:
 
 
 class DamagedObjectError(ImError):
-    """A data object was stored and cannot be given: its bytes in the store are damaged.
+    """A data object was stored and cannot be given: the bytes in the store are damaged.
 
     Args:
         store: File of the store.

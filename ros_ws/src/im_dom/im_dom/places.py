@@ -1,4 +1,4 @@
-"""Which places of nets there are: an object for one that does not exist would never lose its validity with a token."""
+"""Existing places of nets: an object for an unknown place would never lose the validity with a token."""
 
 import re
 
@@ -14,7 +14,7 @@ MOST_NETS = 1000
 
 
 def check_form(place: str) -> None:
-    """Refuse what no place can be called.
+    """Refuse names not possible for a place.
 
     Raises:
         DataError: It is not of the form ``net.place``.
@@ -24,20 +24,20 @@ def check_form(place: str) -> None:
 
 
 class _Told(pydantic.BaseModel):
-    """What is read of the description of a net."""
+    """Read part of the description of a net."""
 
     places: list[str]
 
 
 class Places:
-    """The places of the nets that nodes describe on ``/pnt/nets``."""
+    """Places of the nets described by nodes on ``/pnt/nets``."""
 
     def __init__(self) -> None:
         self._of_net: dict[str, frozenset[str]] = {}
         self._nodes: dict[str, str] = {}
 
     def describe(self, net: str, node: str, text: str) -> None:
-        """Takes the description of a net, in place of the one before.
+        """Take the description of a net, in place of the one before.
 
         Args:
             net: Its name.
@@ -61,11 +61,11 @@ class Places:
         return net in self._of_net
 
     def of(self, net: str) -> frozenset[str]:
-        """The places that a net has now; none if it is not known."""
+        """Return the present places of a net; none for an unknown net."""
         return self._of_net.get(net, frozenset())
 
     def require(self, place: str) -> None:
-        """Make sure that a place exists.
+        """Check whether a place exists.
 
         Args:
             place: ``net.place``.

@@ -45,7 +45,7 @@ class Salvage:
 
 
 def salvage(path: Path, listed: Listed | None, mend: bool) -> Salvage:
-    """Read what is whole in a store; its files are not touched.
+    """Read what is whole in a store; the files are not touched.
 
     Args:
         path: File of the store.

@@ -1,4 +1,4 @@
-"""The tables of the object store, and the checksums of their rows."""
+"""The tables of the object store, and the checksums of the rows."""
 
 import zlib
 from typing import Any
@@ -35,7 +35,7 @@ COLUMNS = "name, version, type, hash, valid, place, source, command, stamp_ns, s
 
 
 def row_of(record: ObjectRecord, data: bytes) -> tuple[object, ...]:
-    """Return the row of a version: :data:`COLUMNS`, and its data."""
+    """Return the row of a version: :data:`COLUMNS`, and the data."""
     return (
         record.name,
         record.version,

@@ -1,4 +1,4 @@
-"""Data objects in SQLite: typed bytes with versions, a validity, and where they come from."""
+"""Data objects in SQLite: typed bytes with versions, a validity, and the origin."""
 
 import re
 import sqlite3
@@ -81,7 +81,7 @@ class ObjectStore:
                 self._kept[name] = tuple(group)
 
     def together(self, works: Sequence[Callable[[], object]]) -> list[object]:
-        """Do several things, in their order, with one wait for the disk.
+        """Run several operations, in the order, with one wait for the disk.
 
         Returns:
             What each has returned, or the exception that it has raised; what is said to be done is on the disk. Where
@@ -103,7 +103,7 @@ class ObjectStore:
 
     @staticmethod
     def _answer(work: Callable[[], object]) -> object:
-        """What something returns, or why it was refused, which is so before it changes anything."""
+        """Return the result of an operation, or the refusal, which comes before any change."""
         try:
             return work()
         except StoreError:
@@ -112,7 +112,7 @@ class ObjectStore:
             return error
 
     def _transaction(self) -> AbstractContextManager[None]:
-        """What is changed within is changed together when the outermost is left, or not at all."""
+        """Run a transaction: the changes are made together at the end of the outermost one, or not at all."""
         return _WITHIN if self._db.in_transaction else self._outermost()
 
     @contextmanager
@@ -138,7 +138,7 @@ class ObjectStore:
                 each.clear()
 
     def _write(self) -> None:
-        """Gives SQLite what has been put, many rows a statement: with each row on its own the threads change."""
+        """Write the pending rows to SQLite, many a statement: with single rows the threads would alternate."""
         with self._doing("written"):
             few = _AT_ONCE if sum(len(data) for _, data in self._rows) <= _BYTES_AT_ONCE else 1  # SQLite copies them
             for rows in _pieces(self._rows, few):
@@ -154,7 +154,7 @@ class ObjectStore:
         self._too_old.clear()
 
     def _keep(self) -> None:
-        """Takes over what the transaction has changed and read: it is on the disk."""
+        """Take over the changes and reads of the transaction: they are on the disk."""
         if self._changed:
             changed = [(name, its[-1] if its else None) for name, its in self._changed.items()]
             self._file.committed([(name, its.version, its.valid) if its else (name, 0, False) for name, its in changed])
@@ -231,7 +231,7 @@ class ObjectStore:
         return record
 
     def _versions(self, name: str) -> Versions:
-        """What is known of the versions of an object that are kept, the newest last; empty: it is not there."""
+        """Return the records of the kept versions of an object, the newest last; empty without the object."""
         changed = self._changed.get(name)
         return self._kept.get(name, ()) if changed is None else changed
 
@@ -249,7 +249,7 @@ class ObjectStore:
         *,
         request: str = "",
     ) -> ObjectRecord:
-        """Store an object as it has grown; as with :meth:`put`, the version before is kept.
+        """Store a grown object; as with :meth:`put`, the version before is kept.
 
         Args:
             name: Its name.
@@ -285,7 +285,7 @@ class ObjectStore:
             return after
 
     def _appended(self, name: str, request: str) -> int | None:
-        """The version that a request to append has made; None if it has not had its effect yet."""
+        """Return the version made by a request to append; None without the effect so far."""
         with self._doing("read"):
             row = self._db.execute(
                 "SELECT version FROM appended WHERE name = ? AND request = ?", (name, request)
@@ -293,7 +293,7 @@ class ObjectStore:
         return None if row is None else int(row[0])
 
     def record(self, name: str, version: int = 0) -> ObjectRecord:
-        """What is known of an object.
+        """Return the record of an object.
 
         Args:
             name: Its name.
@@ -317,7 +317,7 @@ class ObjectStore:
         raise NotFoundError(kind=f"version of data object '{name}'", name=str(version), known=known)
 
     def get(self, name: str, kind: str = "", version: int = 0) -> tuple[ObjectRecord, bytes]:
-        """A valid object, or an older version of one, which was valid once.
+        """Return a valid object, or an older version, valid once.
 
         Args:
             name: Its name.
@@ -337,7 +337,7 @@ class ObjectStore:
             return record, self._read(record)
 
     def _read(self, record: ObjectRecord) -> bytes:
-        """The data of a version that is kept.
+        """Return the data of a kept version.
 
         Raises:
             DamagedObjectError: They are not those that were stored.
@@ -361,7 +361,7 @@ class ObjectStore:
         return data
 
     def cached(self, name: str) -> Version | None:
-        """The newest version of an object, from memory; from any thread, and it waits for nothing.
+        """Return the newest version of an object, from memory; from any thread, without a wait.
 
         Args:
             name: Its name.
@@ -372,7 +372,7 @@ class ObjectStore:
         return self._cache.get(name)
 
     def valid_record(self, name: str, version: int = 0) -> ObjectRecord:
-        """What is known of an object that :meth:`get` would give; raises as that."""
+        """Return the record of an object valid for :meth:`get`; raise as :meth:`get` does."""
         record = self.record(name, version)
         if not version and not record.valid:
             who = record.source or "somebody"
@@ -414,7 +414,7 @@ class ObjectStore:
         return record
 
     def abandon(self, net: str, places: Container[str], source: str, stamp_ns: int) -> list[ObjectRecord]:
-        """Declares objects invalid that were put for places which a net does not have any more.
+        """Declare the objects of removed places of a net invalid.
 
         Args:
             net: Its name.
@@ -431,7 +431,7 @@ class ObjectStore:
             return [self.invalidate(name, source, stamp_ns) for name in gone]
 
     def forget(self, prefix: str) -> list[ObjectRecord]:
-        """Deletes all objects whose name begins with ``prefix``, with all their versions.
+        """Delete all objects with a name prefix ``prefix``, with all the versions.
 
         Returns:
             Those that were valid; they are not any more.
@@ -453,7 +453,7 @@ class ObjectStore:
 
 
 def _kept(versions: Versions) -> Versions:
-    """The newest, and of those before it as many as may be kept; the newest is last."""
+    """Return the newest rows up to the largest kept number; the newest is last."""
     first = max(0, len(versions) - KEPT_VERSIONS)
     while sum(record.size for record in versions[first:-1]) > KEPT_BYTES:
         first += 1
@@ -461,7 +461,7 @@ def _kept(versions: Versions) -> Versions:
 
 
 def _pieces(rows: Sequence[PieceT], most: int) -> Iterator[Sequence[PieceT]]:
-    """Cuts rows into pieces of few lengths, powers of two, so that SQLite knows their statements already."""
+    """Cut rows into pieces of few lengths, powers of two, so SQLite knows the statements already."""
     first = 0
     while first < len(rows):
         length = min(most, 1 << (len(rows) - first).bit_length() - 1)

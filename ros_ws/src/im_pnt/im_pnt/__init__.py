@@ -1,4 +1,4 @@
-"""Petri net transducers in execution (paper, section 6): what a user of the library may rely on.
+"""Petri net transducers in execution (paper, section 6): the public face of the library.
 
 A net is loaded (:func:`load_net`, :func:`parse_net`), its :class:`Functions` are registered, and an :class:`Executor`
 runs it, whose :class:`FunctionRunner` does its actions; an :class:`Observer` is told of firings.
@@ -48,7 +48,7 @@ _FACE = {
 
 
 def __getattr__(name: str) -> object:
-    """Imports what is asked for; who needs only the model waits for no reader of files and no journal."""
+    """Import the requested name; a user of the model alone waits for no reader of files."""
     for module, names in _FACE.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)

@@ -1,4 +1,4 @@
-"""The description of a net, as in the field ``json`` of ``/pnt/nets``: read by all who hear it in one way."""
+"""The description of a net, as in the field ``json`` of ``/pnt/nets``: one reader for all nodes."""
 
 import pydantic
 
@@ -9,7 +9,7 @@ from im_pnt.netfile import parse_net
 
 
 class NetContent(pydantic.BaseModel):
-    """What is told of a net.
+    """Description of a net.
 
     Attributes:
         yaml: Text of its file.
@@ -21,7 +21,7 @@ class NetContent(pydantic.BaseModel):
 
 
 def read_content(name: str, text: str) -> NetContent:
-    """Reads what is told of a net, but not the net.
+    """Read the description of a net, without the net.
 
     Raises:
         DataError: It is none of that.
@@ -30,7 +30,7 @@ def read_content(name: str, text: str) -> NetContent:
 
 
 def read_net(name: str, text: str, node: str) -> Net:
-    """Reads a net.
+    """Read a net.
 
     Args:
         name: Its name.

@@ -1,4 +1,4 @@
-"""What can go wrong with nets."""
+"""Errors of nets."""
 
 import json
 from collections.abc import Iterable
@@ -7,14 +7,14 @@ from im_core.errors import ImError
 
 
 class NetError(ImError):
-    """A net that is wrong in itself, whatever file it came from."""
+    """Net with a fault of its own, from any file."""
 
     def __init__(self, message: str, **facts: object) -> None:
         super().__init__(message, code="net", **facts)
 
 
 class NetFileError(ImError):
-    """A net file that cannot be read; the message starts with ``file:line``, and the column where it is known."""
+    """Unreadable net file; the message starts with ``file:line``, and the column where known."""
 
     def __init__(self, file: str, line: int, message: str, column: int | None = None, **facts: object) -> None:
         where = f"{file}:{line}" if column is None else f"{file}:{line}:{column}"
@@ -25,7 +25,7 @@ _UNPROVED_HINT = "; 'pnt prove --timeout S' takes more time to prove it, 'start 
 
 
 class VerificationError(ImError):
-    """A net that was read but must not run.
+    """Readable net that must not run.
 
     Args:
         net: Its name, or those of several nets.
@@ -44,7 +44,7 @@ class VerificationError(ImError):
 
 
 class JournalError(ImError):
-    """A journal that cannot be read, written, or used with these nets; nothing was started.
+    """Journal that cannot be read, written, or used with these nets; nothing was started.
 
     Args:
         message: One sentence.
@@ -60,11 +60,11 @@ class JournalError(ImError):
 
 
 class DamagedJournalError(JournalError):
-    """A journal whose content is not what was written."""
+    """Journal with a content not written so."""
 
 
 def encode_error(error: ImError | None) -> list[object] | None:
-    """Writes an error as JSON data; facts that are none, also numbers that are not finite, are written as text."""
+    """Write an error as JSON data; other facts, also infinite numbers, are written as text."""
     if error is None:
         return None
     facts: object = json.loads(json.dumps(error.facts, default=str, skipkeys=True), parse_constant=str)
@@ -72,7 +72,7 @@ def encode_error(error: ImError | None) -> list[object] | None:
 
 
 def decode_error(content: object) -> ImError | None:
-    """Reads an error.
+    """Read an error.
 
     Raises:
         ValueError: It is none.

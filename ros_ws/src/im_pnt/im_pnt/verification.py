@@ -1,4 +1,4 @@
-"""Seam to those who prove nets: no net runs unverified, and execution does not know how one verifies.
+"""Seam to the verifier: no net runs unverified, and execution does not know the method of the proof.
 
 :mod:`im_pnt_analysis.verify` is the verifier of this workspace; whatever answers to these protocols may take its
 place.
@@ -17,7 +17,7 @@ KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource", "ass
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """What goes wrong, and the shortest way there.
+    """Fault, and the shortest way to it.
 
     Attributes:
         kind: One of :data:`KINDS`.
@@ -51,18 +51,18 @@ class Verification(Protocol):
 
     @property
     def unproved(self) -> str:
-        """Why it could not be decided in time whether the nets may run; empty where it was."""
+        """Reason of a missing decision in time; empty for a decided one."""
 
     @property
     def composed(self) -> Sequence[Net]:
-        """The nets that were put together where it is refused: those of its sequence."""
+        """Composed nets of the refusal, with the transitions of the sequence."""
 
     @property
     def refusals(self) -> Sequence[Counterexample]:
-        """What forbids to run the nets."""
+        """Reasons against running the nets."""
 
     def require_ok(self) -> None:
-        """Accepts or refuses.
+        """Accept or refuse.
 
         Raises:
             VerificationError: The nets must not run, and it carries the shortest firing sequence that shows why; or it
@@ -71,7 +71,7 @@ class Verification(Protocol):
 
 
 def accept(report: Verification) -> None:
-    """Accepts or refuses; what is not proved is accepted where the machine was started so.
+    """Accept or refuse; accept unproved nets where the machine was started so.
 
     Raises:
         VerificationError: As of :meth:`Verification.require_ok`.

@@ -1,4 +1,4 @@
-"""What can be said of nets before they run: may they, how long will they take, and what would happen.
+"""Statements on nets before they run: may they, how long will they take, and the next firings.
 
 For whoever writes nets or decides whether to load them. Knows ``im_core`` and the model, files and verdict types of
 ``im_pnt``; nothing of ROS. Folders, from the lowest: ``structure`` (what the arcs tell), ``composition`` (several nets
@@ -40,7 +40,7 @@ _FACE = {
 
 
 def __getattr__(name: str) -> object:
-    """Imports what is asked for, and not the numerical libraries of all the rest."""
+    """Import the requested name, without the numerical libraries of the rest."""
     for module, names in _FACE.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)

@@ -15,7 +15,7 @@ __all__ = ["DisplayServer", "Drawing", "dot", "draw", "svg"]
 
 
 def __getattr__(name: str) -> object:
-    """Imports the server where it is asked for: a drawing should not wait for the libraries of a web page."""
+    """Import the server at the first use: a drawing should not wait for the libraries of a web page."""
     if name != "DisplayServer":
         raise AttributeError(f"module {__name__} has no {name}")
     from im_pnt_display.page.server import DisplayServer

@@ -15,7 +15,7 @@ in: play, pause, step, and any moment at once. No machine is needed, and none is
 
 
 def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser."""
     parser = commands.add_parser("draw", help="draw a net", description="Draws a net file.")
     parser.set_defaults(run=run)
     parser.add_argument("file", metavar="FILE", help="net file")
@@ -24,7 +24,7 @@ def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
 
 
 def run(options: argparse.Namespace) -> int:
-    """Draws a net file."""
+    """Draw a net file."""
     output = Path(options.output)
     if output.suffix not in (".svg", ".dot"):
         raise ImError(f"cannot draw into '{output}': the name must end in .svg or .dot", code="input")
@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Adds the command to the parser."""
+    """Add the command to the parser."""
     parser = commands.add_parser("display", help="show the nets over a recording", description=_DISPLAY)
     parser.set_defaults(run=run_display)
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")

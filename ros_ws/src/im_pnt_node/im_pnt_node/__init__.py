@@ -22,7 +22,7 @@ _FACE = {"distributed.exchange": ("Exchange",), "journal.journal": ("Journal",)}
 
 
 def __getattr__(name: str) -> object:
-    """Import the class that is asked for; a user of the exchange alone waits for no journal."""
+    """Import the requested class; a user of the exchange alone waits for no journal."""
     for module, names in _FACE.items():
         if name in names:
             return getattr(import_module(f"{__name__}.{module}"), name)

@@ -12,7 +12,7 @@ from im_sim.friction import DryFriction
 
 
 class HoldingBrakes:
-    """Brakes that hold, or let go, a stated delay after the command: springs and coils take their time.
+    """Brakes that hold, or let go, a stated delay after the command: springs and coils take the time.
 
     Args:
         n: Number of joints.
@@ -34,7 +34,7 @@ class HoldingBrakes:
         return self._agreed != b""
 
     def tick(self, commanded: NDArray[np.bool_]) -> None:
-        """Let a tick pass under a command, shape (n,); a command that is taken back starts its delay anew."""
+        """Let a tick pass under a command, shape (n,); a command that is taken back starts the delay anew."""
         if commanded.tobytes() == self._agreed:
             return
         self._waited = np.where(commanded != self.engaged, self._waited + 1, 0)
@@ -45,7 +45,7 @@ class HoldingBrakes:
 
 
 class Actuators:
-    """What sits between a torque command and a joint.
+    """Actuators between torque commands and joints: rotors, gears, friction, brakes.
 
     pybullet knows neither rotor inertia nor dry friction. With the mass matrix M(q), bias torques h(q, v), reflected
     rotor inertias A and viscous frictions B (both diagonal), the joints accelerate over a step dt by a = (v' - v) / dt:
@@ -112,18 +112,18 @@ class Actuators:
 
     @property
     def stuck(self) -> bool:
-        """Whether, in the last step, every joint was held by dry friction or its brake."""
+        """Whether dry friction or the brake held every joint in the last step."""
         return self._friction.stuck
 
     def prepare(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-        """Do beforehand what :meth:`applied` needs of ``q`` and ``v`` whatever is commanded."""
+        """Compute the part of :meth:`applied` that depends on ``q`` and ``v`` only, ahead of the command."""
         if self._friction.all_slip:
             return  # most likely M is not needed
         self._find_inertia(q, v)
         self._friction.factorise(self._inertia)
 
     def applied(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Torques for a simulator without rotors, friction and loads, for one step, shape (n,) [Nm or N].
+        """Return torques for a simulator without rotors, friction and loads, for one step, shape (n,) [Nm or N].
 
         Args:
             q: True positions, shape (n,) [rad or m].

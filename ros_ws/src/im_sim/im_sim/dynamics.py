@@ -1,4 +1,4 @@
-"""The arms' rigid-body dynamics, with and without what the grippers hold."""
+"""The arms' rigid-body dynamics, with and without objects in the grippers."""
 
 from collections.abc import Sequence
 
@@ -39,11 +39,11 @@ class Dynamics:
         return self.model is not self.bare
 
     def reflect(self, inertias: NDArray[np.float64]) -> None:
-        """Let each joint have an inertia of its own, as that of a rotor seen through its gear, shape (n,)."""
+        """Set an inertia of each joint's own, as of a rotor seen through the gear, shape (n,)."""
         self.bare.armature = inertias
 
     def carry(self, held: Sequence[JawObject | None]) -> None:
-        """Say what each gripper holds: a cube between the jaws."""
+        """Set the load of each gripper: a cube between the jaws."""
         if tuple(held) == self._held:
             return
         self._held = tuple(held)

@@ -1,4 +1,4 @@
-"""Exposures: what a shutter sees between two ticks."""
+"""Exposures: the view of a shutter between two ticks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from im_sim.laser import Laser
 
 
 class Exposures:
-    """Serves one exposure request after the other; a new request replaces one whose client is gone.
+    """Server of one exposure request after the other; a new request replaces a request without a client.
 
     Args:
         link: Where requests come from and results go to.
@@ -24,7 +24,7 @@ class Exposures:
         self._lights = link.lights()
 
     def begin_tick(self, tick: int) -> None:
-        """Open the shutter if somebody asked for it."""
+        """Open the shutter for a waiting request."""
         request = self._link.pending_exposure()
         if request is not None or self._request is not None:
             self._lights = self._link.lights()
@@ -36,7 +36,7 @@ class Exposures:
         self._laser_sum[:] = 0.0
 
     def end_tick(self, tick: int, q_before: NDArray[np.float64], q_after: NDArray[np.float64], laser: Laser) -> None:
-        """Account for the tick that led to ``tick``.
+        """Account for the tick up to ``tick``.
 
         Args:
             tick: The tick that has begun.

@@ -1,4 +1,4 @@
-"""Dry friction and brakes: joints that stick stand still exactly, joints that slide are slowed by a fixed torque."""
+"""Dry friction and brakes: sticking joints stand still exactly, sliding joints are slowed by a fixed torque."""
 
 import eigenpy
 import numpy as np
@@ -48,17 +48,17 @@ class DryFriction:
         self._pivot(self._sign)
 
     def slips_on(self, v: NDArray[np.float64]) -> bool:
-        """Whether joints that slid have, with velocities ``v``, shape (n,), not come to a stop."""
+        """Return whether sliding joints with velocities ``v``, shape (n,), have not come to a stop."""
         return 1 not in (v * self._sign < self._zero).tobytes()
 
     def factorise(self, inertia: NDArray[np.float64]) -> None:
-        """Do beforehand what :meth:`solve` needs of H alone, if the joints do as in the last step."""
+        """Compute the part of :meth:`solve` that depends on H only, for joints in the state of the last step."""
         if not self.stuck:
             self._cholesky.compute(inertia * self._coupled + self._alone)
         self._factorised: NDArray[np.float64] | None = inertia
 
     def solve(self, inertia: NDArray[np.float64], momentum: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Velocities v at the end of the step.
+        """Return the velocities v at the end of the step.
 
         Args:
             inertia: H, shape (n, n), positive definite [kg m2 or kg].
@@ -85,7 +85,7 @@ class DryFriction:
     def _assumed(
         self, inertia: NDArray[np.float64], momentum: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Velocities if the joints do as assumed, and what is then free: v where they slip, p where they stick."""
+        """Return velocities of the assumed state, and the free values: v of slipping joints, p of sticking joints."""
         if self.stuck:
             return np.zeros_like(momentum), -momentum
         if self._factorised is not inertia:

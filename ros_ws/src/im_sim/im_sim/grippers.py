@@ -1,4 +1,4 @@
-"""Pneumatic grippers: jaws that travel at a fixed rate, press with limited force, and stop at what is between them."""
+"""Pneumatic grippers: jaws travel at a fixed rate, press with limited force, and stop at an object."""
 
 import math
 from collections.abc import Sequence
@@ -32,13 +32,13 @@ class GripperJaws:
         self.force = np.zeros(2)
 
     def put(self, objects: Sequence[JawObject | None]) -> None:
-        """Say what is between the jaws of each gripper; wide things push the jaws apart."""
+        """Set the object between the jaws of each gripper; a wide object pushes the jaws apart."""
         self._objects = list(objects)
         self._resting = False
         self.step(0.0)
 
     def held(self) -> tuple[JawObject | None, ...]:
-        """What each gripper holds, pressed between its jaws."""
+        """Return the object held by each gripper, pressed between the jaws."""
         return tuple(
             held if force > 0.0 else None for held, force in zip(self._objects, self.force.tolist(), strict=True)
         )
@@ -60,7 +60,7 @@ class GripperJaws:
                 self._allowed[i] = min(max(allowed, 0.0), g.force)
 
     def step(self, dt: float) -> bool:
-        """Let ``dt`` [s] pass; the valves keep their position without motor power.
+        """Let ``dt`` [s] pass; the valves keep the position without motor power.
 
         Returns:
             Whether anything has changed.
@@ -75,7 +75,7 @@ class GripperJaws:
         return not self._resting
 
     def _move(self, i: int, before: float, reach: float) -> tuple[float, float]:
-        """Opening and force after jaws that can travel ``reach`` have done so."""
+        """Return opening and force after a travel of the jaws by at most ``reach``."""
         after = before + min(max(self._wanted[i] - before, -reach), reach)
         held = self._objects[i]
         if held is None:

@@ -16,7 +16,7 @@ FAULTS = (*_OF_JOINTS, "power_loss", "stall")
 
 
 class FaultPanel:
-    """Breaks a testbed, and mends it; physics obeys from its next tick on.
+    """Panel of faults: breaks a testbed, and mends it; physics obeys from the next tick on.
 
     Args:
         cell: Names of joints and grippers.
@@ -29,7 +29,7 @@ class FaultPanel:
         self._link = link
 
     def inject(self, fault: str, joint: str, active: bool, duration: float) -> str:
-        """Switch a fault on or off; what is broken now, as a sentence.
+        """Switch a fault on or off; return the present faults as a sentence.
 
         Args:
             fault: One of :data:`FAULTS`.
@@ -64,7 +64,7 @@ class FaultPanel:
         return self._sentence(faults)
 
     def put_in_jaws(self, gripper: str, width: float, stiffness: float, mass: float) -> str:
-        """Put an object between the jaws of a gripper, or take it away; what is there now, as a sentence.
+        """Put an object between the jaws of a gripper, or take it away; return the present objects as a sentence.
 
         Args:
             gripper: E.g. ``left_gripper``.

@@ -66,11 +66,11 @@ class Plant:
 
     @property
     def wrench(self) -> NDArray[np.float64]:
-        """What the arms really exert on links 6 and all that hangs on them, shape (2, 6) [N, Nm]."""
+        """True wrenches of the arms on links 6 with all the loads, shape (2, 6) [N, Nm]."""
         return self._wrists.true
 
     def sensors(self, tick: int) -> Sensors:
-        """What the sensors say at a tick."""
+        """Return the readings of the sensors at a tick."""
         self._tick = tick
         q, wrench, gripper_force = self._signals.read(tick, self.q, self._wrists.true, self._grippers.force)
         q, age_s = self._encoders.tell(tick, q)
@@ -85,19 +85,19 @@ class Plant:
         )
 
     def break_(self, faults: Faults) -> None:
-        """Put faults in force, instead of those before."""
+        """Replace the faults in force."""
         self._faults, self._may_hold = faults, ~faults.brake_open
         q, _, _ = self._signals.read(self._tick, self.q, self._wrists.true, self._grippers.force)
         self._encoders.break_(faults, self._tick, q)
 
     def put(self, objects: tuple[JawObject | None, ...]) -> None:
-        """Say what is between the jaws of each gripper."""
+        """Set the object between the jaws of each gripper."""
         self._grippers.put(objects)
         self._dynamics.carry(self._grippers.held())
         self._stands = False
 
     def prepare(self) -> None:
-        """Compute what the next tick needs of the present state whatever is commanded."""
+        """Compute the part of the next tick that depends on the present state only, ahead of the command."""
         if not self._stands:
             self._actuators.prepare(self.q, self.v)
 
@@ -131,7 +131,7 @@ class Plant:
         self._world.close()
 
     def _move(self) -> None:
-        """The steps of a tick, until nothing moves; without power it then stands."""
+        """Do the steps of a tick, until nothing moves; without power it then stands."""
         self._stands = False
         for _ in range(self._substeps):
             q, v = self.q, self.v
@@ -143,5 +143,5 @@ class Plant:
         self._feel(q, v)
 
     def _feel(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-        """Let the wrist sensors feel the step that began at ``q`` with ``v``, shape (n,) each."""
+        """Give the wrist sensors the step from ``q`` with ``v``, shape (n,) each."""
         self._wrists.update(q, v, (self.v - v) / self._dt_each, self._world.contacts(self._last_joints))

@@ -1,4 +1,4 @@
-"""What the testbed's sensors say of what is really so: encoders, force sensors, wrist force-torque sensors.
+"""Readings of the testbed's sensors for a true state: encoders, force sensors, wrist force-torque sensors.
 
 Their noise depends on seed and tick alone, whatever was read before.
 """
@@ -56,7 +56,7 @@ class TickNoise:
 
 
 class Signals:
-    """Every signal of the cell's sensors in one row: a fixed bias, noise, quantisation, and the end of its range.
+    """Every signal of the cell's sensors in one row: a fixed bias, noise, quantisation, and the end of the range.
 
     Encoders have neither bias nor end.
 
@@ -85,7 +85,7 @@ class Signals:
     def read(
         self, tick: int, q: NDArray[np.float64], wrench: NDArray[np.float64], force: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Readings at a tick.
+        """Return the readings at a tick.
 
         Args:
             tick: Number of the tick.
@@ -103,13 +103,13 @@ class Signals:
     def _parts(
         self, signals: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Views of those of encoders, wrists and jaws."""
+        """Return views of the parts of encoders, wrists and jaws."""
         n, end = self._n, self._wrists_end
         return signals[:n], signals[n:end].reshape(-1, 6), signals[end:]
 
 
 class Encoders:
-    """What becomes of encoder readings on the way to whoever reads them: some are stuck, some are lost.
+    """Faults of encoder readings on the way to the servo: some are stuck, some are lost.
 
     Args:
         cell: Joints and period.
@@ -126,7 +126,7 @@ class Encoders:
         self._period_s = cell.period
 
     def break_(self, faults: Faults, tick: int, reading: NDArray[np.float64]) -> None:
-        """Put faults in force at a tick, of which this is the reading, shape (n,): a frozen one stays as it is."""
+        """Put faults in force at a tick with this reading, shape (n,): a frozen one stays as it is."""
         newly = faults.encoder_frozen & ~self._frozen
         self._frozen_since[newly] = tick
         self._frozen_reading[newly] = reading[newly]
@@ -134,7 +134,7 @@ class Encoders:
         self._sound = not (self._frozen.any() or self._blind.any())
 
     def tell(self, tick: int, reading: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What arrives of the reading of a tick, shape (n,) [rad or m], and its age, shape (n,) [s]."""
+        """Return the delivered reading of a tick, shape (n,) [rad or m], and the age, shape (n,) [s]."""
         if self._sound:
             return reading, self._fresh
         told = np.where(self._frozen, self._frozen_reading, reading)
@@ -143,7 +143,7 @@ class Encoders:
 
 
 class WristWrenches:
-    """What the wrist force-torque sensors feel: what each arm exerts on its link 6 and on all that hangs on it.
+    """Inputs of the wrist force-torque sensors: the wrench of each arm on the link 6 with all loads.
 
     Force and torque are in the axes and about the origin of each wrist frame. With the spatial inertia I of link 6
     and its load, its spatial velocity v and acceleration a, and the wrench w of what it touches, the arm exerts ``I
@@ -192,7 +192,7 @@ def _each(value: str, specs: Sequence[SensorSpec]) -> NDArray[np.float64]:
 
 
 def _contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:
-    """What contacts exert on a link at ``pose``, in its frame."""
+    """Return the wrench of contacts on a link at ``pose``, in the frame."""
     force = sum((contact.force for contact in contacts), np.zeros(3))
     torque = sum((np.cross(contact.position, contact.force) for contact in contacts), np.zeros(3))
     return pose.actInv(pin.Force(force, torque))

@@ -1,4 +1,4 @@
-"""Draws what the simulated cell is really like: cameras, lights and laser off their nominal values."""
+"""The true simulated cell: cameras, lights and laser, drawn off the nominal values."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -31,7 +31,7 @@ class Contact:
 
 
 class World:
-    """A pybullet client (DIRECT) with the cell in it, driven by joint torques.
+    """Pybullet client (DIRECT) with the cell in it, driven by joint torques.
 
     Args:
         cell: Links, joints, obstacles.
@@ -74,7 +74,7 @@ class World:
         pybullet.stepSimulation(self.client)
 
     def contacts(self, joints: Sequence[int]) -> list[list[Contact]]:
-        """What touches the child links of some joints, by rank, after the last step."""
+        """Return the contacts of the child links of some joints, by rank, after the last step."""
         if not pybullet.getContactPoints(self.body, physicsClientId=self.client):
             return [[] for _ in joints]
         return [
@@ -85,7 +85,7 @@ class World:
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Torques that pybullet finds for a motion, shape (n,) [Nm or N]."""
+        """Return pybullet's torques for a motion, shape (n,) [Nm or N]."""
         return np.array(
             pybullet.calculateInverseDynamics(self.body, q.tolist(), v.tolist(), a.tolist(), **self._options)
         )
@@ -114,7 +114,7 @@ class World:
         return [indices[name] for name in cell.joint_names]
 
     def _make_exact(self, cell: Cell) -> None:
-        """Undo what pybullet adds to a URDF or takes from it.
+        """Undo the changes of pybullet to a URDF.
 
         Motors that hold velocity zero, damping, and a limit on speed are switched off. pybullet sets inertias that
         violate the triangle inequality, as that published for link 3, to zero: all are set again.
@@ -143,7 +143,7 @@ class World:
 
 
 def _contact(point: Sequence[Any]) -> Contact:
-    """A contact point as pybullet tells it: normal force, then two friction forces with their directions."""
+    """Contact point as pybullet reports it: normal force, then two friction forces with the directions."""
     position, normal = np.array(point[6]), np.array(point[7])
     force = point[9] * normal + point[10] * np.array(point[11]) + point[12] * np.array(point[13])
     return Contact(position, force)

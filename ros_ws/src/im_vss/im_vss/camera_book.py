@@ -1,4 +1,4 @@
-"""The present calibration of each camera, and the file it is from: nominal until something better is set."""
+"""The present calibration of each camera, and the file: nominal until a better one is set."""
 
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -30,7 +30,7 @@ from im_vss.stereo import rectify
 
 @dataclass(frozen=True)
 class CameraEntry:
-    """What is known of a camera.
+    """Calibration of a camera, and the origin.
 
     Attributes:
         name: Its name.
@@ -50,7 +50,7 @@ class CameraEntry:
 
     @property
     def frame(self) -> str:
-        """Name of its optical frame."""
+        """Name of the optical frame of the camera."""
         return frame_of(self.name)
 
     @property
@@ -62,12 +62,12 @@ class CameraEntry:
         return self.intrinsics_file is not None and self.pose_file is not None
 
     def told(self) -> str:
-        """Where its calibration comes from, in a sentence."""
+        """Return the origin of the calibration, as a sentence."""
         return f"{self.name}: {self.origin}"
 
     @property
     def origin(self) -> str:
-        """Files of its lens and pose, or that they are the drawing's."""
+        """Files of lens and pose, or the drawing."""
         if self.intrinsics_file is None and self.pose_file is None:
             return "as drawn"
         lens, pose = (str(file) if file is not None else "as drawn" for file in (self.intrinsics_file, self.pose_file))
@@ -90,13 +90,13 @@ class CameraEntry:
         return replace(self, model=model, intrinsics_file=folder / f"{self.name}.yaml")
 
     def with_pose(self, pose: CameraPose, folder: Path) -> Self:
-        """The entry with a pose relative to its parent, from the poses' file in `folder`."""
+        """Return the entry with a pose relative to the parent, from the poses' file in `folder`."""
         model = replace(self.model, R_cam_base=pose.R_cam_base, t_cam_base=pose.t_cam_base)
         return replace(self, model=model, pose_file=folder / EXTRINSICS)
 
 
 class CameraBook:
-    """Calibrations by camera; what is set is also written to files, see :mod:`im_cell.calibration_files`."""
+    """Calibrations by camera; each setting is also written to files, see :mod:`im_cell.calibration_files`."""
 
     def __init__(
         self, cell: Cell, cameras: Iterable[str], directory: Path, pairs: Iterable[tuple[str, str]] = ()
@@ -147,7 +147,7 @@ class CameraBook:
         return self._covariance
 
     def remark(self, cameras: Iterable[str]) -> str:
-        """What to know of covariances by some cameras, a clause; empty if they say how well all of these are known."""
+        """Return a remark on covariances by some cameras, a clause; empty if they are complete."""
         unknown = [camera for camera in cameras if camera not in self._covariance.cameras]
         if not unknown:
             return ""
@@ -191,7 +191,7 @@ class CameraBook:
         return self._directory
 
     def rectified(self, models: Mapping[str, CameraModel]) -> dict[str, Rectified]:
-        """R and P that cameras would have with these models; those of a stereo pair where both are given.
+        """Return R and P of cameras with these models; those of a stereo pair where both are given.
 
         Raises:
             NotFoundError: A camera is not known.
@@ -201,7 +201,7 @@ class CameraBook:
         return {name: entry.rectified for name, entry in _rectified(entries, pairs).items()}
 
     def adopt(self, files: CalibrationFiles) -> tuple[str, ...]:
-        """Use calibrations of an earlier run, and write what is in use now.
+        """Use calibrations of an earlier run, and write the calibrations in use now.
 
         Args:
             files: As they were read.
@@ -253,7 +253,7 @@ class CameraBook:
 
 
 def nominal(camera: Camera) -> CameraModel:
-    """A camera as the cell's drawing has it, without distortion."""
+    """Return a camera as the cell's drawing has it, without distortion."""
     lens = camera.intrinsics
     rotation, translation = camera.pose()
     return CameraModel(
@@ -267,7 +267,7 @@ def nominal(camera: Camera) -> CameraModel:
 
 
 def _rectified(entries: Mapping[str, CameraEntry], pairs: Iterable[tuple[str, str]]) -> Mapping[str, CameraEntry]:
-    """With new R and P; cameras whose images can have no rows in common are described as single ones."""
+    """Return cameras with new R and P; cameras without common image rows are described as single ones."""
     renewed = {name: replace(entry, rectified=monocular(entry.model)) for name, entry in entries.items()}
     for left, right in pairs:
         first, second = renewed[left], renewed[right]

@@ -1,4 +1,4 @@
-"""Mounts: where the robot held its cameras when they were exposed."""
+"""Camera poses: places of the robot's camera frames at the exposures."""
 
 import threading
 from collections import OrderedDict
@@ -23,7 +23,7 @@ _STILL_M, _STILL_RAD = 1e-3, 1e-3
 
 
 class Mounts:
-    """Where frames that carry cameras were at the latest exposures; any thread may note and ask.
+    """Places of camera frames at the latest exposures; any thread may note and ask.
 
     Args:
         now: Where a frame is at a testbed time that has just been [ns]; None: that is not known.
@@ -35,7 +35,7 @@ class Mounts:
         self._poses: OrderedDict[tuple[str, int], Pose] = OrderedDict()
 
     def note(self, frame: str, stamps_ns: Iterable[int]) -> None:
-        """Keep where a frame was at exposures that have just been made, testbed times [ns]."""
+        """Keep the places of a frame at fresh exposures, testbed times [ns]."""
         poses = {(frame, stamp_ns): self._now(frame, stamp_ns) for stamp_ns in stamps_ns}
         with self._lock:
             for exposure, pose in poses.items():

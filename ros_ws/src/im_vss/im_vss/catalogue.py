@@ -1,4 +1,4 @@
-"""The master catalogue of all Services, Tools and Vision Modules, and the part of it that an application needs."""
+"""The master catalogue of all Services, Tools and Vision Modules, and the part needed by an application."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -29,28 +29,28 @@ class ServiceEntry(Model):
 
 
 class ProcessEntry(Model):
-    """A process of the Vision Services System: the host it runs on, and its node."""
+    """Process of the Vision Services System: the host, and the node."""
 
     host: str
     node: Annotated[str, Field(pattern=r"^/[a-z][a-z0-9_]*$")]
 
 
 class ToolEntry(Model):
-    """A Tool: its class as ``module:Class``, and the Vision Modules it uses."""
+    """Tool of the catalogue: the class as ``module:Class``, and the Vision Modules."""
 
     implementation: Implementation
     modules: tuple[str, ...]
 
 
 class ModuleEntry(Model):
-    """A Vision Module: its class as ``module:Class``, and the manager that lends it."""
+    """Vision Module of the catalogue: the class as ``module:Class``, and the manager."""
 
     implementation: Implementation
     manager: str
 
 
 class Catalogue(Model):
-    """Everything that exists; ``managers`` says what each Vision Module Manager is for.
+    """The whole catalogue; ``managers`` gives the purpose of each Vision Module Manager.
 
     A Vision Module owns its hardware, so all Services that use it, directly or through a Tool, run in one process.
     """
@@ -80,7 +80,7 @@ class Catalogue(Model):
         return self
 
     def closure(self, services: Iterable[str]) -> Self:
-        """The part that some Services need, directly or through their Tools.
+        """Return the part needed by some Services, directly or through the Tools.
 
         Raises:
             NotFoundError: There is no Service of one of the names.
@@ -109,7 +109,7 @@ class Catalogue(Model):
         )
 
     def in_process(self, process: str) -> Self:
-        """The part that one process runs.
+        """Return the part of one process.
 
         Raises:
             NotFoundError: There is no such process.
@@ -119,7 +119,7 @@ class Catalogue(Model):
         return self.closure(name for name, service in self.services.items() if service.process == process)
 
     def deployment(self) -> dict[str, Any]:
-        """The ``hosts`` of a deployment file that starts what these Services need: host -> process -> task."""
+        """Return the ``hosts`` of a deployment file for these Services: host -> process -> task."""
         hosts: dict[str, Any] = {}
         for name, process in self.processes.items():
             parameters = {"calibration": "${calibration}"}

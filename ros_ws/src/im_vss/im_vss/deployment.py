@@ -1,4 +1,4 @@
-"""``python -m im_vss.deployment``: the part of a deployment file that starts what some Services need."""
+"""``python -m im_vss.deployment``: print the part of a deployment file for some Services."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Fiducial plates in an image: their corners by the edges, and their poses by the corners."""
+"""Fiducial plates in an image: the corners by the edges, and the poses by the corners."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ _DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
 
 @dataclass(frozen=True)
 class Corners:
-    """Four corners in undistorted pixels, shape (4, 2) [px], and their joint covariance, shape (8, 8) [px^2]."""
+    """Four corners in undistorted pixels, shape (4, 2) [px], and the joint covariance, shape (8, 8) [px^2]."""
 
     uv: Array
     covariance: Array
@@ -91,7 +91,7 @@ class PlatePose:
 
 
 def plate_poses(corners: Corners, K: Array, size: float) -> list[PlatePose]:
-    """The poses that a square may have, best first: a small or distant one may as well be tilted the other way.
+    """Return the possible poses of a square, best first: a small or distant one may as well be tilted the other way.
 
     Starts: T. Collins, A. Bartoli, "Infinitesimal plane-based pose estimation", IJCV 2014, as in OpenCV; then
     Gauss-Newton with the full covariance of the corners, whose inverse normal matrix is the covariance of the pose.
@@ -135,7 +135,7 @@ def _refined(rotation: Array, translation: Array, plate: Array, corners: Corners
 
 
 def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, size: float, lens: Array) -> PlatePose:
-    """A pose whose covariance also counts how well the camera is known.
+    """Return a pose with the uncertainty of the camera in the covariance.
 
     Args:
         pose: The pose by the corners, its covariance that of the corners alone.
@@ -151,7 +151,7 @@ def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, siz
 
 
 def _square(size: float) -> Array:
-    """Corners of a plate's square in its own frame, upper left first, clockwise as printed, shape (4, 3) [m]."""
+    """Return the corners of a plate's square in its own frame, upper left first, clockwise, shape (4, 3) [m]."""
     half = size / 2.0
     return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
 
@@ -174,7 +174,7 @@ def _linearised(rotation: Array, translation: Array, plate: Array, uv: Array, K:
 
 @dataclass(frozen=True)
 class FiducialFit:
-    """A plate: the target of the cell, its pose, its corners in the image, shape (4, 2) [px].
+    """Plate: target of the cell, the pose, the corners in the image, shape (4, 2) [px].
 
     Attributes:
         target: Which one.

@@ -4,7 +4,7 @@ import math
 
 
 class Rhythm:
-    """Says which cameras are due, in testbed time: at the multiples of their periods.
+    """Schedule of images: cameras are due at the multiples of the periods, in testbed time.
 
     Cameras of the same rate are therefore exposed together. What falls into an exposure is left out. Where testbed time
     passes only for those who want it, it waits for what is due, and an exposure makes time pass; images never follow
@@ -32,7 +32,7 @@ class Rhythm:
             self._rates[camera] = rate
 
     def due(self, now_ns: int) -> tuple[str, ...]:
-        """Cameras that are due at a testbed time [ns]; they are not again in the same period."""
+        """Return cameras due at a testbed time [ns], each once in a period."""
         if now_ns < self._now_ns:  # another testbed, which begins at 0
             self._last.clear()
             self._rest_ns = -1
@@ -47,7 +47,7 @@ class Rhythm:
         return found
 
     def taken(self, cameras: tuple[str, ...], end_ns: int) -> None:
-        """Cameras were exposed until a testbed time [ns]: none is due again before somebody else lets time pass."""
+        """Note cameras exposed until a testbed time [ns]: none is due again before the time passes on."""
         self._rest_ns = end_ns
         for camera in cameras:
             if camera in self._last:
@@ -67,5 +67,5 @@ class Rhythm:
         return max(start_ns, self._rest_ns + 1)
 
     def _period(self, camera: str, time_ns: int) -> int:
-        """Number of the period of a camera that a time lies in."""
+        """Return the number of the period of a camera at a time."""
         return int(time_ns * self._rates[camera] / 1e9)

@@ -25,7 +25,7 @@ _FONT, _LABEL_SIZE, _TEXT_SIZE = cv2.FONT_HERSHEY_SIMPLEX, 0.38, 0.42
 
 @dataclass(frozen=True)
 class Curve:
-    """A line through places of an image, shape (n, 2) [px], and its colour (red, green, blue)."""
+    """Line through places of an image, shape (n, 2) [px], and the colour (red, green, blue)."""
 
     places: Array
     colour: Colour = GREEN
@@ -41,7 +41,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Marker:
-    """What to draw on a camera's monitor.
+    """Overlay of a camera's monitor.
 
     Attributes:
         camera: Name of the camera.
@@ -60,7 +60,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Picture:
-    """What a monitor shows: red-green-blue image, shape (h, w, 3) [DN], and testbed time [ns]."""
+    """Content of a monitor: red-green-blue image, shape (h, w, 3) [DN], and testbed time [ns]."""
 
     image: Image
     stamp_ns: int
@@ -70,7 +70,7 @@ class Screen(Protocol):
     """The monitors, and the outputs of images and spots."""
 
     def raw(self, frame: Frame) -> None:
-        """Put out an image as it was taken."""
+        """Put out an image as taken."""
 
     def display(self, camera: str, image: Image, stamp_ns: int) -> None:
         """Show an image, shape (h, w, 3), red-green-blue [DN]."""
@@ -87,12 +87,12 @@ class Monitors:
         self._lock = threading.Lock()
 
     def show(self, frame: Frame) -> None:
-        """Put an image on its camera's monitor, without overlay."""
+        """Put an image on the camera's monitor, without overlay."""
         with self._lock:
             self._frames[frame.camera] = frame
 
     def draw(self, marker: Marker) -> Picture | None:
-        """The monitor's image with a marker on it; None if the monitor is dark."""
+        """Return the monitor's image with a marker on it; None if the monitor is dark."""
         with self._lock:
             frame = self._frames.get(marker.camera)
         if frame is None:
@@ -119,7 +119,7 @@ def _cross(image: Image, centre: tuple[float, float]) -> None:
 
 
 def _curve(image: Image, places: Array, colour: Colour) -> None:
-    """Draw a line through places, exact to a sixteenth of a pixel; one that leads out of all bounds is not drawn."""
+    """Draw a line through places, exact to a sixteenth of a pixel; a line beyond all bounds is not drawn."""
     if np.all(np.abs(places) < _FARTHEST_PX):  # false for NaN too
         points = np.rint(places * (1 << _SUBPIXEL_BITS)).astype(np.int32)
         cv2.polylines(image, [points], False, colour, 1, cv2.LINE_AA, _SUBPIXEL_BITS)

@@ -1,4 +1,4 @@
-"""Looks: images that were exposed, and in which the light is still searched while the arms go on."""
+"""Looks: exposed images with a search for the light that goes on while the arms move."""
 
 import threading
 from collections import OrderedDict
@@ -35,7 +35,7 @@ class Look(Generic[Found]):
 
 
 class Looks(Generic[Found]):
-    """The latest looks by name; any thread may keep one and ask for what it has found, as often as it likes."""
+    """The latest looks by name; any thread may keep one and ask for the result, as often as needed."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -50,7 +50,7 @@ class Looks(Generic[Found]):
                 self._looks.popitem(last=False)
 
     def found(self, name: str, cameras: tuple[str, ...], timeout_s: float, check: Callable[[], None]) -> Found:
-        """What a look has found; waits until it has.
+        """Wait for the result of a look, and return it.
 
         Args:
             name: Of the look.

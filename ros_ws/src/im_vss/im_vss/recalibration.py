@@ -1,4 +1,4 @@
-"""Calibrations again, out of a bag: what was observed, or spots that are found anew in recorded images."""
+"""Calibrations again, out of a bag: recorded observations, or spots found anew in recorded images."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ _PAIR_NS = 500_000_000
 
 @dataclass
 class RecordedCalibration:
-    """A call of the Service ``calibrate``, as a bag holds it.
+    """Call of the Service ``calibrate``, as a bag holds it.
 
     Attributes:
         request: The message `im_msgs/srv/Calibrate` of the request.
@@ -52,7 +52,7 @@ class RecordedCalibration:
     refusal: str = ""
 
     def image_sizes(self) -> dict[str, tuple[int, int]]:
-        """Width and height of the images of cameras [px], of which the answer says it."""
+        """Return width and height of the images of cameras [px], for cameras named in the answer."""
         sizes = {}
         cameras = (self.report or {}).get("cameras")
         for camera in cameras if isinstance(cameras, list) else ():
@@ -73,7 +73,7 @@ class RecordedCalibration:
 
 
 def recorded_calibrations(bag: Path) -> list[RecordedCalibration]:
-    """The calibrations of a bag, in the order of their requests.
+    """Return the calibrations of a bag, in the order of the requests.
 
     Raises:
         DataError: It cannot be read, or holds none.
@@ -106,7 +106,7 @@ def _add_answer(call: RecordedCalibration, response: Any, bag: Path) -> None:
 
 
 def image_sizes(bag: Path, call: RecordedCalibration, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
-    """Width and height of the images of cameras [px], by the recorded report, or else by their camera infos.
+    """Return width and height of the images of cameras [px], by the recorded report, or else by the camera infos.
 
     Raises:
         DataError: Nothing in the bag says it of a camera.
@@ -126,7 +126,7 @@ def image_sizes(bag: Path, call: RecordedCalibration, cameras: Sequence[str]) ->
 
 @dataclass(frozen=True)
 class FoundAgain:
-    """Observations with spots that were found anew.
+    """Observations with spots found anew.
 
     Attributes:
         request: The request with them.
@@ -150,7 +150,7 @@ def find_again(
     settings: VssSettings,
     progress: Callable[[str], None],
 ) -> FoundAgain:
-    """Finds the spots of a request in the recorded images: those of the looks that its observations are from.
+    """Find the spots of a request in the recorded images, in the looks of the observations.
 
     Args:
         bag: The bag.
@@ -212,7 +212,7 @@ def _search_discs(bag: Path) -> dict[tuple[str, int], SearchDisc]:
 
 
 def _pairs(bag: Path, camera: str, stamps: set[int]) -> Iterator[tuple[int, Any, Any]]:
-    """Stamp, image without light and image with it, of each look of a camera whose images are in the bag."""
+    """Yield stamp, image without light and image with it, of each look of a camera with images in the bag."""
     topic = f"/{camera}/image_raw"
     if topic not in topics_of(bag):
         return

@@ -1,4 +1,4 @@
-"""What the Vision Services System is built around: its settings, its cameras and their controls, its monitors."""
+"""The surroundings of the Vision Services System: settings, cameras and the controls, monitors."""
 
 import threading
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from im_vss.settings import VssSettings
 
 
 class CameraControls:
-    """Controls of each camera, and the exposure time that all share; any thread may set and read them."""
+    """Controls of each camera, and the common exposure time; any thread may set and read them."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -30,12 +30,12 @@ class CameraControls:
         self._exposure_s: float | None = None
 
     def set_sensor(self, camera: str, controls: SensorControls) -> None:
-        """Set gain and noise of a camera from its next exposure on."""
+        """Set gain and noise of a camera from the next exposure on."""
         with self._lock:
             self._sensors[camera] = controls
 
     def set_exposure(self, exposure_s: float) -> None:
-        """Set the exposure time that a request's 0 stands for [s]."""
+        """Set the exposure time for requests with 0 [s]."""
         with self._lock:
             self._exposure_s = exposure_s
 
@@ -45,14 +45,14 @@ class CameraControls:
             return {camera: self._sensors.get(camera, SensorControls()) for camera in cameras}
 
     def exposure(self, wanted: float, nominal: float) -> float:
-        """The exposure time for a request [s]: what is wanted, or what was set, or the nominal one."""
+        """Return the exposure time for a request [s]: the wanted one, else the set one, else the nominal one."""
         with self._lock:
             return wanted or self._exposure_s or nominal
 
 
 @dataclass(frozen=True)
 class LaserRig:
-    """The laser scanner: its driver, and its present calibration."""
+    """The laser scanner: the driver, and the present calibration."""
 
     scanner: Scanner
     book: LaserBook
@@ -99,7 +99,7 @@ class Rig:
         blank_light: tuple[bool, ...],
         blank_laser: tuple[bool, ...] = (),
     ) -> SnapOrder:
-        """An order for exposures of cameras as they are set.
+        """Return an order for exposures of cameras with the present settings.
 
         Args:
             cameras: Names of the cameras.

@@ -32,14 +32,14 @@ class ExposureRange(Model):
 
 
 class Light(Model):
-    """The wrist light of calibrations: its name, and the prior sd of its offset in the wrist frame [m]."""
+    """The wrist light of calibrations: the name, and the prior sd of the offset in the wrist frame [m]."""
 
     name: str
     offset_prior_sd: Annotated[float, Field(ge=0.0)]
 
 
 class RegionRadius(Model):
-    """How far from its predicted place a light may be [px]: in a camera as drawn, and in one that is calibrated.
+    """Largest distance of a light from the predicted place [px]: in a camera as drawn, and in a calibrated one.
 
     Attributes:
         nominal, calibrated: The radii [px].
@@ -93,7 +93,7 @@ class Waits(Model):
 
 
 class LaserGrid(Model):
-    """Spots that the scanner is calibrated with, when none are given: so many angles of each mirror, over its range."""
+    """Default spots for the calibration of the scanner: a number of angles of each mirror, over the range."""
 
     mirror1: Annotated[int, Field(ge=2, le=40)]
     mirror2: Annotated[int, Field(ge=2, le=40)]
@@ -125,14 +125,14 @@ class LaserSettings(Model):
 
 
 class FrameSourceEntry(Model):
-    """What takes the images: a :class:`im_cell.frames.FrameSource` as ``module:Class``, and its own settings."""
+    """Source of images: a :class:`im_cell.frames.FrameSource` as ``module:Class``, and its own settings."""
 
     implementation: str
     settings: dict[str, Any]
 
 
 class VssSettings(Model):
-    """Configuration of the Vision Services System; cameras' noise is their data sheet's."""
+    """Configuration of the Vision Services System; cameras' noise is the data sheet's."""
 
     services: tuple[str, ...]
     cameras: Annotated[tuple[str, ...], Field(min_length=1)]
@@ -150,7 +150,7 @@ class VssSettings(Model):
     frame_source: FrameSourceEntry
 
     def exposure_time(self, wanted: float) -> float:
-        """An exposure time [s] that was checked.
+        """Return a checked exposure time [s].
 
         Raises:
             ConfigError: It is out of range.
@@ -161,7 +161,7 @@ class VssSettings(Model):
         return wanted
 
     def check_cameras(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """The names of cameras in a request, if they are all known and differ.
+        """Return the names of cameras in a request, if they are all known and differ.
 
         Raises:
             NotFoundError: One is not known.

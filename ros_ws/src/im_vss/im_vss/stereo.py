@@ -39,7 +39,7 @@ class Point:
 def triangulate(
     cameras: Sequence[CameraModel], spots: Sequence[Array], covariances: Sequence[Array], calibration: Array
 ) -> Point:
-    """The point that explains its images best: Gauss-Newton from the point nearest to all rays.
+    """Return the best point for the images: Gauss-Newton from the point nearest to all rays.
 
     Args:
         cameras: Two cameras or more, with their poses.
@@ -84,7 +84,7 @@ def triangulate(
 
 
 def essential_matrix(first: CameraModel, second: CameraModel) -> Array:
-    """E with ``y' E x = 0`` for ideal images x, y of one point in two cameras with poses, shape (3, 3)."""
+    """Return E with ``y' E x = 0`` for ideal images x, y of one point in two cameras with poses, shape (3, 3)."""
     rotation = second.R_cam_base @ first.R_cam_base.T
     t = second.t_cam_base - rotation @ first.t_cam_base
     cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
@@ -118,7 +118,7 @@ class Rectification:
 
 
 def rectify(left: CameraModel, right: CameraModel) -> Rectification:
-    """Rotations that align the image rows of two cameras, and their projections; ``P[0, 3]`` holds the baseline.
+    """Return rotations to aligned image rows of two cameras, and projections; ``P[0, 3]`` holds the baseline.
 
     Source: A. Fusiello, E. Trucco, A. Verri, "A compact algorithm for rectification of stereo pairs", 2000, as in
     OpenCV.

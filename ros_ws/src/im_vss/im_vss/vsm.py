@@ -21,7 +21,7 @@ PROCESS = "vss"
 
 @dataclass(frozen=True)
 class VisionState:
-    """What is loaded, queued and owned.
+    """Loaded parts, queues and owners of VSS.
 
     Attributes:
         services: Names of the Services in use.
@@ -37,7 +37,7 @@ class VisionState:
 
 
 class VisionServicesManager:
-    """Loads what the Services in use need, and routes requests to them by name."""
+    """Manager of Services: loads the parts of the Services in use, and routes requests to them by name."""
 
     def __init__(self, rig: Rig, catalogue: Catalogue, process: str = PROCESS) -> None:
         """Load the closure of the Services in use.
@@ -85,7 +85,7 @@ class VisionServicesManager:
         alive: Callable[[], bool] = lambda: True,
         tell: Callable[[str], None] = lambda remark: None,
     ) -> Any:
-        """Have a Service carry out a request; blocks until it has, from any number of threads.
+        """Carry out a request by a Service; block until the end, from any number of threads.
 
         Args:
             service: Name of the Service.
@@ -112,7 +112,7 @@ class VisionServicesManager:
                 del self._clients[client.name]
 
     def cancel(self, request: str) -> None:
-        """Give up a request: its waits and leases end, and whoever asked gets a :class:`StateError`.
+        """Give up a request: the waits and leases end, and the client gets a :class:`StateError`.
 
         Args:
             request: Its name, as in :meth:`state`.
@@ -127,7 +127,7 @@ class VisionServicesManager:
             self._clients[request].cancel()
 
     def state(self) -> VisionState:
-        """What is loaded, who waits for what, and who owns what."""
+        """Return loaded parts, waiting clients and owners."""
         with self._lock:
             requests = tuple(self._clients)
         return VisionState(

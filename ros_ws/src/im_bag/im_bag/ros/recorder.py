@@ -41,7 +41,7 @@ Taken = tuple[int, bytes, dict[str, int]]
 
 
 class RecordedTopic:
-    """A topic with its subscription, and for a moment those before it, whose place a weaker one takes.
+    """Topic with a subscription and, for a moment, the earlier subscriptions replaced by a weaker one.
 
     A subscription that asks for more than a publisher offers gets nothing of it. So it is made anew where a publisher
     comes that offers less; until the new one is connected both get the same messages, of which one is passed on.
@@ -80,7 +80,7 @@ class RecordedTopic:
         return bool(self._ends[-1].handle.get_publisher_count() >= publishers)
 
     def take(self) -> Iterator[Taken]:
-        """What has come, each message once, those of a publisher in its order."""
+        """Yield the received messages, each once; the messages of one publisher stay in order."""
         replaced = len(self._ends) > 1
         if not replaced and not self._passed_on:
             yield from _taken(self._ends[0])
@@ -108,7 +108,7 @@ class RecordedTopic:
 
 
 class BagRecorder:
-    """Subscribes to what is published and writes the bytes as they come.
+    """Recorder: subscribes to all published topics and writes the bytes as received.
 
     No executor: it empties the queues of all subscriptions twice a second. The time of arrival is the middleware's.
 
@@ -156,7 +156,7 @@ class BagRecorder:
         self._wake.set()
 
     def discover(self) -> None:
-        """Subscribe to topics that were not there before, and anew where a publisher offers less than those before."""
+        """Subscribe to new topics; subscribe again where a publisher offers less than the earlier publishers."""
         for topic, _ in self._node.get_topic_names_and_types():
             if topic in self._refused or not self._wanted(topic):
                 continue
@@ -170,7 +170,7 @@ class BagRecorder:
                 self._subscribe(topic, publishers)
 
     def drain(self) -> None:
-        """Write what has come.
+        """Write the received messages.
 
         Raises:
             StoreError: The disk is full, or nearly so.
@@ -183,7 +183,7 @@ class BagRecorder:
             self._bag.write(topic, received_ns, data, told["source_timestamp"], told["publication_sequence_number"])
 
     def missing(self) -> list[str]:
-        """Topics that were to be recorded, and have had no publisher."""
+        """Return the topics requested for recording and still without any publisher."""
         return sorted(self._only - self._topics.keys() - self._refused)
 
     def _wanted(self, topic: str) -> bool:
@@ -210,7 +210,7 @@ class BagRecorder:
         self._follow(topic, recorded, publishers)
 
     def _follow(self, topic: str, recorded: RecordedTopic, publishers: list[Any]) -> None:
-        """Subscribe anew if one of the publishers offers less; say it once if some are of another type."""
+        """Subscribe again if a publisher offers less; report once if publishers have another type."""
         others = {publisher.topic_type for publisher in publishers} - {recorded.type_name}
         if others and not recorded.has_other_types:
             recorded.has_other_types = True
@@ -237,11 +237,11 @@ def _of_type(type_name: str, publishers: list[Any]) -> list[Any]:
 
 
 def _never_called(data: bytes) -> None:
-    """Stands where rclpy wants a callback; no executor has the node."""
+    """Serve as the callback required by rclpy; never called, since no executor has the node."""
 
 
 def delivery_of(publishers: Any) -> Delivery:
-    """What all publishers of a topic offer."""
+    """Return the delivery offered by all publishers of a topic."""
     profiles = [publisher.qos_profile for publisher in publishers]
     return Delivery(
         reliable=all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles),
@@ -251,7 +251,7 @@ def delivery_of(publishers: Any) -> Delivery:
 
 
 def weaker(one: Delivery, other: Delivery) -> Delivery:
-    """What is offered by both."""
+    """Return the delivery offered by both."""
     return Delivery(one.reliable and other.reliable, one.latched and other.latched, max(one.depth, other.depth))
 
 
@@ -266,7 +266,7 @@ def to_profile(delivery: Delivery) -> QoSProfile:
 
 
 def check_topic_name(name: str) -> None:
-    """Whether a topic can have this name.
+    """Refuse a name not allowed for a topic.
 
     Raises:
         DataError: It is no full topic name, as ROS allows them.
@@ -323,7 +323,7 @@ def main() -> int:
 
 
 def closed(bag: BagWriter) -> ImError | None:
-    """Finish a bag; why its last part could not be written, if it could not."""
+    """Finish a bag; return the error if the last part could not be written."""
     try:
         bag.close()
     except ImError as error:

@@ -1,4 +1,4 @@
-"""``replay``: publish the messages of a bag on their topics, at their pace."""
+"""``replay``: publish the messages of a bag, each on the right topic at the due time."""
 
 import argparse
 import contextlib
@@ -90,13 +90,13 @@ class Replay:
         self._clock = self._node.create_publisher(Clock, _CLOCK, qos.CLOCK)
 
     def tell_time(self, stamp_ns: int) -> None:
-        """Publish a time of the bag on /clock, if that is wanted and it is not what was told last [ns]."""
+        """Publish a time of the bag on /clock [ns], if requested and different from the last published time."""
         if self._clock is not None and stamp_ns != self._told_ns:
             self._clock.publish(Clock(clock=Time(nanoseconds=stamp_ns).to_msg()))
             self._told_ns = stamp_ns
 
     def play(self, playback: Playback) -> int:
-        """Publish all messages of a playback; returns their number."""
+        """Publish all messages of a playback; return the number of messages."""
         self._await_subscribers()
         count = 0
         for topic, stamp_ns, data in playback.messages():
@@ -129,7 +129,7 @@ class Replay:
             self._sleep_until(clock.monotonic() + 0.05)
 
     def _found(self) -> bool:
-        """Whether there are subscribers, and all that are known of are connected."""
+        """Check whether there are subscribers, and all known subscribers are connected."""
         publishers = self._publishers.values()
         known = [self._node.count_subscribers(publisher.topic_name) for publisher in publishers]
         found = [publisher.get_subscription_count() for publisher in publishers]
@@ -141,7 +141,7 @@ class Replay:
 
 
 def known_topics(bag: BagReader, topics: Sequence[str], names: Mapping[str, str], named: bool) -> list[str]:
-    """Those whose types are known here, one each, and whose names ROS allows; others are left out with a sentence.
+    """Return topics with one type, known here, and a valid ROS name; each other topic is reported in a sentence.
 
     Args:
         bag: The bag.

@@ -1,1 +1,1 @@
-"""What commands print of a calibration: its report in short, and its true error."""
+"""What commands print of a calibration: the report in short, and the true error."""

@@ -1,4 +1,4 @@
-"""A calibration report in a few lines for the terminal; the whole of it is in the report's folder."""
+"""Summary of a calibration report for the terminal, in a few lines; the report's folder has the full report."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -29,7 +29,7 @@ def summary(report: Mapping[str, Any]) -> str:
 
 
 def error_lines(report: Mapping[str, Any]) -> str:
-    """The expected error, and the true one where it was added."""
+    """Return the expected error, and the true error if present."""
     lines = [f"expected error   {_errors(report['expected_error'])}"]
     if "truth_error" in report:
         lines.append(f"true error       {_errors(report['truth_error'])}")

@@ -1,4 +1,4 @@
-"""How wrong a calibration is, once it is done: its report against the truth of the simulated testbed."""
+"""True error of a finished calibration: report against the truth of the simulated testbed."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from im_core.jsontext import load_json
 
 
 class _Section(Model):
-    """What is read of a report; it holds more."""
+    """Section of a report with only the fields read here; the report holds more."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -46,7 +46,7 @@ class _Calibration(_Section):
 
 
 def truth_error(report: Mapping[str, Any], truth: CellTruth) -> dict[str, Any]:
-    """Errors of the calibrated cameras over the workspace.
+    """Compute the errors of the calibrated cameras over the workspace.
 
     Args:
         report: Content of ``report.json``.

@@ -1,1 +1,1 @@
-"""A machine as a whole: its start, phase by phase, its record while it runs, its stop, and what a killed one leaves."""
+"""Machine as a whole: start, phase by phase; record of the running machine; stop; leftovers after a kill."""

@@ -1,4 +1,4 @@
-"""Bootstrap (paper, section 3): takes all tasks of a deployment through the start-up phases, and watches them after.
+"""Bootstrap (paper, section 3): leads all tasks of a deployment through the start-up phases, then watches all.
 
 No task enters a phase before all tasks have finished the one before.
 """
@@ -40,14 +40,14 @@ def done(phase: StartupPhase, records: Iterable[TaskRecord]) -> bool:
 
 
 def next_phase(phase: StartupPhase, records: Sequence[TaskRecord]) -> StartupPhase:
-    """The phase the machine may be in: the following one if all tasks have finished this one."""
+    """Return the phase the machine may enter: the next one if all tasks have finished the present one."""
     if phase < StartupPhase.START and done(phase, records):
         return StartupPhase(phase + 1)
     return phase
 
 
 def missing(phase: StartupPhase, records: Iterable[TaskRecord]) -> list[str]:
-    """One sentence for each task that has not finished a phase: who, where it is, and why if it told."""
+    """Return one sentence for each task with an unfinished phase: name, present phase, and reason if reported."""
     sentences = []
     for record in records:
         if _finished(phase, record):
@@ -62,7 +62,7 @@ def missing(phase: StartupPhase, records: Iterable[TaskRecord]) -> list[str]:
 
 
 def broken(records: Iterable[TaskRecord]) -> list[TaskRecord]:
-    """The tasks that will not go on by themselves: failed or dead."""
+    """Return the failed or dead tasks, unable to go on without help."""
     return [record for record in records if record.progress in (Progress.FAILED, Progress.DEAD)]
 
 
@@ -73,7 +73,7 @@ def _finished(phase: StartupPhase, record: TaskRecord) -> bool:
 
 
 class SilentTasks:
-    """Which tasks have fallen silent, though they may run: their messages no longer come through.
+    """Detector of silent tasks: maybe still running, but without arriving messages.
 
     Silence counts as in :class:`im_core.patience.Silence`: neither while this process does not listen itself, nor while
     a task of this host waits for a processor.
@@ -91,7 +91,7 @@ class SilentTasks:
             self._silences[name, pid] = Silence(pid, longest_look_s=_LONGEST_PAUSE_S)
 
     def found(self, now: float) -> list[tuple[str, int]]:
-        """Task and process of those that have become silent since the last look; each is told once.
+        """Return task and process of the tasks fallen silent since the last call; each is reported once.
 
         Args:
             now: Monotonic time [s].
@@ -130,7 +130,7 @@ class Bootstrap:
         self._part_began = 0.0
 
     def start(self, now: float) -> None:
-        """Start the processes of this host, at a monotonic time [s]."""
+        """Start the processes of the local host, at a monotonic time [s]."""
         self._part_began = now
         for event in self._agent.start():
             self._note(event)
@@ -175,7 +175,7 @@ class Bootstrap:
                 self._silence.heard(name, record.pid, record.progress)
 
     def order(self, host: str) -> AgentOrder:
-        """What the agent of a host is to have its tasks do."""
+        """What the agent of a host is to have the tasks do."""
         return AgentOrder(int(self.phase), self.registry.lives(host))
 
     def poll(self, now: float) -> list[Started | Died]:
@@ -202,12 +202,12 @@ class Bootstrap:
         return events
 
     def changed(self) -> bool:
-        """Whether anything changed since this was asked last."""
+        """Check whether anything changed since the last call."""
         changed, self._changed = self._changed, False
         return changed
 
     def missing(self) -> list[str]:
-        """One sentence for each task that keeps the machine from being ready; if some are broken, only these.
+        """Return a sentence for each task keeping the machine from ready; if some are broken, for broken ones only.
 
         Where none is to blame, what is known of the nets.
         """
@@ -217,7 +217,7 @@ class Bootstrap:
         return missing(StartupPhase.START, broken(records) or records)
 
     def shut_down(self) -> list[str]:
-        """Stop the processes of this host; returns the names of those that had to be killed."""
+        """Stop the processes of the local host; return the names of the killed ones."""
         self.state, self.phase = machine.STOPPING, StartupPhase.SHUTDOWN
         self._nets.stop()
         return self._agent.shut_down()
@@ -241,12 +241,12 @@ class Bootstrap:
             self._agent.respawn = True
 
     def _end_part(self, part: str, now: float) -> None:
-        """Note how long a part of the start has taken; asked again, that it is over stays so."""
+        """Record the duration of a part of the start; later calls keep the first value."""
         if part not in self.took:
             self.took[part], self._part_began = now - self._part_began, now
 
     def _may_start(self, records: Sequence[TaskRecord]) -> bool:
-        """Whether the nets of all tasks may run together; the start fails where they may not."""
+        """Check whether the nets of all tasks may run together; if not, fail the start."""
         waited = self._nets.waits(records)
         settled = self._nets.settled(records)
         if self._nets.failure:

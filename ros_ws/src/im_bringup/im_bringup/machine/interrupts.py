@@ -39,7 +39,7 @@ def interrupts_held() -> Iterator[None]:
 
 
 def ignore_interrupts() -> None:
-    """Finish, whatever comes; for commands that take a few seconds at most."""
+    """Ignore interrupts until the end of the command; for commands of at most a few seconds."""
     for number in END_SIGNALS:
         signal.signal(number, _nothing)  # not SIG_IGN: Python complains of a signal that came just before
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # also while the interpreter ends, when handlers are gone

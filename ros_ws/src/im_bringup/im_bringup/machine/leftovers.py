@@ -1,4 +1,4 @@
-"""What a machine that was killed leaves behind: processes, shared memory, semaphores."""
+"""Leftovers of a killed machine: processes, shared memory, semaphores."""
 
 import fcntl
 import os
@@ -24,7 +24,7 @@ _LOCK = re.compile(r"_[es]l$")
 
 
 def processes() -> list[ProcessId]:
-    """Processes of the machine of this ROS domain, without the calling one."""
+    """Return the processes of the machine of the current ROS domain, without the calling one."""
     pids = (int(folder.name) for folder in Path("/proc").iterdir() if folder.name.isdigit())
     return [process for pid in pids if pid != os.getpid() and is_member(process := ProcessId.of(pid))]
 
@@ -48,7 +48,7 @@ def kill(found: list[ProcessId], timeout_s: float) -> list[ProcessId]:
 
 
 def await_end(patience_s: float, goes_on: Callable[[], bool] = lambda: True) -> None:
-    """Wait until the machine has no process any more, or none that goes on.
+    """Wait until the machine has no process any more, or ``goes_on`` returns False.
 
     Args:
         patience_s: Longest wait, as :class:`im_core.patience.Patience` counts [s].
@@ -61,7 +61,7 @@ def await_end(patience_s: float, goes_on: Callable[[], bool] = lambda: True) -> 
 
 
 def end_all() -> tuple[list[ProcessId], list[ProcessId]]:
-    """Kill the processes of the machine, and what they have started meanwhile, as a supervisor does.
+    """Kill the processes of the machine, and the processes started meanwhile, as a supervisor does.
 
     Returns:
         Those that were there, and those that still are.
@@ -74,7 +74,7 @@ def end_all() -> tuple[list[ProcessId], list[ProcessId]]:
 
 
 def remove_shared_memory() -> list[str]:
-    """Remove the blocks and semaphores of this machine, and what dead processes left of Fast DDS.
+    """Remove the blocks and semaphores of the machine, and the leftovers of Fast DDS from dead processes.
 
     Returns:
         Names of the files removed from ``/dev/shm``.
@@ -105,7 +105,7 @@ def foreign_sentence(others: Sequence[Path]) -> str:
 
 
 def _remove_dds_segments() -> tuple[list[str], bool]:
-    """Remove segments that nobody uses any more.
+    """Remove segments not used by any process.
 
     Fast DDS holds a lock on the lock file of every segment whose owner lives; the kernel gives it back when the owner
     dies. A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the
@@ -141,7 +141,7 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
 
 
 def _mapped_names() -> set[str]:
-    """Names of the files of /dev/shm that processes have in their memory."""
+    """Return the names of the files of /dev/shm mapped into the memory of processes."""
     names: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         try:

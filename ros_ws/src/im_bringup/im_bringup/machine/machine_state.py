@@ -25,7 +25,7 @@ STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
 
 @dataclass(frozen=True)
 class MachineRecord:
-    """What is known of a running machine without asking its nodes.
+    """State of a running machine, known without a request to the nodes.
 
     Attributes:
         pid: Process of the bootstrap.
@@ -78,12 +78,12 @@ _RECORD_SUFFIX = "_machine.json"
 
 
 def record_path(instance: str | None = None) -> Path:
-    """The record's file. It is in shared memory, so that it holds for all folders and ends with the computer's run."""
+    """Return the path of the record: in shared memory, so valid for all folders until the computer restarts."""
     return SHM / f"{instance or names.instance()}{_RECORD_SUFFIX}"
 
 
 def read(path: Path | None = None) -> MachineRecord | None:
-    """The record of the machine of this ROS domain, None if there is none.
+    """Read the record of the machine of the current ROS domain, None if there is none.
 
     Args:
         path: Another record's file.
@@ -106,7 +106,7 @@ def read(path: Path | None = None) -> MachineRecord | None:
 
 
 def read_running() -> MachineRecord:
-    """The record of the machine that runs in this ROS domain, or is being started again.
+    """Read the record of the machine of the current ROS domain, running or being started again.
 
     Raises:
         StateError: None runs.
@@ -122,7 +122,7 @@ def read_running() -> MachineRecord:
 
 
 def neighbour(run_dir: Path) -> str:
-    """The instance of another ROS domain whose machine runs with a folder, an empty string where none does.
+    """Return the instance of another ROS domain with a machine running in a folder; empty string if there is none.
 
     Args:
         run_dir: The folder.
@@ -156,5 +156,5 @@ def remove() -> None:
 
 
 def domain() -> str:
-    """The ROS domain of this environment."""
+    """Return the ROS domain of the environment."""
     return os.environ.get("ROS_DOMAIN_ID") or "0"

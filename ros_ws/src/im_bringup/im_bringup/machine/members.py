@@ -1,4 +1,4 @@
-"""The processes of the machine of this ROS domain: who belongs to it, and the one way to signal one by its number."""
+"""Processes of the machine of the current ROS domain: membership, and the one way to signal a member by pid."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from im_core.procfs import ProcessId
 
 
 def is_member(process: ProcessId) -> bool:
-    """Whether this very process runs, is of this user, and was started as part of the machine of this ROS domain.
+    """Check whether a process runs, is the user's own, and was started as part of the current ROS domain's machine.
 
     The mark is in the environment that the kernel keeps of its start: neither a record that somebody wrote by hand nor
     a number that the kernel uses again makes a stranger one.
@@ -25,7 +25,7 @@ def is_member(process: ProcessId) -> bool:
 
 
 def signal_member(process: ProcessId, number: signal.Signals) -> bool:
-    """Signal a process if it is a member.
+    """Signal a process, but only a member.
 
     Args:
         process: The process.

@@ -1,4 +1,4 @@
-"""Whether the nets of a machine may run together: found out in a process of its own, before START is given.
+"""Check whether the nets of a machine may run together: in a separate process, before START is given.
 
 Each node has verified its nets alone when it is configured, and describes them on ``/pnt/nets``. ``pnt prove`` then
 verifies those that talk to each other together. What was proved before, and is unchanged, it finds in its cache.
@@ -29,12 +29,12 @@ class _Description(pydantic.BaseModel):
 
 
 def prove(files: Sequence[Path], log: Path) -> ChildProcess:
-    """Begin to verify net files; what is found is written into a log, the verdict last."""
+    """Begin to verify net files; the findings are written into a log, the verdict last."""
     return ChildProcess.of_module(PROVER, ["prove", *map(str, files)], log=log)
 
 
 class MachineNets:
-    """The nets of a machine that starts.
+    """Nets of a starting machine.
 
     Args:
         run_dir: Folder of the machine; gets a folder ``nets`` with the files that are verified, and the log.
@@ -62,7 +62,7 @@ class MachineNets:
         self._digests.update({(node, net): digest for net, digest in digests.items()})
 
     def described(self, node: str, net: str, description: str) -> None:
-        """Take the description of a net; it matters as long as the nets are not verified.
+        """Take the description of a net; used as long as the nets are not verified.
 
         Args:
             node: Fully qualified name of the node that runs it.
@@ -79,7 +79,7 @@ class MachineNets:
             self._told[node, net] = text
 
     def settled(self, records: Iterable[TaskRecord]) -> bool:
-        """Go on with the verification; whether it is over.
+        """Go on with the verification; return whether the verification is over.
 
         Args:
             records: Those of all tasks, which are configured and have told which nets they run.
@@ -106,13 +106,13 @@ class MachineNets:
         self._child = self._prove([self._written(node, net) for _, node, net in runs], self._log)
 
     def waits(self, records: Iterable[TaskRecord]) -> list[str]:
-        """One sentence for each thing that is waited for."""
+        """Return one sentence for each awaited thing."""
         if self._child is not None:
             return [f"nets {', '.join(self._nets)} are still being verified together"] if not self.verdict else []
         return [f"task {task} has not described its net {net}" for task, _, net in self._missing(_runs(records))]
 
     def stop(self) -> None:
-        """End a verification that is under way."""
+        """Stop a running verification."""
         if self._child is not None:
             self._child.stop()
 
@@ -138,7 +138,7 @@ class MachineNets:
 
 
 def _runs(records: Iterable[TaskRecord]) -> list[tuple[str, str, str]]:
-    """Task, node and net of all nets that tasks run."""
+    """Return task, node and net of all nets run by tasks."""
     return [(record.name, record.placed.task.node, net) for record in records for net in nets_told(record.detail)]
 
 
@@ -151,7 +151,7 @@ def _twice(runs: Iterable[tuple[str, str, str]]) -> str:
 
 
 def _whole(log: Path) -> str:
-    """What ``pnt prove`` has said, without the nets that it verified."""
+    """Return the output of ``pnt prove``, without the verified nets."""
     lines = read_text(log).strip().splitlines()
     begin = next((rank for rank, line in enumerate(lines) if " refused:" in line), len(lines) - 1)
     return "\n".join(lines[max(0, begin) :])

@@ -1,4 +1,4 @@
-"""What a machine needs of this host before anything of it starts: room, open files, folders that can be written."""
+"""Checks of the local host before any start: free space, open files, writable folders."""
 
 import os
 import re
@@ -32,7 +32,7 @@ _MIB = 2**20
 
 
 def check_host() -> None:
-    """Make sure that processes of this host can open and write what the machine needs.
+    """Check the local host for the open files and write access needed by the machine.
 
     Raises:
         ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
@@ -48,7 +48,7 @@ def check_host() -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Make a folder where it is missing, and make sure that it can be written.
+    """Make a folder if missing, and check for write access.
 
     Raises:
         ImError: It cannot.
@@ -57,7 +57,7 @@ def check_folder(folder: Path) -> None:
 
 
 def check_shared_memory(deployment: Deployment) -> None:
-    """Make sure that the processes of this host find room in shared memory; what is left of others is gone by then.
+    """Check the room in shared memory for the local host's processes; leftovers of others are gone by then.
 
     Args:
         deployment: What is to be started.
@@ -74,12 +74,12 @@ def check_shared_memory(deployment: Deployment) -> None:
 
 
 def shared_memory_bytes(processes: int) -> int:
-    """What the processes of a host that have tasks, and the bootstrap or agent, take of ``/dev/shm`` [bytes]."""
+    """Compute the use of ``/dev/shm`` by the processes of a host with tasks, and the bootstrap or agent [bytes]."""
     return int((processes + 1) * (_SEGMENT_SHARE * _segment_bytes() + _PORT_BYTES)) + BLOCKS_BYTES
 
 
 def _check_open_files() -> None:
-    """Raise the limit of this process, which the machine's inherit, where the system permits it."""
+    """Raise the open-files limit of the process and of the machine's processes, if the system permits."""
     allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     if allowed != resource.RLIM_INFINITY and allowed < OPEN_FILES:
         if most != resource.RLIM_INFINITY and most < OPEN_FILES:
@@ -97,13 +97,13 @@ def _check_file_size() -> None:
 
 
 def _ros_logs() -> Path:
-    """Folder into which ROS writes a log of each process, or none of them begins."""
+    """Return the folder for the ROS logs of all processes; without the folder no process starts."""
     home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
     return files.make_folder(Path(os.environ.get("ROS_LOG_DIR") or home / "log"))
 
 
 def _temporary() -> Path:
-    """Folder for files that are read at once by what reads files only, as pybullet.
+    """Return the folder for short-lived files, for readers of files only, such as pybullet.
 
     Raises:
         StoreError: There is none that can be written.
@@ -149,7 +149,7 @@ def _refused(sentence: str, **facts: object) -> ImError:
 
 
 def _segment_bytes() -> int:
-    """Size of the segment of a participant, as the profile of Fast DDS says; its own default where that is silent."""
+    """Return the segment size of a participant in the profile of Fast DDS; the default of Fast DDS if not given."""
     try:
         profile = files.read_text(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", ""))
     except FileError:

@@ -1,4 +1,4 @@
-"""What ``recover`` decides: which step brings the machine nearer to ready."""
+"""Decisions of ``recover``: the step to bring the machine nearer to ready."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from im_bringup.tasks.registry import Progress
 
 
 class Step(Enum):
-    """What is to be done next."""
+    """Next step of a recovery."""
 
     WAIT = "wait"
     """Something is on its way up."""
@@ -24,7 +24,7 @@ class Step(Enum):
 
 @dataclass(frozen=True)
 class McsCondition:
-    """What MCS says of itself.
+    """Reported condition of MCS.
 
     Attributes:
         state: State, as on ``/mcs/state``.

@@ -67,7 +67,7 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
 
 
 def begin(run_dir: Path) -> None:
-    """The machine of a run folder is ready: from now on its end is a death, unless :func:`end` is called.
+    """Record the machine of a run folder as ready: from now on an end without a call of :func:`end` is a death.
 
     Raises:
         StoreError: It cannot be written down.
@@ -76,13 +76,13 @@ def begin(run_dir: Path) -> None:
 
 
 def end(run_dir: Path) -> None:
-    """The machine of a run folder is stopped: without commands that have not ended, the next one begins anew."""
+    """Record the machine of a run folder as stopped: if all commands have ended, the next machine begins anew."""
     with suppress(OSError):  # then it goes on, and says so
         (run_dir / _ALIVE).unlink()
 
 
 def _set_aside(run_dir: Path) -> Path | None:
-    """Moves what there is of a mission, also the rest of one whose move was cut short; it stays whole."""
+    """Move the files of a mission aside as a whole, also the rest of a mission from an interrupted move."""
     found = [run_dir / part for part in PARTS if (run_dir / part).exists()]
     moving = run_dir / unfinished_commands.MISSIONS / _MOVING
     if not found and not moving.exists():
@@ -94,7 +94,7 @@ def _set_aside(run_dir: Path) -> Path | None:
 
 
 def _give_name(moving: Path) -> Path:
-    """Names a mission that was moved; of those that have names the newest are kept."""
+    """Name a moved mission; of the named missions keep the newest."""
     before = sorted((path for path in moving.parent.iterdir() if _NUMBERED.fullmatch(path.name)), key=_number)
     aside = moving.with_name(f"{stamp_name()}-{_number(before[-1]) + 1 if before else 1}")
     move(moving, aside)

@@ -118,7 +118,7 @@ def main() -> int:
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:
-    """See to it that this host is in a deployment, and has the executables of its tasks.
+    """Check a deployment for the local host, and the local host for the executables of all local tasks.
 
     Args:
         deployment: What is to be started.
@@ -139,7 +139,7 @@ def check_programs(deployment: Deployment, path: Path) -> None:
 
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
-    """Read the calibrations that tasks of this host are to start with, if there are any, and say what there is.
+    """Read the calibrations for tasks of the local host, if there are any, and print a summary.
 
     Args:
         deployment: What is to be started.
@@ -233,7 +233,7 @@ def await_ready(
     stop_asked: Callable[[], bool] = lambda: False,
     at_ready: Callable[[], None] = lambda: None,
 ) -> int:
-    """Wait until all tasks are ready, and say what happens meanwhile.
+    """Wait until all tasks are ready, and print the events meanwhile.
 
     Args:
         process: The bootstrap's supervisor.
@@ -278,7 +278,7 @@ def await_ready(
 
 
 def require_none_runs() -> None:
-    """Make sure that no machine of this ROS domain runs, and none of another one with this folder.
+    """Check the absence of a running machine in the current ROS domain, and in another domain with the same folder.
 
     Two with one folder would go on with each other's commands, and write into each other's journals.
 
@@ -299,7 +299,7 @@ def require_none_runs() -> None:
 
 
 def clear_the_way(fresh: bool) -> bool:
-    """Remove what is left of a machine of this ROS domain, but for a mission that goes on.
+    """Remove the leftovers of a machine of the current ROS domain, except a mission to be continued.
 
     Args:
         fresh: Begin a new mission whatever became of the one before.
@@ -330,7 +330,7 @@ def clear_the_way(fresh: bool) -> bool:
 
 
 def tidy(deployment: Deployment) -> None:
-    """Remove results that are too many or too old, and say what is kept."""
+    """Remove surplus and outdated results, and print the limits for kept ones."""
     results, keep = names.results_dir(), deployment.keep
     spared = [Path(deployment.calibration)] if deployment.calibration else []
     removed = upkeep.prune(results, keep, spared, clock.wall())
@@ -340,7 +340,7 @@ def tidy(deployment: Deployment) -> None:
 
 
 def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float, resume: bool) -> ChildProcess:
-    """Start the bootstrap under its supervisor, detached from this terminal; all know how long a start may take [s].
+    """Start the bootstrap under a supervisor, detached from the terminal; all get the time limit of a start [s].
 
     All know which run this is, too, also those that are started again in it: a task whose journal is of another run
     pauses what comes back with it.
@@ -378,7 +378,7 @@ def _folder(text: str) -> str:
 
 
 def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
-    """Say what is missing, and take everything down; and how to begin anew if it is what goes on that failed."""
+    """Print the failure and stop everything; if a continued mission failed, print also how to begin anew."""
     complain(f"start: {sentence}:")
     for missing in record.missing if record is not None else ["the bootstrap has not reported"]:
         complain(f"  {missing}")
@@ -389,7 +389,7 @@ def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
 
 
 def print_ready(record: MachineRecord, seconds: float) -> None:
-    """Say that the machine is up, and what to do with it."""
+    """Print the readiness of the machine, and hints for use."""
     speed = "as fast as it goes" if record.clock_factor == 0 else f"clock factor {record.clock_factor:g}"
     say(f"start: ready after {seconds:.1f} s: {record.tasks} tasks, ROS domain {machine.domain()}, {speed}")
     if record.nets:
@@ -411,7 +411,7 @@ def print_unfinished(resume: bool) -> None:
 
 
 def print_parts(took: Mapping[str, float]) -> None:
-    """Say what the time went into: seconds of each part of the start, in their order."""
+    """Print the time of each part of the start, in order [s]."""
     say(f"start: {', '.join(f'{_PARTS[part]} {seconds:.1f} s' for part, seconds in took.items())}")
 
 

@@ -113,7 +113,7 @@ def _holder_told() -> str:
 
 
 def _process(peer: socket.socket) -> tuple[int, int]:
-    """The process at the other end of a socket, and its user, as the kernel knows them."""
+    """The process at the other end of a socket, and the user, as the kernel knows them."""
     told = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, owner, _ = _CREDENTIALS.unpack(told)
     return pid, owner

@@ -1,4 +1,4 @@
-"""``stop``: take the machine of this ROS domain down, whatever state it is in."""
+"""``stop``: take the machine of the current ROS domain down, in any state."""
 
 import argparse
 import signal

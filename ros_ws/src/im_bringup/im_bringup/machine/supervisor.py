@@ -1,4 +1,4 @@
-"""``supervisor``: the parent of the bootstrap. Where that is killed or hangs, the whole machine is started again.
+"""``supervisor``: parent of the bootstrap; if the bootstrap is killed or hangs, the whole machine is started again.
 
 The tasks of a host end with the bootstrap that started them. A new bootstrap starts them all anew; their journals are
 kept, so that the nets go on where they were. What ends with an exit code has ended on purpose, or would end so again;
@@ -47,7 +47,7 @@ _ABORT_S = 2.0
 
 
 class BootstrapKeeper:
-    """The supervisor: runs a bootstrap, and another one when that is killed after the machine was ready.
+    """Supervisor: runs a bootstrap, and another one if the first is killed after the machine was ready.
 
     Args:
         argv: Program and arguments of the bootstrap.
@@ -60,13 +60,13 @@ class BootstrapKeeper:
         self._tries = 0  # since the machine was ready last
 
     def stop(self, number: int, _: FrameType | None = None) -> None:
-        """Pass a signal on and end with the bootstrap; fit for a signal handler."""
+        """Pass a signal on and end with the bootstrap; usable as a signal handler."""
         self._stopped = signal.Signals(number)
         if self._child is not None:
             self._child.send_signal(self._stopped)
 
     def run(self) -> int:
-        """Run until a bootstrap ends by itself; its exit code, 1 if it was killed and is not started again."""
+        """Run until a bootstrap ends on its own; return the exit code, 1 if killed and not started again."""
         while self._stopped is None:
             try:
                 self._child, hang = self._spawn()
@@ -102,7 +102,7 @@ class BootstrapKeeper:
 
     @staticmethod
     def _end(child: ChildProcess) -> int:
-        """End a bootstrap that hangs; what it was killed by, as a negative number."""
+        """End a hanging bootstrap; return the killing signal as a negative number."""
         child.send_signal(signal.SIGABRT)  # writes the stacks of its threads; one that is stopped writes nothing
         child.await_end(_ABORT_S)
         child.send_signal(signal.SIGKILL)
@@ -111,12 +111,12 @@ class BootstrapKeeper:
         return min(code, -1)
 
     def _failure(self, hang: "Hang", began: float) -> str:
-        """What is wrong with the bootstrap that runs, a clause; empty if nothing is."""
+        """Return the fault of the running bootstrap as a clause; empty if there is none."""
         found = hang.found()
         return f"hung ({found})" if found else self._not_ready(began)
 
     def _not_ready(self, began: float) -> str:
-        """Why a machine that is started again does not become ready, a clause; empty while it may, and when it is."""
+        """Return why a restarted machine does not become ready, as a clause; empty if ready or still in time."""
         if not self._tries:
             return ""
         from im_bringup.machine import machine_state as machine
@@ -132,7 +132,7 @@ class BootstrapKeeper:
         return f"was not ready after {start_timeout_s():g} s" if late else ""
 
     def _make_way(self, how: str) -> bool:
-        """Make way for another bootstrap: end the tasks of the dead one, and remove what they leave in shared memory.
+        """Make way for another bootstrap: end the tasks of the dead one, and remove leftovers in shared memory.
 
         Args:
             how: What became of the dead one.
@@ -167,7 +167,7 @@ class BootstrapKeeper:
         return again
 
     def _insist(self, do: Callable[[], None]) -> None:
-        """Do what may be refused, as where there is no room, and try again for a while; what is wrong is said."""
+        """Run an operation; if refused (for example for lack of room), retry for a while and report the failure."""
         deadline, said = clock.monotonic() + _REFUSED_S, ""
         while self._stopped is None:
             try:
@@ -214,7 +214,7 @@ def _say(sentence: str) -> None:
 
 
 class Hang:
-    """Whether a bootstrap hangs: as tasks do, or because it is stopped, which only its supervisor can see.
+    """Detector of a hanging bootstrap: hung like a task, or stopped, which only the supervisor can see.
 
     Args:
         pid: The bootstrap.
@@ -227,7 +227,7 @@ class Hang:
         self._ticks, self._silence = 0, Silence(pid)
 
     def found(self) -> str:
-        """Why it counts as hung, a clause; empty if it does not."""
+        """Return why the bootstrap counts as hung, as a clause; empty if not hung."""
         now = clock.monotonic()
         if fault := self._standstill.found(now) or self._receivers.found(now):
             return fault
@@ -240,7 +240,7 @@ class Hang:
 
 
 def main() -> int:
-    """Run the command: a bootstrap and its arguments."""
+    """Run the command: a bootstrap and the bootstrap's arguments."""
     supervisor = BootstrapKeeper(sys.argv[1:])
     heed_end_signals(supervisor.stop)
     return supervisor.run()

@@ -1,1 +1,1 @@
-"""ROS shells: the bootstrap and agent nodes, and the commands that are ROS clients."""
+"""ROS shells: nodes of the bootstrap and the agents, and commands acting as ROS clients."""

@@ -36,7 +36,7 @@ REPORT_PERIOD_S = 0.5
 
 
 class AgentNode(GuardedNode):
-    """Starts the tasks of its host when the bootstrap is there, and stops them when it says so.
+    """Node of an agent: starts the host's tasks once the bootstrap is there, stops all at the bootstrap's request.
 
     Args:
         deployment: The deployment, the same as the bootstrap's but for what its start was given.
@@ -68,7 +68,7 @@ class AgentNode(GuardedNode):
         self.log.info(f"host {host} waits for the bootstrap")
 
     def shut_down(self) -> None:
-        """Stop all tasks of this host, the last started first."""
+        """Stop all tasks of the local host, the last started first."""
         self._upkeep.stop()
         for name in self._agent.shut_down():
             self.log.warning(f"process {name} did not end and was killed")

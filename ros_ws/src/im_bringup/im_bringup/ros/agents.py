@@ -1,4 +1,4 @@
-"""The agents of other hosts, as the bootstrap sees them: signed orders to each, and the reports of their tasks."""
+"""The agents of other hosts, as the bootstrap sees them: signed orders to each, and the reports of the tasks."""
 
 import json
 from collections.abc import Collection

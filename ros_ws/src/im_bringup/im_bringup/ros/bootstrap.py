@@ -1,4 +1,4 @@
-"""Node ``/bootstrap``: starts the tasks of the deployment phase by phase, knows them by name, stops them in order."""
+"""Node ``/bootstrap``: starts a deployment's tasks phase by phase, knows tasks by name, stops tasks in order."""
 
 import threading
 from functools import partial
@@ -83,7 +83,7 @@ class BootstrapNode(GuardedNode):
         self._names_timer = self.create_timer(LOOK_S, self._look_at_names, clock=steady)
 
     def shut_down(self) -> None:
-        """Stop all tasks, the last started first; then those of other hosts are told to stop."""
+        """Stop all tasks, the last started first; then send a stop to other hosts."""
         self._upkeep.stop()
         self._write_record(machine.STOPPING)
         for name in self._bootstrap.shut_down():
@@ -220,6 +220,6 @@ def to_message(record: TaskRecord) -> TaskRecordMessage:
 
 
 def run(deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap, secret: bytes) -> int:
-    """Run ``/bootstrap`` until SIGINT or SIGTERM; arguments as of the node. Its exit code."""
+    """Run ``/bootstrap`` until SIGINT or SIGTERM, with the arguments of the node; return the exit code."""
     node = partial(BootstrapNode, deployment, path, nets, bootstrap, secret)
     return spin(node, args=[], at_end=BootstrapNode.shut_down)

@@ -1,4 +1,4 @@
-"""``im dom``: looks at the data objects of the running machine, and changes them."""
+"""``im dom``: view and change data objects of the running machine."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""What every client of the Dispatcher does: it waits for it, and notices that it is gone or was started again."""
+"""Common base of the Dispatcher's clients: waits for the Dispatcher, and detects death and restart."""
 
 import math
 from collections.abc import Callable
@@ -47,7 +47,7 @@ class DispatcherMoment:
 
 
 class DispatcherClient(InterruptibleNode):
-    """Waits for a Dispatcher that may die and come back; while the machine runs, a silent one is waited for.
+    """Client waiting through a death and restart of the Dispatcher; waits for a silent one while the machine runs.
 
     Args:
         name: Begins the name of its node.
@@ -61,7 +61,7 @@ class DispatcherClient(InterruptibleNode):
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
     def listed(self) -> ListCommands.Response:
-        """What the Dispatcher tells of its commands; one that is back, and does not know us yet, is asked again.
+        """Request the list of commands; ask again if a restarted Dispatcher does not know the client yet.
 
         Raises:
             LinkError: The dispatcher fell silent.
@@ -77,7 +77,7 @@ class DispatcherClient(InterruptibleNode):
         return told
 
     def moment(self) -> DispatcherMoment:
-        """What the Dispatcher had been given until now.
+        """Return the last command number and the incarnation of the Dispatcher at present.
 
         Raises:
             LinkError: The dispatcher fell silent.
@@ -86,7 +86,7 @@ class DispatcherClient(InterruptibleNode):
         return DispatcherMoment(self.listed().last, self._incarnation)
 
     def begun_since(self, before: DispatcherMoment, symbol: str) -> int:
-        """The number of a command whose dispatcher has died, or was silent, since it was asked for it.
+        """Return the number of a command requested before the death or silence of the dispatcher.
 
         Args:
             before: When it was asked.
@@ -111,11 +111,11 @@ class DispatcherClient(InterruptibleNode):
         return self._dispatcher_there() and self._list.service_is_ready()
 
     def _dispatcher_there(self) -> bool:
-        """Whether the dispatcher can be asked; one that was not heard before could die without being missed."""
+        """Check whether the dispatcher can be asked: heard before (or a death goes unnoticed), and not starting."""
         return bool(self._incarnation) and not _starting(machine.read())
 
     def _result(self, answer: Any | None) -> Any | None:
-        """What a goal ended with, of its answer; None where the dispatcher was away and knows it no more."""
+        """Return the result in the answer to a goal; None if the dispatcher was away and no longer knows the goal."""
         if answer is None or answer.status == GoalStatus.STATUS_UNKNOWN:
             return None
         if not answer.result.success:
@@ -123,7 +123,7 @@ class DispatcherClient(InterruptibleNode):
         return answer.result
 
     def _answer(self, future: Any, limit_s: float = math.inf) -> Any | None:
-        """The result of a future that the dispatcher completes, None if it was started again or does not in time.
+        """Return the result of a future completed by the dispatcher, None after a restart or a timeout.
 
         Args:
             future: It.
@@ -163,7 +163,7 @@ class DispatcherClient(InterruptibleNode):
         super()._until(ready_yet, what, seconds)
 
     def _may_yet_come(self) -> bool:
-        """What is late comes yet where the machine is being started."""
+        """Check whether a late answer may still come: True while the machine is being started."""
         return _starting(machine.read())
 
     def _hear(self, message: TaskStatus) -> None:
@@ -179,7 +179,7 @@ class DispatcherClient(InterruptibleNode):
 
 
 def _begun(told: ListCommands.Response, last: int, symbol: str) -> list[int]:
-    """Numbers of the commands of a symbol after a number: of those that have ended the last one, whatever it is."""
+    """Return the numbers of a symbol's commands after a number; of ended ones only the last, of any symbol."""
     new = {command.command_id: command.symbol for command in told.commands if command.command_id > last}
     if told.last > last:
         new.setdefault(told.last, symbol)
@@ -192,7 +192,7 @@ def _starting(record: MachineRecord | None) -> bool:
 
 
 def _why_lost(silent_s: float) -> str:
-    """Why a dispatcher that has been silent for so long will not answer, a clause; empty if it may yet."""
+    """Return why a dispatcher silent for a given time will not answer, as a clause; empty if an answer may come."""
     record = machine.read()
     if record is None or not record.alive:
         return ": the machine has ended, its bootstrap is gone"

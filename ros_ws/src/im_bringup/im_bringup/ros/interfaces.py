@@ -1,4 +1,4 @@
-"""``interfaces``: what a running machine offers to ROS, as the tables of ``docs/interfaces.md``."""
+"""``interfaces``: ROS interfaces of a running machine, as the tables of ``docs/interfaces.md``."""
 
 import argparse
 import sys
@@ -38,7 +38,7 @@ CALL_S = 30.0
 
 
 def tables(node: InterruptibleNode) -> str:
-    """The page, from what the graph holds now."""
+    """Return the page made from the current ROS graph."""
     owners: dict[str, set[str]] = {}
     listeners: dict[str, set[str]] = {}
     for name, space in node.get_node_names_and_namespaces():
@@ -76,7 +76,7 @@ def tables(node: InterruptibleNode) -> str:
 
 
 def _described(node: InterruptibleNode, owners: Iterable[str]) -> dict[tuple[str, str, str, str, str], set[str]]:
-    """Name, type, range, when it acts and description of every parameter of nodes, with those that have it.
+    """Return name, type, range, time of effect and description of every node parameter, with the owning nodes.
 
     Raises:
         WaitTimeoutError: A node does not tell its parameters.
@@ -122,7 +122,7 @@ def settle(node: InterruptibleNode) -> None:
 
 
 def _graph(node: Node) -> list[tuple[str, str, int]]:
-    """Every node and how much it offers and hears."""
+    """Return every node and the number of services, publishers and subscriptions of the node."""
     ways = (
         node.get_service_names_and_types_by_node,
         node.get_publisher_names_and_types_by_node,

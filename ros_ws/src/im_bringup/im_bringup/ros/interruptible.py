@@ -1,4 +1,4 @@
-"""The node of a command: it spins while the command waits, and a signal ends the waiting."""
+"""Node of a command: spins while the command waits; a signal ends the wait."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 class InterruptibleNode(GuardedNode):
-    """A node that waits for others until it is interrupted.
+    """Node able to wait for others until an interruption.
 
     Args:
         name: Begins its name, which has the number of the process, too.
@@ -88,7 +88,7 @@ class InterruptibleNode(GuardedNode):
                 raise WaitTimeoutError(what=what, seconds=seconds)
 
     def _may_yet_come(self) -> bool:
-        """Whether what is late is worth waiting for all the same."""
+        """Check whether a late answer is still worth waiting for."""
         return False
 
 
@@ -112,18 +112,18 @@ class OwnOutput:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, unless it is a warning of rclpy, or the end of its line, which comes by itself."""
+        """Write a text, except a warning of rclpy and the separately written end of the warning's line."""
         ends, self._dropped = self._dropped and text == "\n", text in _OF_RCLPY
         if not (ends or self._dropped):
             self._try(lambda stream: stream.write(text))
         return len(text)
 
     def flush(self) -> None:
-        """Have what was written leave the process."""
+        """Flush the written text out of the process."""
         self._try(lambda stream: stream.flush())
 
     def check(self) -> None:
-        """Make sure that all has been written, but for a reader who wanted no more.
+        """Raise an error if some text could not be written, except when the reader has gone.
 
         Raises:
             StoreError: It has not.
@@ -142,7 +142,7 @@ class OwnOutput:
 
 @contextlib.contextmanager
 def own_output() -> Iterator[None]:
-    """Within it standard output is the program's own: what libraries print there goes to standard error.
+    """Reserve standard output for the program within the context; output of libraries goes to standard error.
 
     Fast DDS prints its errors, at any time and without being asked.
 
@@ -192,7 +192,7 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
 
 
 def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str, goes_on: str = "") -> int:
-    """Have a client of the running machine do something, and say in one sentence why it could not; the exit code.
+    """Run a client of the running machine; print the reason of a failure in one sentence; return the exit code.
 
     Args:
         make: Makes the client, once ROS is there.

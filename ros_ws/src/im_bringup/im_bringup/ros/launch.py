@@ -1,4 +1,4 @@
-"""``bootstrap``: start the processes of a deployment on this host, then run ``/bootstrap``, which leads them.
+"""``bootstrap``: start the processes of a deployment on the local host, then run ``/bootstrap`` as the leader.
 
 The processes begin as copies of this one, which has loaded what all of them need, but not ROS: that brings threads
 along, and with them no process may be copied.
@@ -66,7 +66,7 @@ def main() -> int:
 
 
 def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
-    """Start the processes of this host.
+    """Start the processes of the local host.
 
     Args:
         deployment: Of which they are.

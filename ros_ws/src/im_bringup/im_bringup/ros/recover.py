@@ -1,4 +1,4 @@
-"""``recover``: brings the running machine back after the death of its servo, its testbed or ``/mcs``.
+"""``recover``: brings the running machine back after the death of the servo, the testbed or ``/mcs``.
 
 Tasks that die or fail are started again by the agent of their host. What then is left to do is done here, over the
 standard interfaces of ``/mcs``: configure it, reset its emergency stop, and if neither helps have it started again.
@@ -37,7 +37,7 @@ _SERVO = "mcs: servo"
 
 
 class RecoverClient(InterruptibleNode):
-    """Looks at the machine and takes the steps of :func:`im_bringup.machine.recovery.next_step` until it is ready.
+    """Client: takes the steps of :func:`im_bringup.machine.recovery.next_step` until the machine is ready.
 
     Args:
         say: Takes one sentence at a time: what was found, and what is done about it.
@@ -114,7 +114,7 @@ class RecoverClient(InterruptibleNode):
         return McsCondition(message.state, message.reason, self._mcs.stale, self._faulty)
 
     def _take_step(self, step: Step) -> None:
-        """Take a step; what goes wrong is kept, for it may go well the next time."""
+        """Take a step; keep the failure, since the next attempt may succeed."""
         message = self._mcs.message
         if message is None or step in (Step.WAIT, Step.DONE):
             return
@@ -129,7 +129,7 @@ class RecoverClient(InterruptibleNode):
         self._diagnosed = False
 
     def _change_state(self, label: str) -> bool:
-        """Ask for a transition of the lifecycle; whether it was done.
+        """Request a lifecycle transition; return whether the transition was done.
 
         Raises:
             WaitTimeoutError: No answer.

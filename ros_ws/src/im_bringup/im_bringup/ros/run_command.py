@@ -1,4 +1,4 @@
-"""``im run``: runs a command of the Dispatcher with its progress, lists what there is and what is under way.
+"""``im run``: runs a command of the Dispatcher with progress, lists available and running commands.
 
 A dispatcher that dies and is started again goes on with its commands; this client then attaches to its own by number.
 """
@@ -53,7 +53,7 @@ MOST_SHOWN = 1000
 
 
 class CommandClient(DispatcherClient):
-    """Runs commands and tells their progress."""
+    """Client to run commands and report progress."""
 
     def __init__(self) -> None:
         super().__init__("run")
@@ -68,11 +68,11 @@ class CommandClient(DispatcherClient):
 
     @property
     def begun(self) -> bool:
-        """Whether the command of :meth:`run` was written down: it has a number."""
+        """Whether the command of :meth:`run` was written down, and so has a number."""
         return bool(self._number)
 
     def commands(self) -> Sequence[Mapping[str, Any]]:
-        """Returns what the Dispatcher tells of its commands.
+        """Return the Dispatcher's descriptions of all commands.
 
         Raises:
             WaitTimeoutError: It tells nothing.
@@ -84,11 +84,11 @@ class CommandClient(DispatcherClient):
         return self._told
 
     def under_way(self) -> Sequence[CommandState]:
-        """Returns the commands that have not ended."""
+        """Return the commands still running."""
         return list(self.listed().commands)
 
     def control(self, number: int, request: str) -> str:
-        """Cancels, pauses or resumes a command; returns what was done.
+        """Cancel, pause or resume a command; return the change made.
 
         Raises:
             StateError: It was not.
@@ -99,7 +99,7 @@ class CommandClient(DispatcherClient):
         return str(answer.message)
 
     def run(self, goal: ExecuteCommand.Goal, progress: TextIO) -> Any:
-        """Runs a command, or attaches to one, and waits for its end; an interruption cancels it.
+        """Run a command, or attach to one, and wait for the end; an interruption cancels the command.
 
         Args:
             goal: The command.
@@ -322,7 +322,7 @@ def show_calibration(results: Mapping[str, Any], who: str) -> int:
 
 
 def print_list(commands: Sequence[Mapping[str, Any]], under_way: Sequence[CommandState]) -> None:
-    """Print what there is, and what is under way."""
+    """Print the available commands, and the running ones."""
     width = max((len(told["symbol"]) for told in commands), default=0)
     for told in commands:
         print(f"{told['symbol']:{width}}  {told['description']}".rstrip())

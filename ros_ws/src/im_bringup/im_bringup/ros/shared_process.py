@@ -20,7 +20,7 @@ from im_core.ros.run import Program
 
 
 def programs_of(executables: Sequence[str]) -> list[Program]:
-    """What each executable would run.
+    """Return the program of each executable.
 
     Args:
         executables: Package and executable of each, ``package/executable``.

@@ -1,4 +1,4 @@
-"""``truth_error``: ask the testbed for its truth and add the error of a calibration to its report."""
+"""``truth_error``: ask the testbed for the truth and add the error of a calibration to the calibration's report."""
 
 import argparse
 import sys
@@ -17,7 +17,7 @@ SERVICE, TIMEOUT_S = "/testbed/get_truth", 10.0
 
 
 def truth_in(answer: GetTruth.Response) -> CellTruth:
-    """The truth of the testbed, as it has answered.
+    """Extract the truth from the testbed's answer.
 
     Raises:
         StateError: The testbed has none yet.

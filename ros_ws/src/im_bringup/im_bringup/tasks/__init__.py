@@ -1,1 +1,1 @@
-"""The tasks of a machine: what they are, where they run, the agent that runs them, the registry of all."""
+"""Tasks of a machine: definition, place, agent, and the registry of all tasks."""

@@ -1,4 +1,4 @@
-"""The agent of a host: starts the processes of its tasks, starts again what died, and stops all of them in order."""
+"""Agent of a host: starts the processes of the host's tasks, restarts dead ones, and stops all in order."""
 
 import math
 import os
@@ -63,7 +63,7 @@ class ProcessCommand:
 
 @dataclass(frozen=True)
 class Started:
-    """A process was started, with its tasks."""
+    """Event: a process was started, together with the tasks in the process."""
 
     tasks: tuple[str, ...]
     pid: int
@@ -75,7 +75,7 @@ class Started:
 
 @dataclass(frozen=True)
 class Died:
-    """A process ended by itself, and its tasks with it.
+    """Event: a process ended on its own, together with the tasks in the process.
 
     Attributes:
         tasks: Names of its tasks.
@@ -136,7 +136,7 @@ def spawn_process(command: ProcessCommand, environment: Mapping[str, str], inher
 
 
 class Agent:
-    """Processes of one host. Call :meth:`poll` often, from the thread that called :meth:`start`.
+    """Processes of one host; call :meth:`poll` often, from the thread of the call of :meth:`start`.
 
     Args:
         commands: One for each process, in starting order.
@@ -199,7 +199,7 @@ class Agent:
             self._tell(slot)
 
     def reports(self) -> list[tuple[TaskReport, int]]:
-        """What tasks of this host have reported since the last time, each with its process.
+        """What tasks of this host have reported since the last time, each with the process.
 
         Raises:
             DataError: A report makes no sense.
@@ -213,7 +213,7 @@ class Agent:
         ]
 
     def replace(self, name: str, pid: int, failure: str, now: float) -> None:
-        """End the process of a task that says it cannot go on, if this host runs it.
+        """End the process of a task after a report of failure by the task, if the local host runs the task.
 
         It is started again as if it had died. Before the machine was ready (:attr:`respawn`) nothing is ended: the
         start fails, and says why.
@@ -231,12 +231,12 @@ class Agent:
         slot.child.send_signal(signal.SIGTERM)
 
     def running(self) -> list[str]:
-        """Names of the tasks whose process runs, in starting order."""
+        """Return the names of the tasks with a running process, in starting order."""
         up = [slot.command.tasks for slot in self._slots if slot.child is not None and slot.child.poll() is None]
         return [task for tasks in up for task in tasks]
 
     def shut_down(self) -> list[str]:
-        """Stop all processes, the last started first; takes less than 4 s, unless they wait for a processor.
+        """Stop all processes, the last started first; takes less than 4 s, except for waits for a processor.
 
         Each gets SIGINT when its turn comes, which is when the one before it has ended or has had its share of 1.8 s.
         Who has not ended after 2.6 s gets SIGTERM, after 3.5 s SIGKILL, counted as :class:`im_core.patience.Patience`
@@ -313,7 +313,7 @@ def _fault(slot: _Slot, now: float) -> str:
 
 
 def _ending(slot: _Slot, code: int) -> str:
-    """How a task ended; with its last words, unless it was killed and had no time for any."""
+    """Return how a task ended; with the last words, unless the task was killed without time for any."""
     if slot.failure:
         return f"failed: {slot.failure}"
     if code == -signal.SIGKILL:
@@ -330,7 +330,7 @@ def _size(log: Path) -> int:
 
 
 def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCommand]:
-    """Commands for the processes of one host, in starting order; the parameter files of their tasks are written.
+    """Return the commands for the processes of one host, in starting order; write the tasks' parameter files.
 
     Args:
         deployment: The deployment.
@@ -375,7 +375,7 @@ def write_parameters(run_dir: Path, process: str, parameters: Mapping[str, Mappi
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
-    """Environment of the machine's processes: its mark, folder, DDS, core of its servo, and whether nets need proof."""
+    """Return the environment of the machine's processes: mark, folder, DDS, servo core, proof of nets required."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
     dds, unproved = middleware(base, deployment), str(int(deployment.unproved))
     return {**base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}

@@ -44,7 +44,7 @@ def _without_comma(command: str) -> str:
 
 
 class Task(Model):
-    """One task: the executable that runs it, and what it is given.
+    """Task: executable and given values.
 
     Attributes:
         package: ROS package of the executable.
@@ -60,7 +60,7 @@ class Task(Model):
     parameters: dict[str, ParameterValue] = pydantic.Field(default_factory=dict)
 
     def texts(self) -> Iterator[tuple[str, str]]:
-        """The texts among its parameters, those in lists included, each with the parameter's name."""
+        """Yield the texts among the parameters, also texts in lists, each with the parameter's name."""
         for parameter, value in self.parameters.items():
             for one in value if isinstance(value, list) else [value]:
                 if isinstance(one, str):
@@ -73,7 +73,7 @@ class Task(Model):
 
 @dataclass(frozen=True)
 class PlacedTask:
-    """A task and its place: unique id, symbolic name, host and process."""
+    """Task and place: unique id, symbolic name, host and process."""
 
     id: int
     name: str
@@ -83,7 +83,7 @@ class PlacedTask:
 
 
 def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], nodes: Mapping[str, str]) -> str:
-    """Why a task cannot be there; empty: it can.
+    """Return the reason against a task at a place; empty if there is none.
 
     Args:
         name: Its name.
@@ -161,7 +161,7 @@ class Deployment(Model):
         return self
 
     def _unknown_reference(self, name: str, task: Task) -> str:
-        """What is wrong with a reference among the parameters of a task; empty: nothing."""
+        """Return the fault of a reference among the parameters of a task; empty if there is none."""
         known = sorted(self._variables())
         for parameter, text in task.texts():
             for written in _WRITTEN.findall(text):
@@ -177,7 +177,7 @@ class Deployment(Model):
         return {**values, "commands": ",".join(self.commands)}
 
     def tasks(self) -> Iterator[PlacedTask]:
-        """All tasks with their places, in starting order; ids count from 1."""
+        """Yield all tasks with places, in starting order; ids count from 1."""
         number = 0
         for host, processes in self.hosts.items():
             for process, tasks in processes.items():
@@ -200,12 +200,12 @@ class Deployment(Model):
         return processes
 
     def local_host(self) -> str:
-        """The host that this process runs on: this computer's name if it is there, else ``localhost``."""
+        """Return the host of the process: the computer's name if the deployment has one, else ``localhost``."""
         name = socket.gethostname()
         return name if name in self.hosts else "localhost"
 
     def parameters_of(self, task: Task) -> dict[str, ParameterValue]:
-        """ROS parameters of a task: references replaced, what the file does not say is as below."""
+        """Return the ROS parameters of a task: references replaced, parameters missing in the file set to defaults."""
         values: dict[str, ParameterValue] = {"use_sim_time": True, "introspection": "contents"}
         for name, value in task.parameters.items():
             values[name] = [self._resolved(one) for one in value] if isinstance(value, list) else self._resolved(value)
@@ -230,7 +230,7 @@ class Deployment(Model):
         control: bool | None = None,
         unproved: bool | None = None,
     ) -> "Deployment":
-        """The same deployment with some of its values replaced; None leaves a value as it is.
+        """Return the same deployment with some values replaced; None leaves a value unchanged.
 
         Raises:
             ConfigError: A value is out of range.
@@ -258,17 +258,17 @@ _EVERYWHERE = {
 
 
 def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
-    """The deployment with the values that a command line gives; arguments and errors as of ``with_values``."""
+    """Return the deployment with the values of a command line; arguments and errors as of ``with_values``."""
     return deployment.with_values(**{name: getattr(options, name) for name in (*_EVERYWHERE, "calibration")})
 
 
 def options_text(deployment: Deployment) -> str:
-    """What the bootstrap tells the agents of other hosts that ``start`` may have been given, in JSON."""
+    """Return the possible options of ``start`` as JSON, for the bootstrap's message to the agents of other hosts."""
     return json.dumps({name: getattr(deployment, field) for name, field in _EVERYWHERE.items()})
 
 
 def with_options_text(deployment: Deployment, text: str) -> Deployment:
-    """The deployment of another host with what the bootstrap has told.
+    """Return the deployment of another host with the options sent by the bootstrap.
 
     Raises:
         DataError: It is no JSON with these options.
@@ -281,7 +281,7 @@ def with_options_text(deployment: Deployment, text: str) -> Deployment:
 
 
 def require_calibration_here(deployment: Deployment, folder: str | None) -> None:
-    """Checks that a folder of calibrations is where the tasks are that read it.
+    """Refuse a calibration folder to be read by a task on another host.
 
     Args:
         deployment: The deployment.
@@ -301,12 +301,12 @@ def require_calibration_here(deployment: Deployment, folder: str | None) -> None
 
 
 def default_path() -> Path:
-    """The deployment that ``scripts/start.sh`` takes when none is named."""
+    """Return the path of the default deployment of ``scripts/start.sh``."""
     return config.package_file("im_bringup", "deployments/default.yaml")
 
 
 def load(path: str | Path) -> Deployment:
-    """Read a deployment file; its folder of calibrations and its net files are relative to it.
+    """Read a deployment file; the folder of calibrations and the net files are relative to the deployment file.
 
     Raises:
         ConfigError: It cannot be read or is not a deployment; names file, line and field.

@@ -1,4 +1,4 @@
-"""Who can reach the machine over DDS: the Fast DDS profile of its processes, chosen by its deployment."""
+"""Reach of the machine over DDS: the Fast DDS profile of the processes, chosen by the deployment."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,24 +16,24 @@ _PACKAGE = "im_bringup"
 
 
 def loopback_profile() -> Path:
-    """DDS of one host: nobody outside it is heard."""
+    """Return the DDS profile for one host: no participant outside of the host is heard."""
     return package_file(_PACKAGE, "config/fastdds.xml")
 
 
 def open_profile() -> Path:
-    """DDS of several hosts: it listens on all network interfaces."""
+    """Return the DDS profile for several hosts: DDS listens on all network interfaces."""
     return package_file(_PACKAGE, "config/fastdds_hosts.xml")
 
 
 def own_profile(base: Mapping[str, str]) -> str:
-    """The profile that a user has set instead of ours, or nothing."""
+    """Return the profile set by the user instead of ours, or an empty string."""
     given = Path(base.get(PROFILE, ""))
     ours = (loopback_profile(), open_profile())
     return "" if given.name in ("", *(path.name for path in ours)) else str(given)
 
 
 def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str]:
-    """The environment variables that decide, and those of the memory that DDS keeps.
+    """Return the environment variables for the DDS profile, and for the memory kept by DDS.
 
     Args:
         base: Environment of whoever starts the machine.
@@ -46,7 +46,7 @@ def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str
 
 
 def reach(base: Mapping[str, str], deployment: Deployment) -> str:
-    """What a user should know of it, a clause; empty for one host that nobody outside reaches."""
+    """Return the user's notice on the DDS reach, as a clause; empty for one host unreachable from outside."""
     if own := own_profile(base):
         return f"DDS listens as {own} says ({PROFILE})"
     if len(deployment.hosts) > 1:

@@ -1,4 +1,4 @@
-"""Whether a thread of the middleware is stuck in one packet, and its process hears nothing any more."""
+"""Whether a thread of the middleware is stuck in one packet, and the process hears nothing any more."""
 
 from im_bringup.tasks.standstill import cpu_of
 from im_core.procfs import thread_name, threads_of, waits_of

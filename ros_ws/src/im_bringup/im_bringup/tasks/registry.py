@@ -1,4 +1,4 @@
-"""Task identification (paper, section 3): unique id and symbolic name of every task, where it runs, how far it is."""
+"""Task identification (paper, section 3): unique id, symbolic name, place and progress of every task."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ SILENCE_S = 6.0
 
 
 class Progress(IntEnum):
-    """How far a task is; the first of them as in ``im_msgs/msg/TaskStatus``."""
+    """Progress of a task; the first values as in ``im_msgs/msg/TaskStatus``."""
 
     STARTING = -1
     LOADED = 0
@@ -25,13 +25,13 @@ class Progress(IntEnum):
 
     @property
     def word(self) -> str:
-        """The word for it in messages."""
+        """Word for the progress in messages."""
         return self.name.lower()
 
 
 @dataclass(frozen=True)
 class TaskRecord:
-    """What is known of a task.
+    """Known state of a task.
 
     Attributes:
         placed: Id, name, host, process and executable, from the deployment.
@@ -74,7 +74,7 @@ class Registry:
         return list(self._records.values())
 
     def find(self, name: str) -> TaskRecord:
-        """The record of a task by its symbolic name.
+        """Return the record of a task, given the symbolic name.
 
         Raises:
             NotFoundError: No task has this name; the message lists those that exist.
@@ -84,7 +84,7 @@ class Registry:
         return self._records[name]
 
     def started(self, name: str, pid: int, restarts: int) -> None:
-        """A process of this host was started for the task."""
+        """Record the start of a task's process on the local host."""
         record = self.find(name)
         self._records[name] = TaskRecord(record.placed, pid=pid, restarts=restarts)
 
@@ -138,7 +138,7 @@ class Registry:
         }
 
     def silence(self, now: float) -> list[TaskRecord]:
-        """Mark tasks of other hosts that fell silent as dead.
+        """Mark silent tasks of other hosts as dead.
 
         Args:
             now: Monotonic time [s].

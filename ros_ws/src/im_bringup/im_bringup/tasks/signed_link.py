@@ -150,7 +150,7 @@ class SignedLink:
         return Opened(message.sender, message.content if self._is_fresh(message) else None)
 
     def _is_fresh(self, message: _Message) -> bool:
-        """Whether a message is for this life, and new; the first one of a new life of the other end ends its former."""
+        """Whether a message is for this life, and new; the first one of a new life of the other end ends the former."""
         if message.receiver != self._life:
             return False
         if message.sender not in self._peers:

@@ -1,4 +1,4 @@
-"""Whether a process hangs, by what it tells of its loop and by what the kernel tells of it."""
+"""Detection of a hanging process, from reports on the loop and from the kernel's data."""
 
 import os
 
@@ -27,7 +27,7 @@ class Standstill:
         self._ticks, self._cpu_s, self._look_at = 0, 0.0, 0.0
 
     def found(self, now: float) -> str:
-        """Why the process counts as hung, a clause; empty if it does not.
+        """Return why the process counts as hung, as a clause; empty if not hung.
 
         Args:
             now: Monotonic time [s].
@@ -47,6 +47,6 @@ class Standstill:
 
 
 def cpu_of(pid: int) -> float:
-    """CPU time that a process has used, in all its threads [s]; 0 if there is none."""
+    """Return the CPU time used by all threads of a process [s]; 0 without a process."""
     fields = stat_fields(pid)
     return 0.0 if fields is None else (int(fields[11]) + int(fields[12])) / _TICKS_PER_S

@@ -1,4 +1,4 @@
-"""What keeps a host's disk from filling: logs are rotated, and results removed that are too many or too old."""
+"""Care for the disk of a host: rotation of logs, and removal of surplus and outdated results."""
 
 import re
 import shutil
@@ -27,7 +27,7 @@ _REMOVED = re.compile(r"\..+\.removed")
 
 
 class Keep(Model):
-    """What is kept of what a machine writes.
+    """Limits for the kept files of a machine.
 
     Attributes:
         results: How many results of commands, calibrations of ``/vss`` and files of evidence; the newest stay.
@@ -40,13 +40,13 @@ class Keep(Model):
     log_mib: Annotated[float, Field(gt=0.0, le=1024.0)] = 16.0
 
     def sentence(self, results: Path) -> str:
-        """What is said at start."""
+        """Return the sentence on the limits, printed at start."""
         age, size = f"{self.days:g} days", f"{self.log_mib:g} MiB"
         return f"of {results} the newest {self.results} are kept, for {age}; logs are rotated at {size}"
 
 
 def rotate(log: Path, most_bytes: float) -> bool:
-    """Move the content of a log that has grown too long to ``<log>.1``; who writes into it goes on at its beginning.
+    """Move the content of an overlong log to ``<log>.1``; a writer of the log goes on at the beginning of the log.
 
     What comes meanwhile is moved, too, up to the end that was seen last. What is written between that look and the cut
     is lost, since no lock keeps writers away: mostly nothing, and up to some milliseconds of a process that writes as
@@ -84,7 +84,7 @@ def rotate(log: Path, most_bytes: float) -> bool:
 
 
 def surplus(found: Iterable[tuple[Path, float]], keep: Keep, now: float) -> list[Path]:
-    """What is to be removed: all but the newest, and what is too old; never the newest of all.
+    """Return the surplus and outdated paths for removal; never the newest of all.
 
     Args:
         found: Each with the time it is from [s since 1970].
@@ -97,7 +97,7 @@ def surplus(found: Iterable[tuple[Path, float]], keep: Keep, now: float) -> list
 
 
 def prune(results: Path, keep: Keep, spared: Collection[Path], now: float) -> list[Path]:
-    """Remove results of this machine that are too many or too old; nothing else in the folder is touched.
+    """Remove surplus and outdated results of the machine; nothing else in the folder is touched.
 
     Args:
         results: Folder of the results.
@@ -120,7 +120,7 @@ def prune(results: Path, keep: Keep, spared: Collection[Path], now: float) -> li
 
 
 def prune_tool_logs(folder: Path, most: int = TOOL_LOGS) -> list[Path]:
-    """Remove all but the newest logs that ROS writes, one for each process that ever ran."""
+    """Remove all but the newest ROS logs, written one per process ever started."""
     logs = sorted((path for path in _entries(folder) if path.suffix == ".log"), key=_time, reverse=True)
     for path in logs[most:]:
         path.unlink(missing_ok=True)
@@ -128,7 +128,7 @@ def prune_tool_logs(folder: Path, most: int = TOOL_LOGS) -> list[Path]:
 
 
 class Upkeep:
-    """Looks after the files of one host, in a thread of its own.
+    """Care for the files of one host, in a separate thread.
 
     Args:
         run_dir: Folder of the machine's logs.
@@ -180,13 +180,13 @@ class Upkeep:
 
 
 def _commands(results: Path) -> list[tuple[Path, float]]:
-    """Folders of commands: they have the name of a time, and a report or (of one that was killed) nothing."""
+    """Return the folders of commands: named by a time, with a report or, of a killed command, without any content."""
     named = [path for path in _entries(results) if _RESULT.fullmatch(path.name) and _is_folder(path)]
     return [(path, _time(path)) for path in named if (path / "report.json").is_file() or not _entries(path)]
 
 
 def _calibrations(folder: Path) -> list[tuple[Path, float]]:
-    """What ``/vss`` wrote: a folder with files only."""
+    """Return the results of ``/vss``: folders with files only."""
     return [
         (path, _time(path))
         for path in _entries(folder)
@@ -217,7 +217,7 @@ def _time(path: Path) -> float:
 
 
 def _remove(path: Path) -> bool:
-    """Remove a file or folder; a folder gets another name first, so that nobody finds half of it."""
+    """Remove a file or folder; a folder is renamed first, so no reader finds half of the folder."""
     try:
         if not _is_folder(path):
             path.unlink()

@@ -1,4 +1,4 @@
-"""What the commands of the calibration have in common: how they are told, and how they end."""
+"""Common parts of the calibration's commands: messages and exit codes."""
 
 import argparse
 import sys
@@ -11,14 +11,14 @@ OK, BAD_INPUT, INTERRUPTED = 0, 1, 130
 
 
 def parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    """A parser of arguments whose help shows `epilog` as it is written."""
+    """Return a parser of arguments; the help shows `epilog` as written."""
     return NumberParser(
         prog=name, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
 
 
 def run(name: str, work: Callable[[], None]) -> int:
-    """Do the work of a command; what cannot be done is said in a sentence.
+    """Run a command; report a failure in one sentence.
 
     Args:
         name: Of the command.

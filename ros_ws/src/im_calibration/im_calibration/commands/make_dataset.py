@@ -135,7 +135,7 @@ def _from_files(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
 
 
 def _from_bag(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    """The data set, and how its spots were paired."""
+    """Return the data set, and a text on the pairing of the spots."""
     spots, infos = _once(options.spots), _once(options.camera_info)
     if foreign := infos.keys() - spots.keys():
         raise DataError(f"--camera-info names {', '.join(sorted(foreign))}, --spots {', '.join(spots)}.")

@@ -29,7 +29,7 @@ class Covariance:
 
 
 def covariance_of(information: Array) -> Covariance:
-    """Invert an information matrix, scaled to unit diagonal so that pixels, metres and radians compare.
+    """Invert an information matrix, scaled to unit diagonal to make pixels, metres and radians comparable.
 
     Args:
         information: Normal matrix with priors, shape (size, size).

@@ -1,4 +1,4 @@
-"""Chi-square gates: which spots the noise can explain, judged without their own influence on the estimate.
+"""Chi-square gates: choice of spots explained by the noise, judged without influence of the spots themselves.
 
 Where a pose does not fit, one camera's spot is wrong, or the robot's position that all cameras share.
 """
@@ -34,7 +34,7 @@ _RIDGE = 1e-12
 
 @dataclass(frozen=True)
 class Prediction:
-    """Spots of n poses in c cameras as predicted without them.
+    """Predicted spots of n poses in c cameras, each pose predicted from the others.
 
     Attributes:
         errors: Measured minus predicted, shape (n, 2c) [px].
@@ -80,7 +80,7 @@ class Agreement:
         self._prediction, self._detected, self._scale = prediction, detected, scale
 
     def cameras(self, pose: int) -> list[int]:
-        """Cameras whose spots to use; empty where it cannot be told who is wrong.
+        """Return the cameras with usable spots; empty if the wrong camera cannot be identified.
 
         A camera is to blame only if the spots contradict each other wherever the LED was; if they do not, the robot's
         position may be wrong as well, and the whole pose goes.
@@ -104,7 +104,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Gated:
-    """A fit to the spots that passed.
+    """Fit to the spots passed by the gates.
 
     Attributes:
         fit: The maximum-likelihood fit to `used`.
@@ -166,7 +166,7 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
 
 
 def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, *, widen: bool) -> Gated:
-    """Iterate to a stable set; once sets recur, spots may only leave, so that it ends."""
+    """Iterate to a stable set; once sets recur, spots may only leave, so the iteration ends."""
     detected = problem.detected
     unknowns, used, scale = first, _first_gate(first, problem, layout), 1.0
     history: set[bytes] = set()
@@ -197,7 +197,7 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayo
 
 
 def _without_worst(used: Mask, distances: Array) -> Mask:
-    """Without the used spots that are farthest from where the other poses predict them: a tenth, at least one."""
+    """Return the used spots without the farthest from the prediction by the other poses: a tenth, at least one."""
     order = np.argsort(np.where(used, -distances, np.inf), axis=None, kind="stable")
     fewer = used.copy()
     fewer.flat[order[: max(1, round(_WORST_SHARE * int(used.sum())))]] = False
@@ -205,7 +205,7 @@ def _without_worst(used: Mask, distances: Array) -> Mask:
 
 
 def _noise_scale(prediction: Prediction, used: Mask) -> float:
-    """Noise variance over its stated value by the median pose; 1 unless clearly larger."""
+    """Return the ratio of noise variance to stated variance, by the median pose; 1 unless clearly larger."""
     poses = np.flatnonzero(used.any(axis=0))
     ratios = []
     for pose in poses:
@@ -216,7 +216,7 @@ def _noise_scale(prediction: Prediction, used: Mask) -> float:
 
 
 def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> Mask:
-    """Generous gate on the robust fit: a spot by itself, widened by the scatter of the typical spot."""
+    """Apply a generous gate to the robust fit: each spot alone, widened by the scatter of the typical spot."""
     seen = problem.detected & projectable(unknowns, problem)
     unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
     distances = spot_distances(linearise(unknowns, problem, layout, seen))
@@ -233,11 +233,11 @@ def _own_distances(prediction: Prediction) -> Array:
 
 
 def _enough(chosen: Mask, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
-    """Whether each camera keeps more coordinates than it has unknowns."""
+    """Check whether each camera keeps more coordinates than unknowns."""
     return bool(np.all(chosen.sum(axis=1) > problem.fewest_spots)) and 2 * int(chosen.sum()) > layout.cameras_size
 
 
 @cache
 def _gate(dof: int) -> float:
-    """Value that chi-square exceeds with probability :data:`FALSE_ALARM`."""
+    """Return the value exceeded by chi-square with probability :data:`FALSE_ALARM`."""
     return float(scipy.stats.chi2.isf(FALSE_ALARM, dof))

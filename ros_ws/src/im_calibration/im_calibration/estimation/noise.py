@@ -1,4 +1,4 @@
-"""Variance components: by which factors the noise of image and robot differs from what is stated, and how surely.
+"""Variance components: factors between actual and stated noise of image and robot, and the factors' certainty.
 
 The residuals of a pose have the covariance ``theta_u U + theta_x X``, U stated for the spots and X what the stated
 covariance of the position makes of them. The factors maximise the restricted likelihood, in which the unknowns are
@@ -49,13 +49,13 @@ class Factor:
 
     @property
     def determined(self) -> bool:
-        """Whether the data bound it from both sides."""
+        """Whether the data bound the factor from both sides."""
         return bool(self.low > 0.0 and np.isfinite(self.high))
 
 
 @dataclass(frozen=True)
 class NoiseFactors:
-    """What the residuals say about the stated noise.
+    """Findings from the residuals about the stated noise.
 
     Attributes:
         image: Factor on the noise of the spots.
@@ -73,7 +73,7 @@ class NoiseFactors:
 
     @property
     def separable(self) -> bool:
-        """Whether the data tell the noise of the image from that of the robot."""
+        """Whether the data separate the noise of the image from the noise of the robot."""
         return self.image.determined and self.robot.determined
 
 
@@ -112,7 +112,7 @@ class NoiseLikelihood:
         return bool(self._robot.max(initial=0.0) > 0.0)
 
     def deviance(self, logs: Array) -> float:
-        """Minus twice the logarithm of the likelihood of variance factors, but for a constant.
+        """Return minus twice the logarithm of the likelihood of variance factors, up to a constant.
 
         Args:
             logs: Logarithms of the factors on the variances of image and robot, shape (2,).
@@ -126,7 +126,7 @@ class NoiseLikelihood:
         return constant + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
-        """Gradient of the deviance, shape (2,), and its expected second derivatives, shape (2, 2)."""
+        """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""
         parts = np.stack((np.full_like(self._robot, np.exp(logs[0])), np.exp(logs[1]) * self._robot))
         variances = parts.sum(axis=0)
         information, pull = self._normal(variances)
@@ -151,7 +151,7 @@ class NoiseLikelihood:
         return information, weighted.T @ self._residuals - self._pull
 
     def maximum(self, logs: Array, free: Mask) -> tuple[Array, float]:
-        """Factors of greatest likelihood, the ones that are not free as they are, and their deviance.
+        """Return the factors of greatest likelihood, with the factors not free left unchanged, and the deviance.
 
         Args:
             logs: Where to begin, shape (2,).
@@ -193,7 +193,7 @@ def noise_factors(
     used: Mask,
     free: tuple[str, ...] = NOISE_SOURCES,
 ) -> NoiseFactors:
-    """Factors on the stated noise of image and robot by the residuals of a fit.
+    """Compute factors on the stated noise of image and robot from the residuals of a fit.
 
     Those to go on with are, where the data tell both noises, these. A noise of which they only know a bound keeps its
     size if that is within the bound, and takes the bound if not. Where neither is known, both are taken to be larger by
@@ -245,17 +245,17 @@ def _one_factor(likelihood: NoiseLikelihood, stated: float, free: Mask) -> Noise
 
 
 def _deviations(logs: Array) -> tuple[float, float]:
-    """Factors on standard deviations by the logarithms of those on variances."""
+    """Return the factors on standard deviations, from logarithms of the factors on variances."""
     return float(np.exp(logs[0] / 2.0)), float(np.exp(logs[1] / 2.0))
 
 
 def _chance(gained: float, parameters: int) -> float:
-    """Probability of a gain in deviance by some parameters that are not needed."""
+    """Return the probability of a given gain in deviance from unnecessary parameters."""
     return float(scipy.stats.chi2.sf(max(0.0, gained), parameters))
 
 
 def _interval(best: float, least: float, deviance: Callable[[float], float]) -> Factor:
-    """A factor and where the deviance is larger by the quantile of chi-square on either side.
+    """Return a factor with bounds: the deviance at each bound is larger by the quantile of chi-square.
 
     Args:
         best: Logarithm of the variance factor of greatest likelihood.

@@ -1,4 +1,4 @@
-"""Projection of points into cameras with its derivatives by the point and by all parameters of the camera."""
+"""Projection of points into cameras, with derivatives by the point and by all parameters of the camera."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +46,13 @@ def project(unknowns: Unknowns, points: Array) -> tuple[Array, Array, tuple[Arra
 
 
 def _cross(a: Array, b: Array, result: Array) -> None:
-    """Vector products of the rows; `np.cross` spends most of its time on axes that it is not told of."""
+    """Compute the vector products of the rows; `np.cross` spends most time on handling unspecified axes."""
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
         result[..., axis] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
 
 
 def image(unknowns: Unknowns, points: Array) -> Array:
-    """Pixels as of :func:`project`, without the derivatives, shape (c, n, 2)."""
+    """Return pixels as of :func:`project`, without the derivatives, shape (c, n, 2)."""
     x, y, _ = _ideal(points @ np.swapaxes(unknowns.rotations, 1, 2) + unknowns.translations[:, None, :])
     pixels = np.empty((*x.shape, 2))
     for c, lens in enumerate(unknowns.lenses):

@@ -1,4 +1,4 @@
-"""Residuals of all spots, their derivatives, and their covariance with the LED positions eliminated.
+"""Residuals of all spots, with derivatives, and with covariance after elimination of the LED positions.
 
 The uncertain LED positions X_i are unknowns that the cameras share. The normal equations of everything have one 3x3
 block for each; taking its Schur complement leaves equations in the parameters alone, whose residuals have the
@@ -83,7 +83,7 @@ def linearise(
 
 
 def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask) -> Array | None:
-    """Spots minus images of the estimated positions, shape (n, 2c) [px]; None if a used spot is behind its camera."""
+    """Return spots minus images of estimated positions, shape (n, 2c) [px]; None if a used spot is behind a camera."""
     pixels = image(unknowns, unknowns.led_positions(problem))
     if not np.all(np.isfinite(pixels[used])):
         return None
@@ -91,7 +91,7 @@ def image_residuals(unknowns: Unknowns, problem: CalibrationProblem, used: Mask)
 
 
 def projectable(unknowns: Unknowns, problem: CalibrationProblem) -> Mask:
-    """Where the estimated LED position is in front of a camera, not much nearer than most of them, shape (c, n)."""
+    """Mark estimated LED positions in front of a camera, and not much nearer than most, shape (c, n)."""
     points = unknowns.led_positions(problem)
     depth = np.einsum("cx,nx->cn", unknowns.rotations[:, 2], points) + unknowns.translations[:, 2, None]
     return np.asarray(depth > _NEAREST_SHARE * np.maximum(np.median(depth, axis=1), 0.0)[:, None])

@@ -1,4 +1,4 @@
-"""The explanation of all spots: which to believe and the cameras that follow, from several starts.
+"""Explanation of all spots: the spots to believe and the resulting cameras, from several starts.
 
 Chi-square gates lead to the nearest set of spots that is consistent with itself. With few poses an outlier that bent
 the first fit can have honest spots rejected for good. So where there is little redundancy, fits of parts of the poses
@@ -29,7 +29,7 @@ _UNLIKELY = 1e-3
 
 
 def first_explanation(problem: CalibrationProblem, layout: ParameterLayout) -> Gated:
-    """The fit with gates of the start that all poses give.
+    """Return the gated fit from the start given by all poses.
 
     Args:
         problem: The observations, in canonical order if the result shall not depend on the order.
@@ -71,7 +71,7 @@ def best_explanation(problem: CalibrationProblem, layout: ParameterLayout, first
 
 
 def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
-    """Chi-square of what is believed, plus the gate for each spot or whole pose that is not."""
+    """Return the chi-square of the believed spots, plus the gate for each disbelieved spot or whole pose."""
     seen, used = problem.detected.sum(axis=0), gated.used.sum(axis=0)
     whole = (used == 0) & (seen > 0)
     blamed = np.where(whole, 0, seen - used).sum()
@@ -80,14 +80,14 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
 
 
 def plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
-    """Whether most spots are believed, and the noise explains them; else it is worth to search on."""
+    """Check whether most spots are believed and explained by the noise; if not, a further search is worthwhile."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     freedom = max(1, 2 * int(gated.used.sum()) - layout.cameras_size)
     return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
 def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:
-    """Robust fit from a linear start; with unknown offsets started again from those found, and the better one kept."""
+    """Return the robust fit from a linear start; with unknown offsets, refit from found ones and keep the better."""
     fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
     if layout.led or layout.joints:
         again = start(problem, layout, fits[0].unknowns)

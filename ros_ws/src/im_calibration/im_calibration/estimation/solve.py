@@ -1,4 +1,4 @@
-"""Maximum likelihood of all unknowns and all LED positions together, by Levenberg-Marquardt; and its robust form."""
+"""Maximum likelihood of all unknowns and all LED positions together, by Levenberg-Marquardt; and a robust form."""
 
 from dataclasses import dataclass, replace
 
@@ -49,7 +49,7 @@ def maximise_likelihood(
     inflation: Array | None = None,
     max_steps: int = _MAX_STEPS,
 ) -> Fit:
-    """Iterate to the maximum of the likelihood of the spots that count.
+    """Iterate to the maximum of the likelihood of the counted spots.
 
     Args:
         start: Where to begin; every used spot must lie in front of its camera.
@@ -92,7 +92,7 @@ def maximise_likelihood(
 def robust_fit(
     start: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, rounds: int = _ROBUST_ROUNDS
 ) -> Fit:
-    """Fit with the Geman-McClure loss on each spot, its scale following the median of the residuals down.
+    """Fit with the Geman-McClure loss on each spot; the scale follows the median of the residuals down.
 
     Args:
         start: Where to begin.
@@ -122,7 +122,7 @@ def robust_fit(
 
 
 def robust_cost(unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> float:
-    """How badly a fit explains all spots, from 0 to their number; gross outliers count 1 each."""
+    """Return the misfit of all spots, from 0 to the number of spots; gross outliers count 1 each."""
     still = replace(unknowns, displacements=np.zeros_like(problem.positions))
     visible = problem.detected & projectable(still, problem)
     distances = spot_distances(linearise(still, problem, layout, visible))[visible]
@@ -131,7 +131,7 @@ def robust_cost(unknowns: Unknowns, problem: CalibrationProblem, layout: Paramet
 
 
 def spot_distances(line: Linearisation) -> Array:
-    """Squared Mahalanobis length of each spot's residual by itself, shape (c, n)."""
+    """Return the squared Mahalanobis length of each spot's own residual, shape (c, n)."""
     blocks = camera_blocks(line.covariances)
     residuals = np.swapaxes(line.residuals.reshape(len(line.residuals), -1, 2), 0, 1)
     return np.asarray((residuals * np.linalg.solve(blocks, residuals[..., None])[..., 0]).sum(axis=2))
@@ -165,7 +165,7 @@ class _Cost:
         return float(image + position + self._layout.prior_chi2(unknowns))
 
     def relaxed(self, unknowns: Unknowns) -> Unknowns:
-        """The same cameras with the LED positions that suit them best, to first order."""
+        """Return the same cameras with the best matching LED positions, to first order."""
         line = linearise(unknowns, self._problem, self._layout, self._used, self.image_covariances)
         still = np.zeros(self._layout.size)
         weights: Array = np.asarray(np.linalg.inv(line.covariances), dtype=np.float64)
@@ -175,7 +175,7 @@ class _Cost:
 
 
 def _displacements(line: Linearisation, weights: Array, step: Array, problem: CalibrationProblem) -> Array:
-    """LED displacements that go with a step: back-substitution of the Schur complement, shape (n, 3) [m]."""
+    """Return the LED displacements for a step: back-substitution of the Schur complement, shape (n, 3) [m]."""
     remaining = line.residuals - line.jacobians @ step
     force = np.swapaxes(line.by_point, 1, 2) @ (weights @ remaining[..., None])
     return np.asarray((problem.position_covariances @ force)[..., 0])

@@ -125,7 +125,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
 
 
 def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
-    """The camera of a long lens, turned so that its principal point is the middle of the image.
+    """Return the camera of a long lens, turned to place the principal point in the middle of the image.
 
     A long lens shows hardly more of the principal point than a turn of the camera does, so that linear equations find
     it anywhere, and no descent finds back from there.
@@ -141,7 +141,7 @@ def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
 
 
 def robust_extent(points: Array) -> Array:
-    """Standard deviations of a cloud without its farthest fifth, by principal axis, largest first, shape (d,)."""
+    """Return standard deviations of points without the farthest fifth, by principal axis, largest first, shape (d,)."""
     distance = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     core = points[distance <= np.quantile(distance, 0.8)]
     values = np.linalg.eigvalsh(np.cov((core - core.mean(axis=0)).T, ddof=0))
@@ -149,7 +149,7 @@ def robust_extent(points: Array) -> Array:
 
 
 def core_extent(points: Array) -> Array:
-    """Standard deviations of the points near most points' line or plane, whatever the others do, shape (3,) [m]."""
+    """Return standard deviations of points near most points' line or plane, other points ignored, shape (3,) [m]."""
     core = points
     for _ in range(_CORE_ROUNDS):
         centre = core.mean(axis=0)
@@ -162,7 +162,7 @@ def core_extent(points: Array) -> Array:
 
 
 def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels: Array, unknown: float) -> float:
-    """Deviation [px] from a pinhole camera that distortion, noise and the unknown share of the offsets explain."""
+    """Return the deviation from a pinhole camera due to distortion, noise and unknown share of the offsets [px]."""
     pixels_per_metre = np.median(np.abs(pixels - np.median(pixels, axis=0))) / max(
         1e-9, float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
     )
@@ -177,7 +177,7 @@ def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels:
 
 
 def _ransac(points: Array, pixels: Array, tolerance: float, width: float) -> tuple[Array, Array, Array] | None:
-    """Best pinhole camera over random samples, refitted to what agrees with it."""
+    """Return the best pinhole camera over random samples, refitted to the agreeing points."""
     order = np.lexsort((*pixels.T, *points.T))
     points, pixels = points[order], pixels[order]
     keys = np.random.default_rng(_SEED).random((_SAMPLES, len(points)))
@@ -232,7 +232,7 @@ def _squared_errors(matrices: Array, points: Array, pixels: Array) -> Array:
 
 
 def _decompose(matrix: Array, points: Array) -> tuple[Array, Array, Array] | None:
-    """Intrinsics fx, fy, cx, cy, rotation and translation of a projection matrix; None if it is no camera."""
+    """Return intrinsics fx, fy, cx, cy, rotation and translation of a projection matrix; None if not a camera."""
     if np.median(points @ matrix[2, :3] + matrix[2, 3]) < 0.0:
         matrix = -matrix
     if np.linalg.det(matrix[:, :3]) <= 0.0:
@@ -285,7 +285,7 @@ def affine_start(
 
 
 def _affine_camera(points: Array, pixels: Array, tolerance: float) -> tuple[Array, Array, Array]:
-    """Robust linear map of points to pixels about their centres: matrix (2, 3) [px/m], centre [m], its image [px]."""
+    """Return a robust linear map of points to pixels about centres: matrix (2, 3) [px/m], centre [m], centre [px]."""
     weights = np.ones(len(points))
     linear, centre, image = np.zeros((2, 3)), points.mean(axis=0), pixels.mean(axis=0)
     for _ in range(_REWEIGHTINGS):
@@ -394,7 +394,7 @@ def _homography(flat: Array, image: Array, tolerance: float) -> Array:
 
 
 def _focal_length(homography: Array) -> float:
-    """Focal length in image widths from the two constraints of a plane; 1 where they give none in 0.3 ... 5."""
+    """Return the focal length in image widths from the two constraints of a plane; 1 without a result in 0.3 ... 5."""
     h1, h2 = homography[:, 0], homography[:, 1]
     left = np.array([h1[2] * h2[2], h1[2] ** 2 - h2[2] ** 2])
     right = -np.array([h1[:2] @ h2[:2], h1[:2] @ h1[:2] - h2[:2] @ h2[:2]])

@@ -28,7 +28,7 @@ _FINE, _FINE_ROUNDS = 0.01, 8
 
 @dataclass(frozen=True)
 class NoiseFound:
-    """An explanation of the spots with the noise that goes with it.
+    """Explanation of the spots with the matching noise.
 
     Attributes:
         gated: The fit, with its noise taken as `scale` says.
@@ -66,7 +66,7 @@ def find_noise(problem: CalibrationProblem, layout: ParameterLayout, free: tuple
 def _settle(
     unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, free: tuple[str, ...], scale: Array
 ) -> tuple[Gated, Array]:
-    """Gates and variance components in turns; noise so small that most spots would be outliers is too small."""
+    """Alternate gates and variance components; a noise making most spots outliers is too small."""
     gated = fit_with_gates(unknowns, problem.with_noise(*scale), layout)
     for _ in range(_LARGER_ROUNDS):
         if gated.scale == 1.0 and gated.used.sum() >= TRUSTED_SHARE * problem.detected.sum():
@@ -102,7 +102,7 @@ def _rough_scale(problem: CalibrationProblem, layout: ParameterLayout, free: tup
 
 
 def _median_factor(unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout) -> float:
-    """Factor on all standard deviations by the typical spot, whatever the others do."""
+    """Return the factor on all standard deviations by the typical spot, independent of the other spots."""
     unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
     seen = problem.detected & projectable(unknowns, problem)
     typical = float(np.median(spot_distances(linearise(unknowns, problem, layout, seen))[seen]))

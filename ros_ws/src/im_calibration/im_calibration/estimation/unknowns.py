@@ -1,4 +1,4 @@
-"""The unknowns of a calibration and their places in the parameter vector."""
+"""Unknowns of a calibration and the places of the unknowns in the parameter vector."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ def camera_parameters(lens: LensModel) -> tuple[str, ...]:
 
 
 def intrinsics_of(cameras: Sequence[CameraModel]) -> Array:
-    """Intrinsics of c cameras as :class:`Unknowns` have them."""
+    """Return the intrinsics of c cameras, in the form of :class:`Unknowns`."""
     widest = max(camera.lens.estimated for camera in cameras)
     intrinsics = np.zeros((len(cameras), 4 + widest))
     for row, camera in zip(intrinsics, cameras, strict=True):
@@ -63,7 +63,7 @@ def lens_reach(focal_px: float, image_size: tuple[int, int], lens: LensModel = P
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of the unknowns beforehand, at a value of them.
+    """Prior knowledge of the unknowns, at one value of the unknowns.
 
     Attributes:
         chi2: Squared deviation from the prior means, in standard deviations.
@@ -103,7 +103,7 @@ class ParameterLayout:
 
     @staticmethod
     def of(problem: CalibrationProblem) -> "ParameterLayout":
-        """ParameterLayout of the unknowns of a problem."""
+        """Return the ParameterLayout of the unknowns of a problem."""
         led = problem.led_offset_prior_sd > 0.0
         joints = 0
         if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
@@ -136,11 +136,11 @@ class ParameterLayout:
 
     @cached_property
     def stated_precision(self) -> Array:
-        """Inverse prior variances that the data set states: of LED and joint offsets, 0 elsewhere, shape (size,)."""
+        """Inverse prior variances stated by the data set: of LED and joint offsets, 0 elsewhere, shape (size,)."""
         return np.asarray(np.where(np.arange(self.size) < self.cameras_size, 0.0, self.prior_precision))
 
     def prior(self, unknowns: "Unknowns") -> Prior:
-        """The prior at a value of the unknowns; that of lens terms is one of their effect, and thus of fx as well."""
+        """Return the prior at a value of the unknowns; the prior of lens terms is on the effect, thus also on fx."""
         deviation, precision = unknowns.prior_vector(self), self.prior_precision.copy()
         slopes = np.zeros((self.size, self.size))  # of the whitened deviation by fx, less that by the term itself
         for c, term, power, reach in self._reaching(unknowns):
@@ -162,7 +162,7 @@ class ParameterLayout:
         return _chi2(unknowns.prior_vector(self), precision)
 
     def _reaching(self, unknowns: "Unknowns") -> Iterator[tuple[int, int, int, float]]:
-        """Camera, place and power of terms whose effect is not judged at :data:`LENS_RADIUS`, and the reach there."""
+        """Yield camera, place and power of terms with effect not judged at :data:`LENS_RADIUS`, and the reach there."""
         for c, (size, lens) in enumerate(zip(self.image_sizes, self.lenses, strict=True)):
             first, reach = self.camera_slice(c).start, lens_reach(float(unknowns.intrinsics[c, 0]), size, lens)
             if reach != 1.0:
@@ -172,7 +172,7 @@ class ParameterLayout:
 
     @property
     def led_slice(self) -> slice:
-        """Place of the LED offset; empty if it is known."""
+        """Place of the LED offset; empty if the offset is known."""
         start = self.cameras_size
         return slice(start, start + 3 * self.led)
 
@@ -225,23 +225,23 @@ class Unknowns:
     displacements: Array
 
     def coefficients(self, c: int) -> Array:
-        """Coefficients of the lens of camera `c`."""
+        """Return the lens coefficients of camera `c`."""
         lens = self.lenses[c]
         return lens.all_of(self.intrinsics[c, 4 : 4 + lens.estimated])
 
     def robot_positions(self, problem: CalibrationProblem) -> Array:
-        """LED positions by the robot, corrected for the offsets, shape (n, 3) [m]."""
+        """Return the LED positions by the robot, corrected for the offsets, shape (n, 3) [m]."""
         positions = problem.positions + problem.wrist_rotations @ self.led_offset
         if problem.joint_jacobians is not None and len(self.joint_offsets):
             positions = positions + problem.joint_jacobians @ self.joint_offsets
         return np.asarray(positions)
 
     def led_positions(self, problem: CalibrationProblem) -> Array:
-        """Estimated LED positions: those by the robot, moved to agree with the spots, shape (n, 3) [m]."""
+        """Return estimated LED positions: the robot's positions, moved to agree with the spots, shape (n, 3) [m]."""
         return self.robot_positions(problem) + self.displacements
 
     def moved(self, step: Array, layout: ParameterLayout, displacements: Array) -> "Unknowns":
-        """Unknowns after a step; a rotation moves by ``exp(step) @ R``.
+        """Return the unknowns after a step; a rotation moves by ``exp(step) @ R``.
 
         Args:
             step: Change of the parameter vector, shape (size,).
@@ -263,7 +263,7 @@ class Unknowns:
         )
 
     def prior_vector(self, layout: ParameterLayout) -> Array:
-        """Deviation of each unknown from its prior mean, 0 where there is no prior, shape (size,)."""
+        """Return the deviation of each unknown from the prior mean, 0 without a prior, shape (size,)."""
         vector = np.zeros(layout.size)
         for c in range(layout.cameras):
             block = vector[layout.camera_slice(c)]

@@ -1,1 +1,1 @@
-"""What an estimate is worth: checks, expected errors, scale, verdicts. Knows problem and estimation."""
+"""Judgement of an estimate: checks, expected errors, scale, verdicts; depends on problem and estimation."""

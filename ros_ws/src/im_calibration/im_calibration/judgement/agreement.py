@@ -1,4 +1,4 @@
-"""How well each camera agrees with the robot and with the other cameras: who is it that a misfit complains of."""
+"""Agreement of each camera with the robot and with the other cameras: search for the source of a misfit."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class CameraAgreement:
-    """What the joint chi-square owes to one camera.
+    """Share of one camera in the joint chi-square.
 
     Attributes:
         chi2: Squared Mahalanobis length of its residuals, given those of the other cameras.
@@ -32,12 +32,12 @@ class CameraAgreement:
 
     @property
     def log_chance(self) -> float:
-        """Logarithm of the probability of a `chi2` this large or larger."""
+        """Logarithm of the probability of a `chi2` equally large or larger."""
         return float(scipy.stats.chi2.logsf(self.chi2, self.dof))
 
 
 def camera_agreements(line: Linearisation, used: Mask, layout: ParameterLayout) -> tuple[CameraAgreement, ...]:
-    """How well each camera agrees with what the robot and the other cameras say.
+    """Measure the agreement of each camera with the robot and the other cameras.
 
     Cameras share the uncertain positions of the LED, so that each may agree with the robot by itself while they
     contradict each other: what counts is by how much the joint chi-square drops without the camera.

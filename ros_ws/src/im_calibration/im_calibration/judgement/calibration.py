@@ -1,4 +1,4 @@
-"""What a calibration ends with: the cameras, how well they are known, and whether to trust them."""
+"""Result of a calibration: the cameras, the accuracy, and whether to trust the cameras."""
 
 from dataclasses import dataclass, replace
 
@@ -44,7 +44,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Rejection:
-    """An observation that was left out.
+    """Observation left out of the estimate.
 
     Attributes:
         pose: Name of the pose.
@@ -134,7 +134,7 @@ class Calibration:
     cause: str
 
     def moved(self, by: Array) -> "Calibration":
-        """The same in a world whose origin is elsewhere: all places have ``by`` added, shape (3,) [m].
+        """Return the same calibration in a world with another origin: all places have ``by`` added, shape (3,) [m].
 
         A rotation of a camera then turns the world about another point, so that errors of rotations become errors of
         translations: with x = exp(w) R X + t, ``t - R by`` moves by ``(R by) x w`` more than t.
@@ -179,7 +179,7 @@ class Calibration:
 
     @property
     def p_value_of_data(self) -> float:
-        """As `p_value`, of the data alone: that a lens is unlike others speaks against no data."""
+        """Same as `p_value`, but of the data alone: a lens unlike others is no evidence against the data."""
         return chance_of(self.chi2 - self.lens_prior_chi2, self.dof)
 
     @property
@@ -211,11 +211,11 @@ class Calibration:
 
 
 def chance_of(chi2: float, dof: int) -> float:
-    """Probability of a chi-square this large or larger, NaN without redundancy."""
+    """Return the probability of a chi-square equally large or larger, NaN without redundancy."""
     return float(scipy.stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
 
 
 def _told(kind: str, verdicts: tuple[Verdict, ...]) -> str:
-    """All verdicts of a kind as one text; advice that repeats is given once."""
+    """Join all verdicts of a kind to one text; repeated advice is given once."""
     these = [verdict for verdict in verdicts if verdict.kind == kind]
     return f"{kind}: {' '.join(dict.fromkeys([v.reason for v in these] + [v.advice for v in these]))}"

@@ -1,4 +1,4 @@
-"""What data that fit no camera may be instead: mirrored, of other axes, of other poses, of a robot that was moved.
+"""Possible causes of data fitting no camera: mirrored, other axes, other poses, a moved robot.
 
 Each cause is tried: the data are changed as if it were so, and a robust fit shows whether the typical spot is then
 explained far better. What is named is a cause that explains the data, which is not to say that it is the only one.
@@ -34,7 +34,7 @@ _LARGEST_CELL_M = 50.0
 
 
 def strange_units(problem: CalibrationProblem) -> str:
-    """That positions are too far apart for metres, a sentence; empty where they are not."""
+    """Return the sentence: positions are too far apart for metres; otherwise empty."""
     spread = np.median(np.linalg.norm(problem.positions - np.median(problem.positions, axis=0), axis=1))
     if spread <= _LARGEST_CELL_M:
         return ""
@@ -42,7 +42,7 @@ def strange_units(problem: CalibrationProblem) -> str:
 
 
 def find_cause(problem: CalibrationProblem) -> str:
-    """A sentence naming what explains data that fit no camera as they are; empty where nothing does.
+    """Return a sentence on the cause of data fitting no camera unchanged; empty if no cause is found.
 
     Args:
         problem: The observations, in the order in which they were made.
@@ -74,20 +74,20 @@ def find_cause(problem: CalibrationProblem) -> str:
 
 
 def _shifted(problem: CalibrationProblem, shift: int) -> CalibrationProblem:
-    """The spots with the positions of the poses that many before them."""
+    """Return the spots, paired with the positions of the poses ``shift`` places earlier."""
     late = problem.taking(np.roll(np.arange(len(problem.positions)), shift))
     return replace(late, spots=problem.spots, spot_covariances=problem.spot_covariances)
 
 
 def _mirrored(names: str, *, everyone: bool) -> str:
-    """What to say where some cameras see the mirror image of the positions, or all do."""
+    """Return the message for a mirror image of the positions, seen by some cameras or by all."""
     if not everyone:
         return f"The images of {names} are mirrored: with one coordinate reversed the spots fit."
     return "The positions are mirrored, or all images are: with one axis reversed, or two exchanged, the spots fit."
 
 
 def _wrists(problem: CalibrationProblem, typical: float) -> str:
-    """Rotations of the wrist that do not go with the positions, which only an LED offset shows that is not known."""
+    """Describe wrist rotations not matching the positions; detectable only with an unknown LED offset."""
     if problem.led_offset_prior_sd == 0.0:
         return ""
     turned = replace(problem, wrist_rotations=np.swapaxes(problem.wrist_rotations, 1, 2))
@@ -98,7 +98,7 @@ def _wrists(problem: CalibrationProblem, typical: float) -> str:
 
 
 def _axes_named(problem: CalibrationProblem, handedness: float) -> str:
-    """The change of axes that fits, which only the rotations of the wrist can tell; empty where they do not."""
+    """Return the fitting change of axes, detectable only from wrist rotations; empty if not detectable."""
     if problem.led_offset_prior_sd == 0.0:
         return ""
     tried = []
@@ -111,7 +111,7 @@ def _axes_named(problem: CalibrationProblem, handedness: float) -> str:
 
 
 def _axes(handedness: float) -> Iterator[tuple[str, Array]]:
-    """Reversals and exchanges of axes with that determinant."""
+    """Yield reversals and exchanges of axes with the given determinant."""
     unit, letters = np.eye(3), "xyz"
     if handedness < 0.0:
         for i, letter in enumerate(letters):
@@ -128,7 +128,7 @@ def _axes(handedness: float) -> Iterator[tuple[str, Array]]:
 
 
 def _led_elsewhere(problem: CalibrationProblem, typical: float) -> str:
-    """An LED that is farther from its nominal place than is stated."""
+    """Describe an LED farther from the nominal place than stated."""
     turned = problem.wrist_rotations - problem.wrist_rotations.mean(axis=0)
     if np.abs(turned).max() < 0.1:
         return ""
@@ -141,7 +141,7 @@ def _led_elsewhere(problem: CalibrationProblem, typical: float) -> str:
 
 
 def _led_beyond(problem: CalibrationProblem, unknowns: Unknowns | None) -> str:
-    """An LED that the fit has far from its nominal place although that is stated to be known."""
+    """Describe an LED fitted far from the nominal place, although the place is stated to be known."""
     if unknowns is None or problem.led_offset_prior_sd == 0.0:
         return ""
     return _led_at(problem, unknowns.led_offset)
@@ -162,7 +162,7 @@ def _millimetres(vector: Array) -> str:
 
 
 def _moved(problem: CalibrationProblem, whole: Unknowns | None) -> str:
-    """A robot whose base, or all cameras together, moved between two poses."""
+    """Describe a move between two poses: of the robot's base, or of all cameras together."""
     n = len(problem.positions)
     for half in (np.arange(n // 2), np.arange(n // 2, n)):
         part = problem.taking(half)
@@ -184,7 +184,7 @@ def _moved(problem: CalibrationProblem, whole: Unknowns | None) -> str:
 
 
 def _which(problem: CalibrationProblem, others: Mask) -> str:
-    """Poses in words: from one on, up to one, or how many."""
+    """Describe poses in words: from one on, up to one, or how many."""
     n, names = len(others), problem.pose_names
     after = np.array([others[k:].sum() + (~others[:k]).sum() for k in range(n + 1)])
     k = int(np.argmax(np.maximum(after, n - after)))
@@ -194,7 +194,7 @@ def _which(problem: CalibrationProblem, others: Mask) -> str:
 
 
 def _displacement(problem: CalibrationProblem, unknowns: Unknowns, poses: Mask) -> Array:
-    """Common displacement of the LED that brings some poses to where the cameras see them, shape (3,) [m]."""
+    """Return the common LED displacement to bring some poses to the places seen by the cameras, shape (3,) [m]."""
     step = np.zeros(3)
     for _ in range(5):
         still = replace(unknowns, displacements=np.tile(step, (len(problem.positions), 1)))
@@ -207,7 +207,7 @@ def _displacement(problem: CalibrationProblem, unknowns: Unknowns, poses: Mask) 
 
 
 def _explained(problem: CalibrationProblem, unknowns: Unknowns, tolerance: float) -> Mask:
-    """Poses whose every spot is near where some cameras predict it, shape (n,)."""
+    """Mark poses with every spot near the prediction by some cameras, shape (n,)."""
     distances = _distances(problem, unknowns)
     return np.asarray(problem.detected.any(axis=0) & (~problem.detected | (distances < tolerance)).all(axis=0))
 
@@ -217,7 +217,7 @@ def _typical_of(problem: CalibrationProblem) -> float:
 
 
 def _typical(problem: CalibrationProblem, unknowns: Unknowns | None) -> float:
-    """Residual of the median spot over what the stated noise explains; infinite where there is no camera."""
+    """Return the residual of the median spot over the size explained by stated noise; infinite without a camera."""
     if unknowns is None:
         return float("inf")
     median = float(np.median(_distances(problem, unknowns)[problem.detected]))
@@ -225,7 +225,7 @@ def _typical(problem: CalibrationProblem, unknowns: Unknowns | None) -> float:
 
 
 def _distances(problem: CalibrationProblem, unknowns: Unknowns) -> Array:
-    """Squared Mahalanobis length of each spot's residual, infinite behind its camera, shape (c, n)."""
+    """Return the squared Mahalanobis length of each spot's residual, infinite behind the camera, shape (c, n)."""
     still = replace(unknowns, displacements=np.zeros_like(problem.positions))
     visible = problem.detected & projectable(still, problem)
     distances = spot_distances(linearise(still, problem, ParameterLayout.of(problem), visible))
@@ -233,7 +233,7 @@ def _distances(problem: CalibrationProblem, unknowns: Unknowns) -> Array:
 
 
 def _fitted(problem: CalibrationProblem) -> Unknowns | None:
-    """A robust fit, as far as it takes to see whether it gets anywhere; None where there is none."""
+    """Return a robust fit, just precise enough to see whether a fit is possible; None if there is none."""
     layout = ParameterLayout.of(problem)
     try:
         return robust_fit(start(problem, layout), problem, layout, problem.detected, _ROUNDS).unknowns
@@ -242,7 +242,7 @@ def _fitted(problem: CalibrationProblem) -> Unknowns | None:
 
 
 def _of_camera(problem: CalibrationProblem, c: int) -> CalibrationProblem:
-    """What one camera observed."""
+    """Return the observations of one camera as a problem."""
     return replace(
         problem,
         camera_names=problem.camera_names[c : c + 1],
@@ -255,7 +255,7 @@ def _of_camera(problem: CalibrationProblem, c: int) -> CalibrationProblem:
 
 
 def _with_axes(problem: CalibrationProblem, axes: Array) -> CalibrationProblem:
-    """The problem in a world of other axes; where these are left-handed, the LED offset is mirrored as well."""
+    """Return the problem in a world of other axes; for left-handed axes, the LED offset is mirrored as well."""
     jacobians = problem.joint_jacobians
     return replace(
         problem,

@@ -1,4 +1,4 @@
-"""Checks of a calibration on its own data: poses predicted from the others, and two halves against each other."""
+"""Checks of a calibration on the same data: poses predicted from the others, and two halves against each other."""
 
 from dataclasses import dataclass, replace
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Checks:
-    """What the data say about the estimate; each found value stands beside the one to expect, NaN where undefined.
+    """Evidence of the data on the estimate; each found value stands beside the expected one, NaN where undefined.
 
     Attributes:
         held_out_px: RMS distance of a used spot from where the other poses predict it [px].

@@ -1,4 +1,4 @@
-"""Errors to expect in the workspace, from the covariance alone: what a user gets without knowing the truth."""
+"""Errors to expect in the workspace, from the covariance alone: the user's errors, without known truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,12 +29,12 @@ class ExpectedError:
 
     @property
     def reprojection_rms_px(self) -> float:
-        """RMS over the workspace [px]; NaN if no camera sees it."""
+        """RMS over the workspace [px]; NaN if no camera sees the workspace."""
         return rms(self.reprojection_px)
 
     @property
     def triangulation_rms_mm(self) -> float:
-        """RMS over the workspace [mm]; NaN if no two cameras see a common part of it."""
+        """RMS over the workspace [mm]; NaN if no two cameras see a common part of the workspace."""
         return rms(self.triangulation_mm)
 
 
@@ -56,7 +56,7 @@ class Sensitivity:
     points_moved: Array
 
     def reprojection_weight(self) -> Array:
-        """W for which ``trace(W P)`` is the mean square reprojection error by a covariance P, (all k, all k) [px^2]."""
+        """Return W, with ``trace(W P)`` the mean square reprojection error by a covariance P, (all k, all k) [px^2]."""
         count = self.seen.sum(axis=0)
         shares = np.where(count > 0, 1.0, 0.0) / np.maximum(count, 1) / max(1, int((count > 0).sum()))
         blocks = camera_blocks_of(self.pixels)
@@ -66,7 +66,7 @@ class Sensitivity:
         return weight
 
     def triangulation_weight(self) -> Array | None:
-        """W for which ``trace(W P)`` is the mean square triangulation error, (all k, all k) [mm^2]; or None."""
+        """Return W, with ``trace(W P)`` the mean square triangulation error, (all k, all k) [mm^2]; or None."""
         known = self.points_moved[self.seen.sum(axis=0) >= 2]
         if not len(known):
             return None
@@ -74,7 +74,7 @@ class Sensitivity:
 
 
 def rms(values: Array) -> float:
-    """Root mean square of the values that are not NaN; NaN if there are none."""
+    """Return the root mean square of the values other than NaN; NaN if there are none."""
     known = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
@@ -108,13 +108,13 @@ def sensitivity(unknowns: Unknowns, image_sizes: tuple[tuple[int, int], ...], wo
 
 
 def camera_blocks_of(by_cameras: Sequence[Array]) -> tuple[slice, ...]:
-    """Places of the cameras' parameters one after the other, of derivatives by them."""
+    """Return the places of the cameras' parameters one after the other, given derivatives by the parameters."""
     ends = np.cumsum([one.shape[-1] for one in by_cameras])
     return tuple(slice(int(end) - one.shape[-1], int(end)) for one, end in zip(by_cameras, ends, strict=True))
 
 
 def inside(pixels: Array, image_sizes: tuple[tuple[int, int], ...]) -> NDArray[np.bool_]:
-    """Which pixels lie in their images, shape (c, m, 2) -> (c, m)."""
+    """Mark the pixels inside the images, shape (c, m, 2) -> (c, m)."""
     limits = np.array(image_sizes, dtype=float)[:, None, :] - 0.5
     return np.asarray(np.all((pixels > -0.5) & (pixels < limits), axis=2))
 

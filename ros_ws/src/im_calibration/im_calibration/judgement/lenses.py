@@ -1,4 +1,4 @@
-"""Whether the lens models are large enough: residuals against the place in the image, and what another model predicts.
+"""Sufficiency of the lens models: residuals against the place in the image, and predictions of another model.
 
 The score test asks whether terms that a model has not would lower chi-square, without fitting them: with E the
 derivatives of the images by such terms and J by the unknowns, their score ``E^T S^-1 r`` has the covariance
@@ -34,7 +34,7 @@ _STEADY, _ONE_STEADY = 2.3, 2.0  # and in standard deviations, so that no few sp
 
 @dataclass(frozen=True)
 class LensFault:
-    """A lens model that leaves a pattern in the residuals of a camera.
+    """Lens model with a remaining pattern in the residuals of a camera.
 
     Attributes:
         camera: Index of the camera.
@@ -58,7 +58,7 @@ class LensFault:
 def lens_faults(
     gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, noise: float
 ) -> tuple[LensFault, ...]:
-    """Lens models that are too small, or of the wrong kind.
+    """Find lens models with too few terms, or of the wrong kind.
 
     Where the residuals of a camera may hold a pattern, and of all cameras where the noise does not explain them, other
     lens models are tried: the score test alone would miss patterns whose worst spots were rejected.
@@ -114,7 +114,7 @@ def _patterns(
 def _with_better(
     suspects: list[LensFault], gated: Gated, problem: CalibrationProblem, layout: ParameterLayout
 ) -> tuple[LensFault, ...]:
-    """The cameras whose poses another lens model predicts significantly better, with the best such model."""
+    """Return the cameras with poses predicted significantly better by another lens model, with the best such model."""
     cameras = [fault.camera for fault in suspects]
     before = [_losses(gated, problem, layout, c) for c in cameras]
     best, least = list[LensFault](), -_GAIN
@@ -146,7 +146,7 @@ def _with_better(
 
 
 def _deviation(gain: Array) -> float:
-    """Sum of a sample by its standard deviation."""
+    """Return the sum of a sample, divided by the standard deviation of the sum."""
     return float(gain.sum() / max(float(gain.std()) * len(gain) ** 0.5, 1e-300))
 
 
@@ -162,7 +162,7 @@ def _losses(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, 
 
 
 def _explains(gated: Gated, problem: CalibrationProblem) -> bool:
-    """Whether most spots agree with a fit, and the noise explains them."""
+    """Check whether a fit agrees with most spots, and the noise explains the residuals."""
     layout = ParameterLayout.of(problem)
     prior = layout.prior(gated.fit.unknowns).lens_chi2
     dof = 2 * int(gated.used.sum()) - layout.cameras_size

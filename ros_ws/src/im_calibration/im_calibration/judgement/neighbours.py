@@ -1,4 +1,4 @@
-"""Whether residuals are noise: noise of neighbouring positions has nothing in common, what a model leaves has.
+"""Test of residuals for noise: noise of neighbouring positions is independent, errors left by a model are not.
 
 Chi-square compares residuals with a noise that is stated. Where none is, their pattern still tells the two apart.
 """
@@ -31,19 +31,19 @@ class Neighbours:
 
     @property
     def alike(self) -> bool:
-        """Whether it is no noise."""
+        """Whether neighbouring residuals are alike, thus no noise."""
         return self.correlation > self.limit
 
     @property
     def clause(self) -> str:
-        """That they are alike, a clause; empty for noise."""
+        """Clause on the likeness of neighbouring residuals; empty for noise."""
         if not self.alike:
             return ""
         return f"neighbouring spots are off alike (correlation {self.correlation:.2f}, of noise below {self.limit:.2f})"
 
     @property
     def remark(self) -> str:
-        """What that means, in sentences; empty for noise."""
+        """Meaning of the likeness, in sentences; empty for noise."""
         if not self.alike:
             return ""
         return (
@@ -53,7 +53,7 @@ class Neighbours:
 
 
 def compare_neighbours(line: Linearisation, used: Mask, positions: NDArray[np.float64]) -> Neighbours:
-    """Correlate the residuals of each camera with those of its nearest positions.
+    """Correlate the residuals of each camera with the residuals of the nearest positions.
 
     Source: Moran, "Notes on continuous stochastic phenomena" (1950); the variance is that of independent residuals.
 

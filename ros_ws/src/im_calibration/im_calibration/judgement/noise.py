@@ -16,7 +16,7 @@ UNLIKELY = 1e-3
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known about the noise.
+    """Known facts about the noise.
 
     Attributes:
         factors: What the residuals say about the stated noise.
@@ -34,7 +34,7 @@ class Noise:
 
     @property
     def remark(self) -> str:
-        """What to say about it, in sentences; empty where the noise is stated, and as stated."""
+        """Remark on the noise, in sentences; empty if the noise is stated, and found as stated."""
         if self.estimated:
             return self._found
         return "" if self.factors.p_value >= UNLIKELY else self._wrong
@@ -55,7 +55,7 @@ class Noise:
 
     @property
     def _found(self) -> str:
-        """The noise that was found."""
+        """Text on the found noise."""
         factors, told = self.factors, []
         if not factors.common.determined:
             return "The data are too few to estimate the noise; it is taken as it was given."
@@ -70,7 +70,7 @@ class Noise:
 
 
 def noise_of(problem: CalibrationProblem, used: Mask, factors: NoiseFactors, scale: tuple[float, float]) -> Noise:
-    """Collect what is known about the noise.
+    """Collect the known facts about the noise.
 
     Args:
         problem: The observations, with the noise that is stated.
@@ -89,7 +89,7 @@ def _holds_one(factor: Factor) -> bool:
 
 
 def _error(factor: Factor) -> str:
-    """``3.1x too large (2.9x to 3.3x)``, or ``at least 2.9x too large``."""
+    """Return the text ``3.1x too large (2.9x to 3.3x)``, or ``at least 2.9x too large``."""
     if factor.high < 1.0:
         least, most, how = 1.0 / factor.high, _inverse(factor.low), "too large"
     else:
@@ -104,7 +104,7 @@ def _inverse(value: float) -> float:
 
 
 def _size(factor: Factor, stated: float) -> str:
-    """``0.21 (0.19 to 0.24)``, or ``at most 0.24``."""
+    """Return the text ``0.21 (0.19 to 0.24)``, or ``at most 0.24``."""
     value, low, high = (f"{stated * each:.2g}" for each in (factor.value, factor.low, factor.high))
     if factor.determined:
         return f"{value} ({low} to {high})"

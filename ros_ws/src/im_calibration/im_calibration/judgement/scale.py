@@ -27,7 +27,7 @@ _APART_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Scale:
-    """What known lengths say about the metre of the robot.
+    """Scale: comparison of known lengths with the metre of the robot.
 
     Attributes:
         error: True lengths over those in the robot's metres, less 1.
@@ -48,7 +48,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class _Points:
-    """Triangulated points: where, which are good, and what noise and errors of the cameras do to them."""
+    """Triangulated points: positions, the good ones, and the effect of noise and camera errors on the points."""
 
     places: Array
     good: NDArray[np.bool_]
@@ -57,7 +57,7 @@ class _Points:
 
 
 def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, guess: Array) -> Scale | None:
-    """Compare known lengths with those that the cameras measure.
+    """Compare known lengths with the lengths measured by the cameras.
 
     Args:
         unknowns: The calibrated cameras.
@@ -112,7 +112,7 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
 
 
 def _triangulate(unknowns: Unknowns, cameras: Array, spots: Array, spot_covariances: Array, guess: Array) -> _Points:
-    """Points nearest to their spots, weighted by their noise; good where two cameras agree within it and their own."""
+    """Triangulate points, spots weighted by noise; good if two cameras agree within noise and camera errors."""
     c, m = spots.shape[:2]
     seen = ~np.isnan(spots[..., 0])
     weights = np.linalg.inv(np.where(seen[..., None, None], spot_covariances, np.eye(2)))
@@ -141,7 +141,7 @@ def _triangulate(unknowns: Unknowns, cameras: Array, spots: Array, spot_covarian
 def _agree(
     residuals: Array, by_point: Array, by_camera: Sequence[Array], noise: Array, cameras: Array, seen: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Whether the spots of each point can be of one place, given their noise and the cameras', shape (m,)."""
+    """Check whether the spots of each point can be of one place, given spot noise and camera errors, shape (m,)."""
     c, m = seen.shape
     rows = np.swapaxes(by_point, 0, 1).reshape(m, 2 * c, 3)
     blocks = camera_blocks_of(by_camera)

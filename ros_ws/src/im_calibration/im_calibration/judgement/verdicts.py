@@ -1,4 +1,4 @@
-"""Verdicts: what the data cannot determine, and residuals that the stated noise cannot explain."""
+"""Verdicts: unknowns not determined by the data, and residuals not explained by the stated noise."""
 
 import numpy as np
 import scipy
@@ -43,7 +43,7 @@ def judge(
     agreements: tuple[CameraAgreement, ...],
     faults: tuple[LensFault, ...],
 ) -> tuple[Verdict, ...]:
-    """Reasons not to trust an estimate; none for a good one.
+    """Return the reasons not to trust an estimate; none for a good one.
 
     Args:
         calibration: The estimate, without verdicts.
@@ -90,7 +90,7 @@ def _few_spots(calibration: Calibration, problem: CalibrationProblem, c: int, mi
 
 
 def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit: bool) -> Verdict | None:
-    """LED positions in a plane: focal length and distance, principal point and tilt cannot be told apart.
+    """Report LED positions in a plane: focal length and distance, principal point and tilt cannot be told apart.
 
     Which spots a misfit believes means little, so that there most of the positions decide.
     """
@@ -110,7 +110,7 @@ def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit:
 
 
 def _unknown(calibration: Calibration, layout: ParameterLayout, covariance: Covariance, c: int) -> Verdict | None:
-    """Parameters whose standard deviation is beyond what any use of a camera bears."""
+    """Report parameters with a standard deviation beyond the tolerance of any use of a camera."""
     camera, lens = calibration.cameras[c], calibration.cameras[c].model.lens
     focal, size = float(camera.model.K[0, 0]), (camera.model.width, camera.model.height)
     reach, parameters = lens_reach(focal, size), camera_parameters(lens)
@@ -140,7 +140,7 @@ def _unknown(calibration: Calibration, layout: ParameterLayout, covariance: Cova
 
 
 def _lens_effect(model: CameraModel, covariance: Array, reach: float) -> float:
-    """Standard deviation of where the lens puts points at the edge of what is judged, over their distance."""
+    """Return the standard deviation of points placed by the lens at the edge of the judged area, over the radius."""
     radius, lens = LENS_RADIUS * reach, model.lens
     edge = radius * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     by_lens = lens.by_coefficients(edge, model.D, (1.0, 1.0))[..., : lens.estimated]
@@ -150,7 +150,7 @@ def _lens_effect(model: CameraModel, covariance: Array, reach: float) -> float:
 
 
 def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: ParameterLayout) -> Verdict | None:
-    """LED offset that shifts all positions alike because the wrist hardly turns."""
+    """Report an LED offset shifting all positions alike because the wrist hardly turns."""
     used = calibration.used.any(axis=0)
     rotations = problem.wrist_rotations[used]
     turned = rotations - rotations.mean(axis=0)
@@ -176,7 +176,7 @@ def _led_offset(calibration: Calibration, problem: CalibrationProblem, layout: P
 def _misfit(
     calibration: Calibration, problem: CalibrationProblem, agreements: tuple[CameraAgreement, ...]
 ) -> Verdict | None:
-    """Residuals that the stated noise cannot explain."""
+    """Report residuals not explained by the stated noise."""
     detected, used = problem.detected.sum(axis=1), calibration.used.sum(axis=1)
     near = sum(rejection.sigmas < _NEAR_SIGMAS for rejection in calibration.rejections)
     chance = calibration.p_value_of_data
@@ -211,7 +211,7 @@ def _misfit(
 
 
 def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFault) -> Verdict:
-    """A lens model that is too small, with the one to take instead."""
+    """Report a lens model with too few terms, and the model to use instead."""
     name, lens = calibration.cameras[fault.camera].name, layout.lenses[fault.camera]
     pattern = f"its residuals depend on {fault.against} (p {fault.chance:.1g})" if fault.chance < _UNLIKELY else ""
     why = ", and ".join(text for text in (pattern, calibration.neighbours.clause) if text)
@@ -226,7 +226,7 @@ def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFa
 
 
 def _outside_image(problem: CalibrationProblem) -> list[str]:
-    """Cameras most spots of which are not in their image: its size is another one, whatever fits."""
+    """Return cameras with most spots outside of the image: the image size must be wrong, however good the fit."""
     strange = []
     for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
         seen = problem.spots[c][problem.detected[c]]
@@ -239,7 +239,7 @@ def _outside_image(problem: CalibrationProblem) -> list[str]:
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:
-    """Rejected spots that lie off all alike: no outliers, but a camera that moved; empty if they do not.
+    """Report rejected spots all shifted alike: not outliers, but a moved camera; empty if not alike.
 
     A spot counts where the common shift decides: with it the spot is off by more than noise, without it it is not.
     """
@@ -265,7 +265,7 @@ def _squared(errors: Array, covariances: Array) -> Array:
 
 
 def _wrong_scale(scale: Scale) -> Verdict | None:
-    """Known lengths that are not those of the robot, or not of one another."""
+    """Report known lengths differing from the robot's, or from one another."""
     if scale.agreement < _UNLIKELY:
         return Verdict(
             MISFIT,
@@ -286,7 +286,7 @@ def _wrong_scale(scale: Scale) -> Verdict | None:
 
 
 def _worst_camera(calibration: Calibration, agreements: tuple[CameraAgreement, ...]) -> str:
-    """The camera whose spots are least likely, given those of the others."""
+    """Return the camera with the least likely spots, given the spots of the others."""
     worst = min(range(len(agreements)), key=lambda c: agreements[c].log_chance)
     given = " given what the others saw" if len(agreements) > 1 else ""
     return f"{calibration.cameras[worst].name} is worst with chi2/dof {agreements[worst].chi2_per_dof:.2f}{given}"

@@ -1,1 +1,1 @@
-"""What a calibration starts from: observations, known lengths, data sets."""
+"""Input of a calibration: observations, known lengths, data sets."""

@@ -1,4 +1,4 @@
-"""Data sets from bags of anyone: spots of a light as points, and where the tool was, paired by their stamps."""
+"""Data sets from bags of any origin: spots of a light as points, and tool poses, paired by stamps."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _UNIT = 1e-3
 
 @dataclass(frozen=True)
 class BagTopics:
-    """What of a bag is what.
+    """Roles of the topics of a bag.
 
     Attributes:
         spots: Topic of the spots of each camera: ``geometry_msgs/PointStamped``, x and y in pixels.
@@ -43,7 +43,7 @@ class BagTopics:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Spots with the poses they belong to.
+    """Spots with the matching poses.
 
     Attributes:
         pose_of: Which pose each place of the data set is, shape (n,).
@@ -77,7 +77,7 @@ class BagDataSet:
 
 @dataclass(frozen=True)
 class _Track:
-    """What changes with time: stamps, shape (m,) [ns]; positions, shape (m, 3) [m]; rotations, shape (m, 3, 3)."""
+    """Values over time: stamps, shape (m,) [ns]; positions, shape (m, 3) [m]; rotations, shape (m, 3, 3)."""
 
     stamps: Stamps
     positions: Array
@@ -95,7 +95,7 @@ def dataset_from_bag(
     sigma_px: float | None,
     sigma_m: float | None,
 ) -> BagDataSet:
-    """A data set of the spots that a bag holds; each spot goes with the pose whose stamp is nearest.
+    """Build a data set from the spots in a bag; each spot goes with the pose of the nearest stamp.
 
     Args:
         bag: The bag.
@@ -144,7 +144,7 @@ def dataset_from_bag(
 
 
 def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
-    """Spots of several cameras that were seen together, each with the pose nearest in time.
+    """Pair simultaneous spots of several cameras, and give each the pose nearest in time.
 
     Args:
         spots: Of each camera, ascending, shape (k,) each [ns].
@@ -182,7 +182,7 @@ def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
 
 
 def _moved(light: Array, stamps: Stamps, pairing: Pairing) -> float:
-    """How far the light went in the longest time between a spot and its pose, by the poses before and after [m]."""
+    """Return the light's move in the longest time between a spot and the pose, from the poses before and after [m]."""
     if len(light) < 2:
         return 0.0
     lasted = np.maximum(np.diff(stamps), 1) * 1e-9
@@ -192,7 +192,7 @@ def _moved(light: Array, stamps: Stamps, pairing: Pairing) -> float:
 
 
 def _track(bag: Path, topic: str, types: tuple[str, ...]) -> _Track:
-    """Points or poses over time, by their stamps, or as they were recorded where none is stamped.
+    """Read points or poses over time, by stamps, or by time of recording if none is stamped.
 
     Those that are not finite were not measured.
     """
@@ -224,7 +224,7 @@ def _row(message: BagMessage) -> list[float]:
 
 
 def _transforms(bag: Path, topics: BagTopics) -> _Track:
-    """The tool in the base at each message that moves it, by the newest transform of each frame on the way."""
+    """Return the tool's pose in the base at each message moving the tool, by the newest transforms on the way."""
     assert topics.frames is not None
     base, tool = topics.frames
     known: dict[str, tuple[str, Array, Rotation]] = {}
@@ -253,7 +253,7 @@ def _transforms(bag: Path, topics: BagTopics) -> _Track:
 
 
 def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Rotation]]:
-    """Parent, translation and rotation by the frame of each transform that is finite."""
+    """Return parent, translation and rotation by the frame of each finite transform."""
     steps = {}
     for each in content.transforms:
         shift, turn = _vector(each.transform.translation), _quaternion(each.transform.rotation)
@@ -264,7 +264,7 @@ def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Rotation]]:
 
 
 def _way(known: Mapping[str, tuple[str, Array, Rotation]], base: str, tool: str) -> list[str] | None:
-    """Frames from the tool up to the base, without the base; None: it does not hang on it."""
+    """Return the frames from the tool up to the base, without the base; None if tool and base are not connected."""
     way: list[str] = []
     frame = tool
     while frame != base:
@@ -276,7 +276,7 @@ def _way(known: Mapping[str, tuple[str, Array, Rotation]], base: str, tool: str)
 
 
 def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, int], str]]:
-    """Image size and lens model of each camera that the bag describes."""
+    """Return image size and lens model of each camera described in the bag."""
     have = topics_of(bag)
     beside = {name: f"{topic.rpartition('/')[0]}/camera_info" for name, topic in topics.spots.items()}
     chosen = {name: topic for name, topic in beside.items() if have.get(topic) == _CAMERA_INFO} | dict(topics.infos)
@@ -291,7 +291,7 @@ def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, in
 
 
 def _image_size(info: Any) -> tuple[int, int]:
-    """Width and height of images [px]: those of the calibration, made smaller by region and binning."""
+    """Return width and height of images [px]: the size at calibration, reduced by region and binning."""
     width, height = info.roi.width or info.width, info.roi.height or info.height
     return int(width) // max(1, int(info.binning_x)), int(height) // max(1, int(info.binning_y))
 

@@ -1,4 +1,4 @@
-"""Data sets from what others write: spots and positions as lines of text, or as matrices of OpenCV."""
+"""Data sets from other programs: spots and positions as lines of text, or as matrices of OpenCV."""
 
 import re
 from collections import Counter
@@ -23,7 +23,7 @@ _LARGEST_FILE = 100 * MEBIBYTE
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one camera saw.
+    """Spots seen by one camera, with the seen positions.
 
     Attributes:
         spots: Where, shape (n, 2) [px].
@@ -67,7 +67,7 @@ def read_lines(path: Path) -> Sighting:
 
 
 class _Matrix(Model):
-    """A matrix as ``cv::FileStorage`` writes it, row by row; ``dt: 2f`` says that each element is two numbers."""
+    """Matrix as written by ``cv::FileStorage``, row by row; ``dt: 2f`` means: each element is two numbers."""
 
     rows: Annotated[int, Field(ge=1)]
     cols: Annotated[int, Field(ge=1)]
@@ -87,7 +87,7 @@ class _Matrix(Model):
         return int(self.dt[:-1] or 1)
 
     def holds(self, size: int) -> bool:
-        """Whether its rows, or its elements, are vectors of that size."""
+        """Check whether the rows, or the elements, are vectors of the given size."""
         return self._channels == size or (self._channels == 1 and self.cols == size)
 
     def vectors(self, size: int) -> Array:
@@ -96,7 +96,7 @@ class _Matrix(Model):
 
 
 class _OpenCvFile(Model):
-    """Image points and the points they are images of, of one camera; other fields of the file are not read."""
+    """OpenCV file of one camera: image points and the imaged points; other fields of the file are not read."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -120,7 +120,7 @@ class _OpenCvFile(Model):
 
 
 def read_opencv(path: Path) -> Sighting:
-    """A YAML file of ``cv::FileStorage`` with ``image_points``, ``object_points``, ``image_width``, ``image_height``.
+    """Read YAML of ``cv::FileStorage`` with ``image_points``, ``object_points``, ``image_width``, ``image_height``.
 
     Args:
         path: The file.
@@ -142,7 +142,7 @@ def dataset_from(
     sigma_px: float | None,
     sigma_m: float | None,
 ) -> dict[str, Any]:
-    """A data set of what cameras saw; spots of the same position, to the last digit, are of one pose.
+    """Build a data set from the sightings of cameras; spots of the same position, to the last digit, are of one pose.
 
     Args:
         sightings: By name of the camera.
@@ -168,7 +168,7 @@ def dataset_from(
 def dataset_head(
     image_sizes: Mapping[str, tuple[int, int] | None], n: int, sigma_px: float | None, sigma_m: float | None
 ) -> dict[str, Any]:
-    """A data set of n poses without its trials.
+    """Return a data set of n poses without trials.
 
     Args:
         image_sizes: Width and height of the images of each camera [px]; None: not known.
@@ -192,7 +192,7 @@ def dataset_head(
 
 
 def _keys(positions: Array) -> Sequence[tuple[float, ...]]:
-    """Each position with how often it was there before."""
+    """Return each position with the count of earlier occurrences."""
     before: Counter[tuple[float, ...]] = Counter()
     keys = []
     for position in map(tuple, positions.tolist()):

@@ -1,4 +1,4 @@
-"""Calibration data sets in the format ``vislab-calib-1``, one problem a trial; the truth in them is not looked at.
+"""Calibration data sets in the format ``vislab-calib-1``, one problem per trial; the contained truth is not read.
 
 ``docs/calibration.md`` documents the format. What is wrong in a data set is named by its place, such as
 ``trials[2].u_px[0][17]``; a field that the format does not have is refused.
@@ -66,7 +66,7 @@ def _any_trials(trials: object) -> object:
 
 
 def _lens_models(value: object) -> tuple[str, ...]:
-    """Names of lens models, one for all cameras or one each; what follows a name in a text is for people."""
+    """Return names of lens models, one for all cameras or one each; text behind a name is a comment."""
     texts = [value] if isinstance(value, str) else value
     if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
         raise ValueError("must be the name of a lens model, or a list of one for each camera")
@@ -92,7 +92,7 @@ class _Section(Model):
 
 
 class LengthTable(_Section):
-    """Known lengths [m], how well they are known [m], and the noise of their spots [px], [px^2]."""
+    """Known lengths [m], uncertainty of the lengths [m], and noise of the spots [px], [px^2]."""
 
     length_m: Annotated[Array, PlainValidator(Lists("k"))]
     sd_m: Annotated[Array, PlainValidator(Lists("k"))]
@@ -124,7 +124,7 @@ class Trial(_Section):
 
 
 class DataSet(_Section):
-    """A data set. Fields before decide the lengths of others; those of type Any are for people and are not read."""
+    """Data set; earlier fields decide the lengths of later ones; fields of type Any are for people and are not read."""
 
     schema_name: Annotated[str, PlainValidator(_same_schema), Field(alias="schema")]
     cov_x_m2: Annotated[Array | None, PlainValidator(Lists("n", 3, 3, optional=True))]
@@ -179,7 +179,7 @@ class DataSet(_Section):
         return self
 
     def problem(self, trial: Trial) -> CalibrationProblem:
-        """The problem of a trial; noise that is not stated is of a size that the calibration will find.
+        """Return the problem of a trial; unstated noise gets a size to be found by the calibration.
 
         Raises:
             DataError: A value cannot be.
@@ -292,7 +292,7 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
 
 
 def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
-    """A data set of one trial, without truth; the inverse of :func:`problems`.
+    """Return a data set of one trial, without truth; the inverse of :func:`problems`.
 
     Args:
         problem: The observations.
@@ -334,12 +334,12 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
 
 
 def _first_fault(found: list[Fault]) -> Fault:
-    """A field too many is told before those that are missing, for one may be the other misspelt."""
+    """Return the fault to report: an extra field before missing ones, since the extra one may be a misspelling."""
     return next((fault for fault in found if fault.kind == "extra_forbidden"), found[0])
 
 
 def _placed(place: str, error: DataError) -> DataError:
-    """The same error, its message led by where it is."""
+    """Return the same error, the message preceded by the place."""
     placed = DataError(f"{place}: {error.message}", code=error.code)
     placed.facts.update({"place": place, **error.facts})
     return placed
@@ -355,7 +355,7 @@ def _box_around(positions: Array) -> Workspace:
 
 
 def _spot_noise(covariances: Array, detected: NDArray[np.bool_]) -> dict[str, Any]:
-    """Standard deviations where they say all, else covariances; 1 px where there is neither spot nor covariance."""
+    """Return standard deviations if sufficient, else covariances; 1 px if neither spot nor covariance is given."""
     given = np.isfinite(covariances).all(axis=(-2, -1)) | detected
     covariances = np.where(given[..., None, None], covariances, np.eye(2))
     sigma = np.sqrt(covariances[..., 0, 0])

@@ -1,4 +1,4 @@
-"""Validators of the fields of a data set: nested lists of numbers become arrays, what is wrong is placed."""
+"""Validators of a data set's fields: nested lists of numbers become arrays, faults are reported with the place."""
 
 from itertools import chain
 from typing import Any
@@ -15,7 +15,7 @@ _LARGEST_NUMBER = 1e12
 
 
 class Lists:
-    """Validator of nested lists of numbers, which makes an array of them.
+    """Validator of nested lists of numbers, converting the lists to an array.
 
     Args:
         lengths: From the outside in; a letter stands for a number that the first field with that letter decides.
@@ -27,7 +27,7 @@ class Lists:
         self._lengths, self._holes, self._optional = lengths, holes, optional
 
     def __call__(self, value: object, info: ValidationInfo) -> Array | None:
-        """The array; list after list is laid out flat, so that large data sets take no longer than they must."""
+        """Return the array; lists are flattened one after the other, so large data sets cost no extra time."""
         if value is None and self._optional:
             return None
         decided: dict[str, int] = info.context if info.context is not None else {}
@@ -83,13 +83,13 @@ class Names:
 
 
 def number(value: object, info: ValidationInfo) -> float | None:
-    """A number, or None where null stands."""
+    """Return a number, or None for null."""
     array = Lists(optional=True)(value, info)
     return None if array is None else float(array)
 
 
 def positive(sigma: Array | None) -> Array | None:
-    """Standard deviations that are all above 0 [px]."""
+    """Check standard deviations: all must be above 0 [px]; return the unchanged values."""
     if sigma is not None:
         for place in np.argwhere(sigma <= 0.0):
             raise FieldError(tuple(int(i) for i in place), f"is {sigma[tuple(place)]:g}, it must be > 0 [px]")
@@ -97,11 +97,11 @@ def positive(sigma: Array | None) -> Array | None:
 
 
 def _misplaced(number: int, shape: list[int], sentence: str) -> FieldError:
-    """What is wrong with one of the elements of lists of a shape, counted through."""
+    """Return the error for one element, given by a flat index, in lists of a shape."""
     return FieldError(tuple(int(i) for i in np.unravel_index(number, shape)) if shape else (), sentence)
 
 
 def kind_of(value: object) -> str:
-    """What a value of JSON is, in words."""
+    """Return the kind of a JSON value, in words."""
     names = {dict: "an object", list: "a list", str: "a text", bool: "a truth value", type(None): "null"}
     return names.get(type(value), "a number")

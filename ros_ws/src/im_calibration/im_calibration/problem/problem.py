@@ -1,4 +1,4 @@
-"""What a calibration starts from: where the LED was by the robot, where the cameras saw it, and known lengths."""
+"""Input of a calibration: LED positions by the robot, spots in the cameras, and known lengths."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -199,7 +199,7 @@ class CalibrationProblem:
 
     @property
     def fewest_spots(self) -> NDArray[np.intp]:
-        """Fewest spots of each camera: as many image coordinates as it has unknowns, shape (c,)."""
+        """Fewest spots of each camera: as many image coordinates as unknowns, shape (c,)."""
         return np.array([(10 + lens.estimated + 1) // 2 for lens in self.lenses])
 
     @property
@@ -209,11 +209,11 @@ class CalibrationProblem:
 
     @cached_property
     def position_weights(self) -> Array:
-        """Inverse covariances of the positions, 0 along what is known exactly, shape (n, 3, 3) [1/m^2]."""
+        """Inverse covariances of the positions, 0 along exactly known directions, shape (n, 3, 3) [1/m^2]."""
         return np.asarray(np.linalg.pinv(self.position_covariances, hermitian=True))
 
     def with_noise(self, image: float, robot: float) -> "CalibrationProblem":
-        """The problem with other stated noise; that of the spots of known lengths stays.
+        """Return the problem with other stated noise; the noise of the spots of known lengths is unchanged.
 
         Args:
             image: Factor on the standard deviations of the spots.
@@ -226,7 +226,7 @@ class CalibrationProblem:
         )
 
     def moved(self, by: Array) -> "CalibrationProblem":
-        """The problem in a world whose origin is elsewhere: all places have ``by`` added, shape (3,) [m]."""
+        """Return the problem in a world with another origin: all places have ``by`` added, shape (3,) [m]."""
         return replace(self, positions=self.positions + by, workspace=self.workspace.moved(by))
 
     def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
@@ -250,7 +250,7 @@ class CalibrationProblem:
 def _check_covariances(
     what: str, at: str, covariances: Array, names: tuple[str, ...], sds: tuple[float, float]
 ) -> None:
-    """Refuse what is no covariance, or whose standard deviations are not within two; from 0, it needs no inverse."""
+    """Refuse a matrix if not a covariance, or with deviations outside two limits; from 0, a singular one passes."""
     low, high = sds
     for covariance, name in zip(covariances, names, strict=True):
         text, found = f"The {what} covariance of {at} {name}", {at: name}

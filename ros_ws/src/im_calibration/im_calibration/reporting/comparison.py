@@ -1,4 +1,4 @@
-"""The report of a calibration beside another of the same cameras: is it the same, and if not, what has changed."""
+"""Comparison of two calibration reports of the same cameras: same result, or a list of changes."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -14,7 +14,7 @@ SAME = 1e-9
 
 
 def largest_difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[float, str]:
-    """The largest relative difference of numbers of two reports, and where; infinite where they differ otherwise.
+    """Return the largest relative difference of numbers in two reports, and the place; infinite if other data differ.
 
     Numbers of a list count relative to the largest of it. What only one report has, of another version, is passed over.
     """
@@ -46,7 +46,7 @@ def _is_number(value: object) -> bool:
 
 
 def comparison(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """The recorded result beside the new one, in a table; a value that only one of them has is ``-`` in the other."""
+    """Return a table of the recorded and the new result; a value missing in one result is ``-`` there."""
     rows: list[tuple[str, float | None, float | None, float | None]] = []
     was = {each["name"]: each for each in old["cameras"]}
     now = {each["name"]: each for each in new["cameras"]}
@@ -77,7 +77,7 @@ def _row(width: int, name: str, one: float | None, other: float | None, deviatio
 
 
 def _values(camera: Mapping[str, Any] | None) -> dict[str, tuple[float | None, float | None]]:
-    """Values of a camera of a report and their standard deviations, by names that tell the unit."""
+    """Return the values and standard deviations of a camera in a report, by names including the unit."""
     if camera is None:
         return {}
     sd, K, model = camera["standard_deviations"], np.array(camera["K"]), str(camera["distortion_model"])

@@ -1,4 +1,4 @@
-"""Pictures of a calibration: residuals with the noise they should have, coverage, geometry."""
+"""Plots of a calibration: residuals with the expected noise, coverage, geometry."""
 
 import io
 from itertools import combinations
@@ -30,7 +30,7 @@ _SIGMAS_95 = float(np.sqrt(5.991))
 
 
 def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Residuals of each camera with the 95 % ellipses of the stated noise, and their lengths against chi-square.
+    """Plot residuals of each camera with 95 % ellipses of the stated noise, and residual lengths against chi-square.
 
     Args:
         calibration: The result.
@@ -157,7 +157,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _keep_room(figure: Figure, wspace: float, hspace: float = 0.0) -> None:
-    """Keeps room for titles and labels; a layout engine finds it by measuring all twice, and draws it twice.
+    """Reserve room for titles and labels; faster than a layout engine, which measures and draws everything twice.
 
     Args:
         figure: All of it holds axes.
@@ -172,7 +172,7 @@ def _keep_room(figure: Figure, wspace: float, hspace: float = 0.0) -> None:
 
 
 def _title(axes: Axes, text: str) -> None:
-    """Writes above axes, at a height of its own: to find one, all their ticks and labels would be measured."""
+    """Write a title above axes at a fixed height: a search for the height would measure all ticks and labels."""
     axes.set_title(text, fontsize=9, y=1.0)
 
 
@@ -187,7 +187,7 @@ def _save(figure: Figure, target: io.BytesIO) -> None:
 
 
 def draw_expected(figure: FigureBase, expected: ExpectedError) -> None:
-    """Draw both errors from above and from the side, each RMS over the axis that is looked along.
+    """Draw both errors from above and from the side, each RMS over the viewing axis.
 
     Args:
         figure: An empty figure, or part of one.

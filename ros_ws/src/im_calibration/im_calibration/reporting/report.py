@@ -1,4 +1,4 @@
-"""A calibration as plain values that JSON can hold: its report, and the answer to a trial of a data set."""
+"""Calibrations as plain values for JSON: the report, and the answer to a trial of a data set."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from im_cell.lens import lens_of
 
 
 def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str, Any]:
-    """Everything a user of the cameras needs to know; numbers that are not defined are null.
+    """Return everything a user of the cameras needs to know; undefined numbers are null.
 
     Args:
         calibration: The result.
@@ -125,12 +125,12 @@ def _camera(camera: CameraEstimate) -> dict[str, Any]:
 
 
 def number(value: float) -> float | None:
-    """A finite number, or None."""
+    """Return a finite number, or None."""
     return float(value) if np.isfinite(value) else None
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """Numbers of a vector, None where not finite."""
+    """Return the numbers of a vector, None where not finite."""
     return [number(value) for value in np.asarray(values, dtype=float).ravel()]
 
 
@@ -197,7 +197,7 @@ def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
 
 
 def _lens_rows(model: str, D: Sequence[float]) -> list[tuple[str, list[float], tuple[str, ...], float]]:
-    """Rows of the estimated coefficients: radial ones two by two, and those of decentering."""
+    """Return rows of the estimated coefficients: radial ones two by two, and the decentering ones."""
     lens = lens_of(model)
     values = dict(zip(lens.coefficients[: lens.estimated], D, strict=False))
     pairs = {"k1, k2": 1.0, "p1, p2": 1e3, "k3, k4": 1.0, "k5, k6": 1.0}
@@ -217,7 +217,7 @@ def _expected(errors: dict[str, Any]) -> str:
 
 
 def _found(checks: Mapping[str, float | None], name: str) -> str:
-    """A check beside what to expect of it."""
+    """Return the text of a check beside the expected value."""
     return f"{_text(checks[f'{name}_px'], '.3f')} px, {_text(checks[f'{name}_expected_px'], '.3f')} px expected"
 
 
@@ -227,7 +227,7 @@ def _neighbours_text(neighbours: Mapping[str, float | None]) -> str:
 
 
 def _noise_text(noise: Mapping[str, Any]) -> str:
-    """The noise that the estimate stands on, and what the residuals say of what was stated."""
+    """Describe the noise used by the estimate, and compare the stated noise with the residuals."""
     used = f"{noise['sigma_image_px']:.3g} px, {1e3 * noise['sigma_robot_m']:.3g} mm"
     source = f"estimated ({', '.join(noise['estimated'])})" if noise["estimated"] else "as stated"
     factors = ", ".join(
@@ -242,7 +242,7 @@ def _text(value: float | None, form: str) -> str:
 
 
 def _vector(values: Sequence[float | None], deviations: Sequence[float | None], scale: float) -> str:
-    """Values with their standard deviations, to two digits of the latter."""
+    """Format values with standard deviations, to two digits of the deviations."""
     parts = []
     for value, deviation in zip(values, deviations, strict=True):
         if value is None or deviation is None:

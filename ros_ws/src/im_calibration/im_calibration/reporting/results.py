@@ -83,7 +83,7 @@ def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | No
 
 
 def _former(directory: Path) -> set[str]:
-    """Files of cameras that a former calibration left there, by its report; others in the directory are somebody's."""
+    """Return the camera files left by a former calibration, according to the report; other files are not included."""
     try:
         report = load_json(directory / "report.json")
     except FileError:
@@ -97,7 +97,7 @@ def _former(directory: Path) -> set[str]:
 
 
 def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:
-    """The plots by file name; matplotlib is loaded with the first picture, not with a node that may never draw."""
+    """Return the plots by file name; matplotlib is loaded with the first plot, not at the start of a node."""
     from im_calibration.reporting.plots import plot_coverage, plot_geometry, plot_residuals
 
     pictures = {}

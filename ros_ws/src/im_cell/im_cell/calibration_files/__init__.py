@@ -1,4 +1,4 @@
-"""Calibrations as files: what one run leaves behind and the next one can be started with.
+"""Calibrations as files: results of one run, and starting values of the next one.
 
 A folder holds ``<camera>.yaml`` (intrinsics, in the format of ROS's `camera_info_manager`), ``extrinsics.yaml`` (poses,
 a `tf2_msgs/TFMessage` in YAML), ``covariance.yaml`` (how well both are known) and ``laser.yaml``; each may be absent.

@@ -1,4 +1,4 @@
-"""How well cameras are known, as YAML: the names of their parameters, and one covariance of all of them."""
+"""Uncertainty of cameras as YAML: the names of the parameters, and one covariance of all parameters."""
 
 from pathlib import Path
 from typing import Self
@@ -18,7 +18,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def covariance_of(rows: Rows, size: int) -> Rows:
-    """The rows, if they are a covariance of so many numbers.
+    """Return the rows, if the rows are a covariance of the given number of parameters.
 
     Raises:
         ValueError: They are not.

@@ -1,4 +1,4 @@
-"""Poses of cameras as YAML: a `tf2_msgs/TFMessage`, as ``ros2 topic echo /tf_static`` shows it."""
+"""Poses of cameras as YAML: a `tf2_msgs/TFMessage`, as shown by ``ros2 topic echo /tf_static``."""
 
 import math
 from collections.abc import Mapping

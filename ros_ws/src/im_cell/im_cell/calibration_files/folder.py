@@ -1,4 +1,4 @@
-"""A folder of calibrations, checked against the cell they are for."""
+"""Folder of calibrations, checked against the cell of the calibrations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ from im_core.jsontext import load_json
 
 @dataclass(frozen=True)
 class CalibrationFiles:
-    """What a folder holds.
+    """Contents of a calibration folder.
 
     Attributes:
         folder: The folder.
@@ -40,11 +40,11 @@ class CalibrationFiles:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Cameras of which something is known."""
+        """Cameras with any known calibration."""
         return tuple(dict.fromkeys((*self.intrinsics, *self.poses)))
 
     def summary(self) -> str:
-        """What is there, in a line."""
+        """Summarise the contents of the folder in one line."""
         parts = []
         for camera in self.cameras:
             known = [word for word, kind in (("intrinsics", self.intrinsics), ("pose", self.poses)) if camera in kind]
@@ -146,7 +146,7 @@ def _covariance(path: Path, cameras: Mapping[str, Camera]) -> CameraCovariance:
 
 
 def _reason(folder: Path) -> str:
-    """Why a calibration left no files, if its report says so."""
+    """Return the reason why a calibration left no files, if the report gives one."""
     try:
         report = load_json(folder / "report.json")
     except FileError:

@@ -26,19 +26,19 @@ _MIDDLE = np.linspace(0.25, 0.75, 5)
 
 @dataclass(frozen=True)
 class Rectified:
-    """What a `CameraInfo` says of rectified images: R, shape (3, 3), and P, shape (3, 4) [px]."""
+    """Rectification part of a `CameraInfo`: R, shape (3, 3), and P, shape (3, 4) [px]."""
 
     R: Array
     P: Array
 
 
 def monocular(model: CameraModel) -> Rectified:
-    """R and P of a camera that belongs to no stereo pair."""
+    """Return R and P of a camera without a stereo pair."""
     return Rectified(np.eye(3), np.hstack((model.K, np.zeros((3, 1)))))
 
 
 class Matrix(pydantic.BaseModel):
-    """A matrix as `camera_info_manager` writes it, row by row."""
+    """Matrix as written by `camera_info_manager`, row by row."""
 
     model_config = pydantic.ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -54,7 +54,7 @@ class Matrix(pydantic.BaseModel):
 
     @property
     def array(self) -> Array:
-        """Its values, shape (rows, cols)."""
+        """Values of the matrix, shape (rows, cols)."""
         return np.array(self.data).reshape(self.rows, self.cols)
 
 
@@ -87,7 +87,7 @@ def _camera_matrix(matrix: Matrix) -> Matrix:
 
 
 def implausible(K: Array, width: int, height: int) -> str:
-    """Why no camera has these intrinsics, a clause; empty if one may.
+    """Return the reason why no camera has the given intrinsics, as a clause; empty if plausible.
 
     Args:
         K: Camera matrix, shape (3, 3) [px].
@@ -107,7 +107,7 @@ def implausible(K: Array, width: int, height: int) -> str:
 
 
 def folded(model: CameraModel) -> str:
-    """Why no lens is like that of a camera, a clause; empty if one may be."""
+    """Return the reason why no lens is like the lens of a camera, as a clause; empty if plausible."""
     u, v = np.meshgrid(_MIDDLE * model.width, _MIDDLE * model.height)
     try:
         model.undistort(np.stack((u, v), axis=-1))
@@ -120,7 +120,7 @@ Side = Annotated[int, pydantic.Field(ge=1)]
 
 
 class IntrinsicsFile(pydantic.BaseModel):
-    """Contents of a camera's file; fields of other tools that are not listed here are passed over.
+    """Contents of a camera's file; fields of other tools, not listed here, are ignored.
 
     Attributes:
         image_width, image_height: Size of the image [px].
@@ -152,7 +152,7 @@ class IntrinsicsFile(pydantic.BaseModel):
 
     @property
     def model(self) -> CameraModel:
-        """Intrinsics and lens; the pose is none."""
+        """Intrinsics and lens, without a pose."""
         D = lens_of(self.distortion_model).all_of(self.distortion_coefficients.data)
         size = (self.image_width, self.image_height)
         return CameraModel(*size, self.camera_matrix.array, D, distortion_model=self.distortion_model)

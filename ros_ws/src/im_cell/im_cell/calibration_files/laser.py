@@ -25,7 +25,7 @@ Row = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class LaserEstimate:
-    """A scanner as it was estimated, and the covariance of its ten parameters, shape (10, 10)."""
+    """Estimated laser scanner, and the covariance of the ten parameters, shape (10, 10)."""
 
     model: LaserModel
     covariance: Array

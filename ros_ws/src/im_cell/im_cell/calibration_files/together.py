@@ -1,4 +1,4 @@
-"""Files of cameras that are changed together: whoever reads their folder has all of the old ones or all of the new.
+"""Camera files changed together: a reader of the folder gets all old files or all new files.
 
 While they are changed, and when that came to no end, the old ones are in the folder ``.before``.
 """
@@ -22,7 +22,7 @@ FoundT = TypeVar("FoundT")
 
 
 def camera_files(folder: Path) -> list[Path]:
-    """The files of cameras that are in force in a folder, sorted.
+    """Return the camera files in force in a folder, sorted.
 
     Raises:
         OSError: It cannot be read.
@@ -32,7 +32,7 @@ def camera_files(folder: Path) -> list[Path]:
 
 
 def read_between_changes(folder: Path, read: Callable[[], FoundT]) -> FoundT:
-    """What is found in a folder whose files do not change while they are read; else it is read again.
+    """Read a folder with no file changed meanwhile; read again after a change.
 
     Args:
         folder: Their folder.
@@ -87,7 +87,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _state(folder: Path) -> dict[str, tuple[int, int] | None]:
-    """Changes whenever one of the files does: each is written as a new one."""
+    """Return a state of the files, different after any change: each change writes a new file."""
     state: dict[str, tuple[int, int] | None] = {}
     for path in (folder / _BEFORE, *folder.glob("*.yaml")):
         try:
@@ -100,7 +100,7 @@ def _state(folder: Path) -> dict[str, tuple[int, int] | None]:
 
 
 def _keep(folder: Path) -> None:
-    """Copy the files to where they stay until all are changed."""
+    """Copy the files to a backup, kept until all files are changed."""
     aside = folder / _ASIDE
     shutil.rmtree(aside, ignore_errors=True)
     make_folder(aside)
@@ -110,7 +110,7 @@ def _keep(folder: Path) -> None:
 
 
 def _forget(folder: Path) -> None:
-    """With the first step, the files of the folder are those in force."""
+    """Remove the backup; from the first step on, the files of the folder are in force."""
     aside = folder / _ASIDE
     shutil.rmtree(aside, ignore_errors=True)
     move(folder / _BEFORE, aside)
@@ -118,7 +118,7 @@ def _forget(folder: Path) -> None:
 
 
 def _restore(folder: Path) -> None:
-    """Put back what a change that came to no end has left."""
+    """Restore the files left by an unfinished change."""
     before = folder / _BEFORE
     if not before.is_dir():
         return

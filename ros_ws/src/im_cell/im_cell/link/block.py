@@ -25,7 +25,7 @@ _FIXED = np.dtype(
 
 
 def layout(n_joints: int) -> np.dtype[np.void]:
-    """Fields of the link for ``n_joints`` joints; each field has one writer, named in the comments."""
+    """Return the fields of the link for ``n_joints`` joints; each field has one writer, named in the comments."""
     return np.dtype(
         [
             # physics
@@ -108,7 +108,7 @@ class LinkBlock:
     def create(
         cls, instance: str, n_joints: int, period_ns: int, factor: float, seed: int, light_names: tuple[str, ...]
     ) -> Self:
-        """Create block and semaphores; what a dead machine of that instance left behind is replaced.
+        """Create block and semaphores; remains of a dead machine of the same instance are replaced.
 
         Raises:
             LinkError: A living process of that instance owns the link.
@@ -121,7 +121,7 @@ class LinkBlock:
 
     @classmethod
     def attach(cls, instance: str, timeout_s: float) -> Self:
-        """Attach to a link whose physics lives.
+        """Attach to a link with living physics.
 
         Raises:
             LinkError: There is none within ``timeout_s`` [s].
@@ -136,7 +136,7 @@ class LinkBlock:
         return Faults(nan, frozen, stuck, open_, bool(self.view["fault_power"]))
 
     def objects(self) -> tuple[JawObject | None, ...]:
-        """What is between the jaws of each gripper."""
+        """Return the objects between the jaws of each gripper."""
         return objects_of(self.view["objects"].tolist())
 
     def lights(self) -> tuple[bool, ...]:
@@ -152,7 +152,7 @@ class LinkBlock:
 
 
 def objects_of(rows: list[list[float]]) -> tuple[JawObject | None, ...]:
-    """Objects of their width [m], stiffness [N/m] and mass [kg]; a width of 0 is none."""
+    """Return objects from width [m], stiffness [N/m] and mass [kg]; a width of 0 is no object."""
     return tuple(JawObject(*row) if row[0] else None for row in rows)
 
 

@@ -1,4 +1,4 @@
-"""What every end of the testbed link has in common, and the end of those who need the testbed's time only."""
+"""Common part of all ends of the testbed link, and the end for clients of testbed time only."""
 
 from enum import IntEnum
 from types import TracebackType
@@ -12,7 +12,7 @@ _POLL_S = 0.0005
 
 
 class LinkEnd:
-    """Knows how fast the testbed ticks, where it is, and whether it is there.
+    """End of the testbed link, with tick period, present tick, and presence of the testbed.
 
     Attributes:
         instance: Name of the machine.
@@ -46,12 +46,12 @@ class LinkEnd:
 
     @property
     def tick(self) -> int:
-        """Ticks since the start."""
+        """Number of ticks since the start."""
         return int(self._shared.view["tick"])
 
     @property
     def wall_period_s(self) -> float:
-        """Wall time between ticks [s]; 0 at clock factor 0, as fast as it goes."""
+        """Wall time between ticks [s]; 0 at clock factor 0, as fast as possible."""
         return self.period_s / self.factor if self.factor > 0.0 else 0.0
 
     def time_asked(self) -> bool:
@@ -69,7 +69,7 @@ class LinkEnd:
         return self._shared.block.owner_alive()
 
     def close(self) -> None:
-        """Release the link; the creator also removes its names."""
+        """Release the link; the creator also removes the names of the link."""
         self._shared.close()
 
     def __enter__(self) -> Self:
@@ -82,7 +82,7 @@ class LinkEnd:
 
 
 class TimeSlot(IntEnum):
-    """Who may ask for time at clock factor 0; one process each."""
+    """Slots for time requests at clock factor 0; one process each."""
 
     MCS = 0
     TESTBED = 1
@@ -90,7 +90,7 @@ class TimeSlot(IntEnum):
 
 
 class ClockEnd(LinkEnd):
-    """Asks for time, and waits for it; that of a client of MCS, other ends ask in slots of their own."""
+    """End of the link for clock requests and waits, for a client of MCS; other ends use separate slots."""
 
     slot: ClassVar[TimeSlot] = TimeSlot.MCS
 
@@ -115,7 +115,7 @@ class ClockEnd(LinkEnd):
         return until
 
     def wait_tick(self, tick: int, timeout_s: float) -> int:
-        """Wait until the testbed has reached a tick, and return the one it is at.
+        """Wait until the testbed has reached a tick, and return the present tick.
 
         Raises:
             LinkError: Physics is gone.
@@ -136,14 +136,14 @@ class ClockEnd(LinkEnd):
 
 
 class StopEnd(ClockEnd):
-    """The emergency stop circuit: a way to the power that does not lead through the servo.
+    """Emergency stop circuit: a switch of the motor power independent of the servo.
 
     While it is cut, motors have no power and brakes are on, whatever the servo commands; it stays cut until it is
     restored, whoever is gone meanwhile. A servo that does not answer then is waited for a tenth as long as else.
     """
 
     def cut(self) -> None:
-        """Take the power away, at the next tick; at clock factor 0, ask for that tick."""
+        """Cut the motor power at the next tick; at clock factor 0, request the tick, too."""
         self._shared.view["stop"][()] = True
         self.request_time(1)
 

@@ -50,7 +50,7 @@ class HostEnd(LinkEnd):
         seed: int = 0,
         light_names: tuple[str, ...] = DEFAULT_LIGHTS,
     ) -> Self:
-        """Create the link; what a dead machine left behind is replaced.
+        """Create the link; remains of a dead machine are replaced.
 
         Others can attach once the first state is published.
 
@@ -96,7 +96,7 @@ class HostEnd(LinkEnd):
         return bool(int(self._shared.view["servo_pid"]))
 
     def read_control(self) -> ControlState:
-        """Who controls the motors, and whether they can move."""
+        """Read the control state of the motors: controlling servo, and ability of the motors to move."""
         view = self._shared.view
         return ControlState(
             tick=self.tick,
@@ -150,7 +150,7 @@ class HostEnd(LinkEnd):
         )
 
     def disturbances(self) -> tuple[Faults, tuple[JawObject | None, ...]] | None:
-        """Faults, and what is between the jaws of each gripper, if they have changed since they were given last.
+        """Return faults and objects between the jaws of each gripper, if changed since the last return.
 
         None otherwise, and while they are being written; then they are there at a later call.
         """
@@ -176,15 +176,15 @@ class HostEnd(LinkEnd):
         return seconds
 
     def laser_command(self) -> LaserBeam:
-        """What is wanted of the laser scanner."""
+        """Return the commanded state of the laser scanner."""
         return LaserBeam(*self._shared.view["laser_command"].tolist())
 
     def publish_laser(self, beam: LaserBeam) -> None:
-        """Say what the laser scanner's own sensors say."""
+        """Publish the readings of the laser scanner's own sensors."""
         self._shared.view["laser"][:] = beam.values()
 
     def demand(self) -> bool:
-        """Whether somebody wants another tick at clock factor 0, and no image that is due is waited for.
+        """Return whether a client wants another tick at clock factor 0, and no due image is awaited.
 
         Whoever takes it has the time that it takes: exposures, and what is asked for in the slot of vision.
         """
@@ -203,7 +203,7 @@ class HostEnd(LinkEnd):
         return self.demand() or (self._shared.wake.wait(timeout_s) and self.demand())
 
     def pending_exposure(self) -> ExposureRequest | None:
-        """The newest exposure request that was not answered yet."""
+        """Return the newest exposure request without an answer."""
         view = self._shared.view
         request = int(view["exposure_request"])
         if request == int(view["exposure_done"]):
@@ -231,7 +231,7 @@ class HostEnd(LinkEnd):
         self._shared.exposed.post()
 
     def _image_awaited(self) -> bool:
-        """Whether an image is due that nobody has said to be there; one that does not come is not waited for again."""
+        """Return whether a due image was not yet reported; an image awaited in vain is not waited for again."""
         due = int(self._shared.view["image_due"])
         if not 0 < due <= self.tick:
             return False

@@ -1,4 +1,4 @@
-"""The testbed's panel: its end of the link switches lights and faults, and puts objects between the jaws."""
+"""Panel of the testbed: the end of the link to switch lights and faults, and to put objects between the jaws."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ class PanelEnd(ClockEnd):
         return int(self._shared.view["servo_losses"])
 
     def set_light(self, index: int, on: bool) -> None:
-        """Switch a light; it is seen from the next tick on.
+        """Switch a light; visible from the next tick on.
 
         Raises:
             DataError: There is no light of that index.
@@ -56,7 +56,7 @@ class PanelEnd(ClockEnd):
         return self._shared.faults()
 
     def stall(self, seconds: float) -> None:
-        """Let physics pause before its next tick, wall time [s].
+        """Pause physics before the next tick, wall time [s].
 
         Raises:
             DataError: Not a positive, finite time.
@@ -67,7 +67,7 @@ class PanelEnd(ClockEnd):
             self._shared.view["stall_s"][()] = seconds
 
     def set_object(self, gripper: int, held: JawObject | None) -> None:
-        """Put an object between the jaws of a gripper, or take it away.
+        """Put an object between the jaws of a gripper, or remove the object.
 
         Raises:
             DataError: There is no such gripper.
@@ -79,12 +79,12 @@ class PanelEnd(ClockEnd):
             objects[gripper] = (0.0, 0.0, 0.0) if held is None else (held.width, held.stiffness, held.mass)
 
     def objects(self) -> tuple[JawObject | None, ...]:
-        """What is between the jaws of each gripper."""
+        """Return the objects between the jaws of each gripper."""
         return self._shared.objects()
 
     @contextmanager
     def _changing(self) -> Iterator[None]:
-        """Has physics wait until all is written; a node that died while it wrote may have left the count odd."""
+        """Block readers in physics until all is written; a node killed during a write may have left the count odd."""
         changes = self._shared.view["disturbances"]
         changes[()] = int(changes) | 1
         yield

@@ -7,12 +7,12 @@ from im_core.procfs import ProcessId
 
 
 class ServoEnd(LinkEnd):
-    """Reads the measured state of each tick and answers it with a command."""
+    """Servo end of the link: reads the measured state of each tick and answers with a command."""
 
     _pid = 0  # of the servo that this end has attached; 0: none
 
     def attach_servo(self, pid: int) -> None:
-        """Take part in the handshake from the next tick on; who takes part already still answers the present one.
+        """Attach a servo from the next tick on; a servo already attached still answers the present tick.
 
         Args:
             pid: Process that runs the servo loop.
@@ -79,7 +79,7 @@ class ServoEnd(LinkEnd):
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
     def faults(self) -> Faults:
-        """What the testbed itself reports to be broken, as the drives of a robot do."""
+        """Return the faults reported by the testbed, as by the drives of a robot."""
         return self._shared.faults()
 
     def write_command(self, command: TickCommand) -> None:
@@ -112,12 +112,12 @@ class ServoEnd(LinkEnd):
         self._shared.command.post()
 
     def _require_attached(self) -> None:
-        """Who has attached a servo hears once that it was declared gone."""
+        """Raise once, if the attached servo was declared gone."""
         if self._pid and int(self._shared.view["servo_pid"]) != self._pid:
             raise self._gone()
 
     def _gone(self) -> LinkError:
-        """What is said once to who reads, and to who writes until it attaches a servo again."""
+        """Return the error for a lost servo: raised once for a reader, for a writer until the next attachment."""
         self._pid = 0
         present = int(self._shared.view["servo_pid"])
         other = f"; process {present} is its servo now" if present else ""

@@ -1,4 +1,4 @@
-"""What travels over the testbed link."""
+"""Values sent over the testbed link."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from im_core.errors import DataError
 _LARGEST_WIDTH_M, _LARGEST_STIFFNESS_N_M, _LARGEST_MASS_KG = 1.0, 1e9, 1e3
 
 class Sensors(NamedTuple):
-    """What the testbed's sensors say.
+    """Readings of the testbed's sensors.
 
     Attributes:
         q: Encoder readings, quantised and noisy, shape (n,) [rad or m].
@@ -33,7 +33,7 @@ class Sensors(NamedTuple):
 
 
 class TickState(NamedTuple):
-    """What :class:`Sensors` say at the start of a tick.
+    """Readings of the :class:`Sensors` at the start of a tick.
 
     Attributes:
         tick: Number of the tick.
@@ -52,7 +52,7 @@ class TickState(NamedTuple):
 
 
 class ControlState(NamedTuple):
-    """Who controls the motors.
+    """Control state of the motors.
 
     Attributes:
         tick: Number of the tick.
@@ -70,7 +70,7 @@ class ControlState(NamedTuple):
 
 
 class TickCommand(NamedTuple):
-    """What the servo wants during a tick.
+    """Servo command for one tick.
 
     Attributes:
         tau: Motor torques at the joints, shape (n,) [Nm or N].
@@ -91,7 +91,7 @@ class TickCommand(NamedTuple):
 
 @dataclass(frozen=True)
 class Faults:
-    """What is broken.
+    """Faults of the hardware.
 
     Attributes:
         encoder_nan: Encoders that give no number, shape (n,).
@@ -140,7 +140,7 @@ class JawObject:
 
 @dataclass(frozen=True)
 class LaserBeam:
-    """Mirrors and power of the laser scanner: what is commanded, what is so, or what an exposure saw.
+    """Mirrors and power of the laser scanner: commanded, actual, or as seen by an exposure.
 
     Attributes:
         mirror1: Angle of mirror 1, the middle of its sweep [rad].
@@ -179,7 +179,7 @@ class ExposureRequest:
 
 @dataclass(frozen=True)
 class Exposure:
-    """What a shutter saw.
+    """Data of one exposure.
 
     Attributes:
         start_tick: Tick at whose start the shutter opened.
@@ -200,7 +200,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class TrueState:
-    """What is really so; the host's end alone tells it.
+    """True state of the testbed, published by the host's end only.
 
     Attributes:
         q: Joint positions, shape (n,) [rad or m].

@@ -1,4 +1,4 @@
-"""The ends of the testbed link of what sees: the cameras, and the laser scanner."""
+"""Ends of the testbed link for vision: the cameras and the laser scanner."""
 
 from typing import ClassVar
 
@@ -15,7 +15,7 @@ class CameraEnd(LinkEnd):
     """Asks for exposures."""
 
     def expose(self, ticks: int, blank_light: bool, timeout_s: float, blank_laser: bool = False) -> Exposure:
-        """Open the shutter at the next tick boundary for ``ticks`` ticks, and wait until it has closed.
+        """Open the shutter at the next tick boundary for ``ticks`` ticks, and wait until the shutter has closed.
 
         One client at a time: a request replaces one that is still pending.
 
@@ -61,10 +61,10 @@ class CameraEnd(LinkEnd):
 
 
 class RateEnd(LinkEnd):
-    """Says when images are due that are taken at a rate; one client at a time."""
+    """End of the link to announce due images taken at a rate; one client at a time."""
 
     def await_image(self, due_ns: int | None) -> None:
-        """Have time wait, at clock factor 0, for an image that is due, until this is said anew.
+        """Let simulated time wait, at clock factor 0, for a due image, until the next call.
 
         What others want of time waits, for a second at most (:data:`im_cell.link.host.IMAGE_PATIENCE_S`).
 
@@ -82,9 +82,9 @@ class LaserEnd(ClockEnd):
     slot: ClassVar[TimeSlot] = TimeSlot.VSS
 
     def set_laser(self, beam: LaserBeam) -> None:
-        """Say what is wanted; the mirrors start to move with the next tick, and stop at their ends."""
+        """Command the laser scanner; the mirrors start to move with the next tick, and stop at the ends of travel."""
         self._shared.view["laser_command"][:] = beam.values()
 
     def laser(self) -> LaserBeam:
-        """What the scanner's own sensors say."""
+        """Return the readings of the scanner's own sensors."""
         return LaserBeam(*self._shared.view["laser"].tolist())

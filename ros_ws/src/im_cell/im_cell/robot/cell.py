@@ -1,4 +1,4 @@
-"""The cell: parameters of ``cell.yaml`` and what follows from them."""
+"""The cell: parameters of ``cell.yaml`` and derived values."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -72,7 +72,7 @@ class Cell(Model):
         return self
 
     def _check_frames(self) -> None:
-        """Whatever is fixed to something is fixed to what is there."""
+        """Check the parts of the cell: each must be fixed to an existing frame."""
         arm_links = [f"link{number}" for number in range(1, 7)]
         frames = (_WORLD, *(link.name for link in self.links), *(f"{side}_wrist" for side in self.sides))
         fixed: list[tuple[Location, Sequence[Box | Capsule | Mirror], Sequence[str]]] = [
@@ -96,7 +96,7 @@ class Cell(Model):
                 raise FieldError(("boxes", rank, "name"), f"two boxes have the same name, '{name}'")
 
     def at_period(self, period: float) -> Self:
-        """The same cell with another tick [s]; physics takes as many steps in it as keep the length of a step.
+        """Return the same cell with another tick [s]; the number of physics steps keeps the step length.
 
         Raises:
             ConfigError: The period is too short, or needs more steps than allowed.
@@ -138,7 +138,7 @@ class Cell(Model):
 
     @cached_property
     def obstacles(self) -> tuple[Box, ...]:
-        """Boxes fixed to the world which nothing may touch."""
+        """Boxes fixed to the world, not to be touched by anything."""
         return tuple(box for box in self.boxes if box.collision)
 
     @property

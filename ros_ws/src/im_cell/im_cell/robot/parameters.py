@@ -44,7 +44,7 @@ class Limits(Model):
 
 
 class Motor(Model):
-    """A motor behind its gear, in the motor's own terms.
+    """Motor behind a gear, in the motor's own terms.
 
     Attributes:
         inertia: Of the rotor [kg m2].
@@ -69,7 +69,7 @@ class Motor(Model):
 
 
 class DhLink(Model):
-    """A link by its standard Denavit-Hartenberg row; mass properties in the DH frame.
+    """Link by a standard Denavit-Hartenberg row; mass properties in the DH frame.
 
     Attributes:
         d, a, alpha: The row's constants [m, m, rad].
@@ -111,7 +111,7 @@ class Capsule(Model):
 
 
 class Box(Model):
-    """A box, for display, and for collision where it is fixed to the world.
+    """Box for display, and for collision where fixed to the world.
 
     Attributes:
         link: URDF link it is fixed to (in ``cart`` without the side's prefix).
@@ -131,7 +131,7 @@ class Box(Model):
 
 
 class ArmModel(Model):
-    """Kinematics, dynamics and shape of an arm; ``source``: where the numbers are from, or that they are estimates."""
+    """Kinematics, dynamics and shape of an arm; ``source``: origin of the numbers, or a note of estimates."""
 
     source: Source
     mount_height: Number
@@ -141,7 +141,7 @@ class ArmModel(Model):
 
 
 class CartStage(Model):
-    """One moving part of a cart; ``height`` is its joint's above the one before [m]."""
+    """One moving part of a cart; ``height`` is the height of the joint above the joint before [m]."""
 
     height: Number
     mass: Positive
@@ -151,7 +151,7 @@ class CartStage(Model):
 
 
 class Cart(Model):
-    """A cart: it drives along the track, turns, and tilts; ``source`` as of an arm."""
+    """Cart, moving along the track, turning, and tilting; ``source`` as of an arm."""
 
     source: Source
     track: CartStage
@@ -164,7 +164,7 @@ class Cart(Model):
 
 
 class Side(Model):
-    """One cart with its arm."""
+    """One cart with the arm on top."""
 
     arm: str
     track_limits: Limits
@@ -260,7 +260,7 @@ class Intrinsics(Model):
 
 
 def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
-    """Axes of something at ``position`` that looks at ``target``: right, down and forward as columns, shape (3, 3).
+    """Compute axes at ``position``, looking at ``target``: right, down and forward as columns, shape (3, 3).
 
     Raises:
         ValueError: Its target is where it is, or ``up`` is along its view.
@@ -278,7 +278,7 @@ def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
 
 
 class Camera(Model):
-    """A camera's nominal mount and lens: it stands at ``position``, looks at ``target``, its image's top is ``up``."""
+    """Nominal mount and lens of a camera at ``position``, looking at ``target``, with ``up`` as top of the image."""
 
     parent: str
     position: Vector

@@ -1,4 +1,4 @@
-"""What the cameras see beside robot and furniture: lenses, printed targets, metal that mirrors, lights that blink."""
+"""Scenery of the cameras beside robot and furniture: lenses, printed targets, mirroring metal, blinking lights."""
 
 from typing import Annotated, Literal, Self
 
@@ -23,7 +23,7 @@ class Optics(Model):
 
 
 class Target(Model):
-    """A printed square plate, for cameras only: nothing collides with it.
+    """Printed square plate, for cameras only: without collision.
 
     Attributes:
         name: Its name.
@@ -54,7 +54,7 @@ class Target(Model):
         return self
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """R, shape (3, 3), and t, shape (3,) [m], with ``x_world = R x + t``: x to the print's right, y up, z out."""
+        """Return R, shape (3, 3), and t, shape (3,) [m]; ``x_world = R x + t``: x to the print's right, y up, z out."""
         out = np.array(self.normal) / np.linalg.norm(self.normal)
         right = np.cross(np.array(self.up), out)
         right /= np.linalg.norm(right)
@@ -62,7 +62,7 @@ class Target(Model):
 
 
 class Mirror(Model):
-    """A rectangle of metal that reflects the lights.
+    """Metal rectangle reflecting the lights.
 
     Attributes:
         name: What it is.
@@ -84,7 +84,7 @@ class Mirror(Model):
 
 
 class Lamp(Model):
-    """A light that blinks by itself.
+    """Light with automatic blinking.
 
     Attributes:
         name: What it is.
@@ -101,7 +101,7 @@ class Lamp(Model):
     duty: Annotated[float, Field(ge=0.0, le=1.0)]
 
     def lit(self, start_s: float, end_s: float) -> float:
-        """Share of a time interval [s] during which it is lit; it lights up at multiples of its period."""
+        """Compute the share of a time interval [s] with the lamp lit; each flash starts at a multiple of the period."""
 
         def total(time_s: float) -> float:
             periods, rest = divmod(time_s, self.period)
@@ -111,7 +111,7 @@ class Lamp(Model):
 
 
 class LaserTolerance(Model):
-    """How far a scanner may be off its data sheet, as standard deviations.
+    """Tolerances of a scanner around the data sheet, as standard deviations.
 
     Attributes:
         gain: Of a mirror's angle, relative [-].

@@ -1,4 +1,4 @@
-"""What the simulated cell is really like, as the file ``truth.json``.
+"""True values of the simulated cell, as the file ``truth.json``.
 
 Written by the testbed; read by what plays hardware (the camera process) and, after calibration is done, by whoever
 prints its error. Nothing that estimates may read it.
@@ -41,7 +41,7 @@ class CameraTruth(Model):
 
 
 class LedTruth(Model):
-    """A wrist light: offset and outward axis in the frame of its wrist [m], diameter [m]."""
+    """Wrist light: offset and outward axis in the frame of the wrist [m], diameter [m]."""
 
     offset_m: Vector
     axis: Vector
@@ -70,7 +70,7 @@ class LaserTruth(Model):
 
 
 class CellTruth(Model):
-    """True cameras and lights by name, the laser scanner, and the seed they were drawn with."""
+    """True cameras and lights by name, the laser scanner, and the random seed of all."""
 
     seed: int
     cameras: dict[str, CameraTruth]

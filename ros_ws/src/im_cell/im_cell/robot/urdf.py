@@ -97,7 +97,7 @@ def _visual_box(box: Box, color: Vector) -> list[str]:
 
 
 def _capsule(capsule: Capsule, color: Vector) -> list[str]:
-    """A cylinder with a ball at each end: capsules are not part of URDF."""
+    """Build a cylinder with a ball at each end: capsules are not part of URDF."""
     (x0, y0, z0), (x1, y1, z1) = capsule.p0, capsule.p1
     middle = ((x0 + x1) / 2.0, (y0 + y1) / 2.0, (z0 + z1) / 2.0)
     flat, length = hypot(x1 - x0, y1 - y0), dist(capsule.p0, capsule.p1)

@@ -1,4 +1,4 @@
-"""What has been established for a command holds in one life of who keeps it: power and slots of ``/mcs``, a light."""
+"""Establishments for a command, valid in one incarnation of the keeping task: power and slots of ``/mcs``, a light."""
 
 from std_msgs.msg import UInt64
 
@@ -15,7 +15,7 @@ FRESH_S = 1.0
 
 
 class Establishment:
-    """Keeps in a data object of the command in which life of a task something was established for it.
+    """Record of a task's incarnation at an establishment for a command, kept in a data object of the command.
 
     Args:
         host: The coordinator, or what stands for it.
@@ -27,7 +27,7 @@ class Establishment:
         self._host, self._task, self._what = host, task, what
 
     async def note(self, ctx: ActionContext, name: str) -> None:
-        """Notes that something is being established for a command now; before it is, so that no death is missed.
+        """Note an establishment for a command, with the task's incarnation; call before, to miss no death of the task.
 
         Args:
             ctx: What is done.
@@ -39,7 +39,7 @@ class Establishment:
         await self._host.dom.put(self._object(ctx, name), UInt64(data=await self._life()))
 
     async def require(self, ctx: ActionContext, name: str) -> None:
-        """Sees to it that what was established for a command is still there; one that established nothing may go on.
+        """Check the establishment of a command for loss; a command without an establishment may go on.
 
         Raises:
             StateError: It went with the life in which it was; of code ``begun_anew``.
@@ -52,7 +52,7 @@ class Establishment:
             raise lost(self._task, self._what, name)
 
     async def forget(self, ctx: ActionContext, name: str) -> None:
-        """Notes that it is given up."""
+        """Note the end of the establishment."""
         if await self._host.dom.is_valid(noted := self._object(ctx, name)):
             await self._host.dom.invalidate(noted)
 
@@ -60,7 +60,7 @@ class Establishment:
         return ctx.object(f"{self._what}/{name}")
 
     async def _life(self) -> int:
-        """The present life of the task; a coordinator that has just begun waits until it hears it."""
+        """Return the present incarnation of the task; a coordinator just started waits for the first heartbeat."""
         deadline = clock.monotonic() + HEARD_S
         while (life := self._host.life(self._task)) is None:
             if clock.monotonic() > deadline:

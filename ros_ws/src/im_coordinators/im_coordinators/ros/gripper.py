@@ -13,7 +13,7 @@ from im_pnt_node.ros.node_host import NodeHost
 
 
 class GripperCoordinator(PntNode):
-    """Runs ``nets/gripper_coordinator.yaml``, whose actions are goals of MCS."""
+    """Run ``nets/gripper_coordinator.yaml``, with goals of MCS as actions."""
 
     def __init__(self) -> None:
         host = NodeHost()
@@ -24,11 +24,11 @@ class GripperCoordinator(PntNode):
 
 
 def gripper_functions(host: Host) -> Functions:
-    """The functions of the net, for a node or what stands for it."""
+    """Return the functions of the net, for a node or a substitute."""
     powered = Establishment(host, "mcs", "powered")
 
     async def while_powered(ctx: ActionContext) -> dict[str, object]:
-        """Nothing but what the net says, while the arm has the power that it was given for the command."""
+        """Return no extra arguments, while the arm still has the power established for the command."""
         await powered.require(ctx, str(ctx.request_arguments["gripper"]).removesuffix("_gripper"))
         return {}
 

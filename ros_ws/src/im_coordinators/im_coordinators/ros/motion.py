@@ -47,7 +47,7 @@ class MotionCoordinator(PntNode):
 
 
 def motion_functions(host: Host) -> Functions:
-    """The functions and enabling functions of the net, for a node or what stands for it."""
+    """Return the functions and enabling functions of the net, for a node or a substitute."""
     motion = MotionFunctions(host)
     actions: dict[str, ActionFunction] = {"note_held": motion.note_held, "take_path": motion.take_path}
     return Functions(
@@ -72,7 +72,7 @@ def motion_functions(host: Host) -> Functions:
 
 
 class MotionFunctions:
-    """Functions of ``nets/motion_coordinator.yaml``; the net decides what comes when.
+    """Functions of ``nets/motion_coordinator.yaml``; the net decides the order.
 
     Args:
         host: The node.
@@ -83,32 +83,32 @@ class MotionFunctions:
         self._powered = Establishment(host, "mcs", "powered")
 
     def group_and_owner(self, ctx: ActionContext) -> dict[str, object]:
-        """The arm that is to move, for this node alone."""
+        """Return the arm to move, and the present node as the only owner."""
         return {"group": _group(ctx), "owner": self._host.name}
 
     async def to_reserve(self, ctx: ActionContext) -> dict[str, object]:
-        """The same, where slots and power that are held from now on are established for the command."""
+        """Return arm and owner, and note slots and power, held from now on, as established for the command."""
         await self._powered.note(ctx, _group(ctx))
         return self.group_and_owner(ctx)
 
     async def note_held(self, ctx: ActionContext) -> None:
-        """Notes that what is held is established in the present life of MCS.
+        """Note the held slots and power as established in the present incarnation of MCS.
 
         Another may have been noted when it was reserved: a life is heard of later than it gives its first answers.
         """
         await self._powered.note(ctx, _group(ctx))
 
     def take_path(self, ctx: ActionContext) -> None:
-        """Takes the path that was planned beforehand."""
+        """Take the path planned beforehand."""
         take_path(ctx.memory)
 
     async def while_reserved(self, ctx: ActionContext) -> dict[str, object]:
-        """The same, of what was reserved in this life of MCS."""
+        """Return arm and owner, for slots and power reserved in the present incarnation of MCS."""
         await self._powered.require(ctx, _group(ctx))
         return self.group_and_owner(ctx)
 
     async def path_to_follow(self, ctx: ActionContext) -> dict[str, object]:
-        """The goal of a move: the path of the command, of an arm that has not lost its power since."""
+        """Return the goal of a move: the path of the command, for an arm without a loss of power since."""
         await self._powered.require(ctx, _group(ctx))
         path = await self._host.dom.get(ctx.object(_path(ctx)), JointTrajectory)
         if depends_on_here(ctx.request_arguments) and path.points:
@@ -116,7 +116,7 @@ class MotionFunctions:
         return {"path": path}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
-        """Stores the position that MCS measured at rest, where the command has brought the arm."""
+        """Store the position measured by MCS at rest, at the end of the command's move."""
         await self._powered.require(ctx, _group(ctx))
         told: McsState | None = self._host.last(MCS_STATE)
         require_rest(answer.state.group, answer.state.at_rest, told.reason if told else "")
@@ -124,13 +124,13 @@ class MotionFunctions:
         await self._host.dom.put(name, answer.state, place="motion_coordinator.pos_found")
 
     def state(self, ctx: ActionContext) -> str:
-        """State of the arm that is to move, as far as this node may move it."""
+        """Return the state of the arm to move, as far as the present node may move the arm."""
         told: McsState | None = self._host.last(MCS_STATE)
         return state_for([] if told is None else told.groups, _group(ctx), self._host.name)
 
 
 def destination_asked(ctx: ActionContext) -> dict[str, object]:
-    """Where the arm is to move: whatever way the request says it; once it was under way, to where that way led."""
+    """Return the destination of the arm from the request's arguments; after a start, the end of the path followed."""
     asked = ctx.request_arguments
     way = way_asked(asked, (*DESTINATIONS, "path"), "move_robot")
     here = {"group": asked["group"], "near": asked["near"], "leaves": _path(ctx)}
@@ -151,7 +151,7 @@ def _group(ctx: ActionContext) -> str:
 
 
 def _path(ctx: ActionContext) -> str:
-    """Name of the path that is followed: two arms of one command move along two."""
+    """Return the name of the path to follow: two arms of one command follow two paths."""
     return f"path/{_group(ctx)}"
 
 

@@ -49,7 +49,7 @@ class PathPlanningCoordinator(PntNode):
 
 
 def planning_functions(host: Host) -> Functions:
-    """The functions and enabling functions of the net, for a node or what stands for it."""
+    """Return the functions and enabling functions of the net, for a node or a substitute."""
     planning = PathPlanningFunctions(host)
     functions = {
         "find_configuration": planning.find_configuration,
@@ -68,7 +68,7 @@ def planning_functions(host: Host) -> Functions:
 
 
 class PathPlanningFunctions:
-    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides what comes when.
+    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides the order.
 
     Args:
         host: The node.
@@ -81,7 +81,7 @@ class PathPlanningFunctions:
         self._reach = cell.gripper.reach
 
     async def find_configuration(self, ctx: ActionContext) -> None:
-        """Finds joint positions for what was asked for, near to where the group is, or to its home."""
+        """Find joint positions for the request, near the present position of the group, or near home."""
         here = await self._here(ctx)
         seed = _position(here)
         if ctx.request_arguments["near"] == "home":
@@ -89,24 +89,24 @@ class PathPlanningFunctions:
         await self._find(ctx, here, seed)
 
     async def find_another(self, ctx: ActionContext) -> None:
-        """Finds other joint positions for the destination, near to where the arm is out of the way."""
+        """Find other joint positions for the destination, near a position with the arm out of the way."""
         here = await self._here(ctx)
         ctx.memory["another"] = True
         await self._find(ctx, here, tucked_seed(_position(here), self._home[here.group]))
 
     async def plan_direct(self, ctx: ActionContext) -> None:
-        """Stores the joint-interpolated path to the goal if it is free."""
+        """Store the joint-interpolated path to the goal if the path is free."""
         joints, start, goal = _way(ctx)
         await self._store(ctx, joints, start, [goal], "plan_done")
 
     async def plan_detour(self, ctx: ActionContext) -> None:
-        """Stores the path with the arm tucked on the way if it is free."""
+        """Store the path with the arm tucked on the way if the path is free."""
         joints, start, goal = _way(ctx)
         points = detour(start, goal, self._home[str(ctx.request_arguments["group"])])
         await self._store(ctx, joints, start, points, "plan_done")
 
     async def check_given(self, ctx: ActionContext) -> None:
-        """Stores the path that was given if it is free."""
+        """Store the given path if the path is free."""
         given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["path"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
@@ -166,7 +166,7 @@ class PathPlanningFunctions:
 
 
 def _way(ctx: ActionContext) -> tuple[list[str], list[float], list[float]]:
-    """Joints, where they are and where they are to be, as found for the request.
+    """Return the joints, the present positions, and the positions found for the request.
 
     Raises:
         StateError: Nothing was found.

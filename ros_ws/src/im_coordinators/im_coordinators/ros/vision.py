@@ -47,7 +47,7 @@ class VisionCoordinator(PntNode):
 
 
 def vision_functions(host: Host) -> Functions:
-    """The functions and enabling functions of the net, for a node or what stands for it."""
+    """Return the functions and enabling functions of the net, for a node or a substitute."""
     vision = VisionFunctions(host)
     functions = (
         vision.light_on,
@@ -69,7 +69,7 @@ def vision_functions(host: Host) -> Functions:
 
 
 class VisionFunctions:
-    """Functions of ``nets/vision_coordinator.yaml``; the net decides what comes when.
+    """Functions of ``nets/vision_coordinator.yaml``; the net decides the order.
 
     Args:
         host: The node.
@@ -92,20 +92,20 @@ class VisionFunctions:
         return {"name": name, "on": True}
 
     async def light_as_found(self, ctx: ActionContext) -> dict[str, object]:
-        """Has a light as it was before; where the command has not touched it, as it is."""
+        """Return the request to restore a light; a light not touched by the command stays unchanged."""
         name = _light(ctx)
         if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + name)):
             return {"name": name, "on": bool((await self._host.dom.get(found, Bool)).data)}
         return {"name": name, "on": await self._is_lit(name)}
 
     async def forget_light(self, ctx: ActionContext, answer: SetLight.Response) -> None:
-        """It is as it was: what comes next finds it so."""
+        """Drop the notes of a light restored: the next action finds the original state."""
         await self._lit.forget(ctx, _light(ctx))
         if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
             await self._host.dom.invalidate(found)
 
     async def _lights(self) -> String:
-        """What the testbed last said of its lights; a coordinator that has just begun waits until it hears it."""
+        """Return the last light states from the testbed; a coordinator just started waits for the first message."""
         deadline = clock.monotonic() + LIGHTS_S
         while (message := self._host.last(LIGHTS)) is None:
             if clock.monotonic() > deadline:
@@ -115,18 +115,18 @@ class VisionFunctions:
         return found
 
     async def _is_lit(self, name: str) -> bool:
-        """Whether a light is on; one that the cell does not have is not."""
+        """Return whether a light is on; a light unknown to the cell is off."""
         return lights_told((await self._lights()).data, self._cell).get(name, False)
 
     async def look_exposure(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for a look, of a light that is on."""
+        """Return the request for a look, at a light switched on."""
         await self._lit.require(ctx, _light(ctx))
         await self._require_lit(_light(ctx))
         exposure = self._host.parameter(LONG_EXPOSURE) if ctx.request_arguments["longer"] else 0.0
         return {"cameras": ctx.request_arguments["cameras"], "exposure": exposure}
 
     async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for a spot as it was asked for."""
+        """Return the request for a spot as received."""
         await self._lit.require(ctx, _light(ctx))
         await self._require_lit(_light(ctx))
         return {name: ctx.request_arguments[name] for name in ("cameras", "exposure", "look")}
@@ -136,7 +136,7 @@ class VisionFunctions:
         return {"cameras": ctx.request_arguments["cameras"], "exposure": self._host.parameter(LONG_EXPOSURE)}
 
     async def _require_lit(self, name: str) -> None:
-        """Waits until the testbed says that a light is on; it may have been switched just now.
+        """Wait until the testbed reports a light as on; the light may have been switched just now.
 
         Raises:
             StateError: It says that it is off.
@@ -148,14 +148,14 @@ class VisionFunctions:
             await self._host.pause(PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
-        """Stores the spots that were found, if any was, of a light that was on all the time."""
+        """Store the spots found, if any, of a light switched on all the time."""
         await self._lit.require(ctx, _light(ctx))
         require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
         await self._host.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
 
     async def keep_observation(self, ctx: ActionContext) -> None:
-        """Keeps spots and position of a pose as an observation, under the number of the pose."""
+        """Store spots and position of a pose as an observation, under the number of the pose."""
         asked = ctx.request_arguments
         pose = str(asked["pose"])
         spots = await self._host.dom.get(ctx.object("spots"), SpotSet)
@@ -173,7 +173,7 @@ class VisionFunctions:
         await self._host.dom.put(ctx.object(f"observation/{asked['number']}"), observation)
 
     async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for a calibration from observations that were kept."""
+        """Return the request for a calibration from stored observations."""
         asked = ctx.request_arguments
         numbers = read_data(list[int], asked["observations"], "argument observations")
         reasons = read_data(dict[str, str], asked["rejected"], "argument rejected")
@@ -185,13 +185,13 @@ class VisionFunctions:
         return {"cameras": cameras, "observations": kept, "directory": directory, "apply": True}
 
     async def store_calibration(self, ctx: ActionContext, answer: Calibrate.Response) -> None:
-        """Stores the calibration."""
+        """Store the calibration."""
         name, place = ctx.object("calibration"), "vision_coordinator.calibration_stored"
         await self._host.dom.put(name, answer.report, place=place)
 
 
 def _another_look_may_help(ctx: ActionContext) -> bool:
-    """Where the arm still is what was looked at."""
+    """Return whether another look may help; not for a request with images of an earlier look."""
     return not ctx.request_arguments["look"] and another_look_may_help(ctx.failure)
 
 

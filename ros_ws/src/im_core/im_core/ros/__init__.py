@@ -1,4 +1,4 @@
-"""What the ROS shells of all packages share.
+"""Common parts of the ROS shells of all packages.
 
 - :mod:`im_core.ros.node`: ``ManagedNode``, the base class of all tasks; :mod:`im_core.ros.run` spins them;
 - :mod:`im_core.ros.guard`: ``GuardedNode``, base of every node, its action server and client: callbacks may raise;

@@ -1,4 +1,4 @@
-"""Waiting for services, threads and futures with a time-out that says what it waited for."""
+"""Waits for services, threads and futures with a time-out naming the awaited event."""
 
 import faulthandler
 import threading
@@ -91,7 +91,7 @@ async def call(node: ManagedNode, client: Client, request: Any, timeout_s: float
 
 
 async def ask_again(ask: Callable[[], Awaitable[ResultT]], patience_s: float, what: str) -> ResultT:
-    """Ask again where an answer does not come in time, of what has the same effect however often it is asked.
+    """Repeat a request after each wait without an answer; for requests with the same effect when repeated.
 
     A server that has not discovered its client yet, or that dies, loses answers.
 
@@ -113,7 +113,7 @@ async def ask_again(ask: Callable[[], Awaitable[ResultT]], patience_s: float, wh
 
 
 def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> Any:
-    """Call a service from a thread that does not spin (scripts and tests).
+    """Call a service from a thread without spinning (scripts and tests).
 
     Raises:
         WaitTimeoutError: No such service, or no answer, in time.
@@ -131,11 +131,11 @@ def call_blocking(client: Client, request: Any, timeout_s: float, what: str) -> 
 
 
 def _none(executor: object) -> None:
-    """In the place of a future's executor: who waits is told where the answer is taken, which is in the loop."""
+    """Stand in for a future's executor: the waiter is told in the loop, at the place taking the answer."""
 
 
 def carry(function: Callable[[], object], ended: Future) -> None:
-    """Call a function, and bring what it returns or raises to whoever awaits that."""
+    """Call a function, and pass the return value or exception to a future."""
     try:
         result = function()
     except FOREIGN as error:  # it is raised where it is awaited
@@ -151,7 +151,7 @@ async def run_in_thread(
     timeout_s: float = LONGEST_S,
     tell_after_s: float = LONG_S,
 ) -> ResultT:
-    """Run what takes long, or may block (files, data bases, processes), in a thread of its own: the loop goes on.
+    """Run a long or blocking function (files, databases, processes) in a separate thread; the loop goes on.
 
     A thread cannot be ended: one whose time is over is left behind, and what it brings is dropped. Of one that takes
     long the log says where it is: whether it computes, or waits for what does not come.

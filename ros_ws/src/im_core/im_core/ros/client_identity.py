@@ -1,4 +1,4 @@
-"""Who called: the process behind a request of a service or of an action.
+"""Caller of a request: the process behind a request of a service or an action.
 
 Every request of DDS carries the identity of its writer, whose first twelve bytes are those of the participant: a
 context of ROS, in nearly all cases a process. ``rclpy`` keeps it, but shows the sequence number only; it is read here
@@ -39,7 +39,7 @@ class _ServiceInfo(ctypes.Structure):
 
 
 def client_of(header: Any) -> str:
-    """The process that sent a request, as a text that is the same for all its requests; empty if it cannot be told.
+    """Return the process of a request's sender, as a text equal for all requests of the process; empty if unknown.
 
     Args:
         header: As taken with the request: ``rmw_service_info_t`` or ``rmw_request_id_t``.
@@ -48,7 +48,7 @@ def client_of(header: Any) -> str:
 
 
 def sender_of(header: Any) -> str:
-    """The client of ROS that sent a request, as :func:`client_of`; a process may have several of one service."""
+    """Return the ROS client of a request's sender, as :func:`client_of`; a process may have several of one service."""
     if isinstance(header, _rclpy.rmw_service_info_t):
         request, shown = _value(_ServiceInfo, header).request_id, header.request_id.sequence_number
     elif isinstance(header, _rclpy.rmw_request_id_t):

@@ -1,4 +1,4 @@
-"""Where rclpy makes an object of a message in C: what is too long is seen there, before that takes any time.
+"""Hook in rclpy's conversion of messages from C to objects: a too long message is found before the conversion.
 
 To make objects of 10^6 texts takes rclpy seconds, in which no thread of the node runs. What hooks in here relies on the
 four capsules that rosidl gives every generated class, and on its layout of sequences and texts.
@@ -23,7 +23,7 @@ _functions: list[Any] = []
 
 
 def capsule(function: Any) -> Any:
-    """A capsule, as a generated class has them, of a function of ctypes."""
+    """Return a capsule, in the form of a generated class, of a function of ctypes."""
     make = ctypes.pythonapi.PyCapsule_New
     make.restype, make.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
     _functions.append(function)
@@ -31,7 +31,7 @@ def capsule(function: Any) -> Any:
 
 
 def converter(message: Any) -> Callable[[int], Any]:
-    """How a generated class makes an object of the message at an address; rclpy must have loaded its type support."""
+    """Return the converter of a generated class, from address to object; rclpy must have loaded the type support."""
     address = ctypes.pythonapi.PyCapsule_GetPointer
     address.restype, address.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
     convert: Callable[[int], Any] = CONVERT(address(type(message)._CONVERT_TO_PY, None))
@@ -39,6 +39,6 @@ def converter(message: Any) -> Callable[[int], Any]:
 
 
 def converted_by(message: Any, convert: Callable[[int], Any]) -> Any:
-    """A class of messages that rclpy takes as it takes `message`; what is at an address becomes what `convert` says."""
+    """Return a class of messages for rclpy in place of `message`, with data at an address converted by `convert`."""
     kind = type(message)
     return type("ConvertingMetaclass", (kind,), {"_CONVERT_TO_PY": capsule(CONVERT(convert))})("Converted", (), {})

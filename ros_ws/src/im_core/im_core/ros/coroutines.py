@@ -1,4 +1,4 @@
-"""What the loop of a node runs besides its callbacks: coroutines, and functions after a time.
+"""Work of a node's loop besides callbacks: coroutines, and delayed functions.
 
 What waits costs nothing. The events executor looks at every suspended task of its own after every event: a thousand
 actions that wait for something would take 8 ms of each second. Here a coroutine is looked at again only when the
@@ -35,7 +35,7 @@ _AT_ONCE = 32
 
 
 class Promise(Future):
-    """A future that may be completed from any thread; whoever awaits it in the node's executor goes on.
+    """Future completable from any thread; the awaiting coroutine in the node's executor goes on.
 
     The events executor resumes suspended coroutines only after an event of the middleware. A promise makes one.
 
@@ -48,7 +48,7 @@ class Promise(Future):
         self._wake = wake
 
     def __await__(self) -> Generator["Promise", None, Any]:
-        """Tells whoever runs the coroutine what it waits for."""
+        """Yield the promise to the runner of the coroutine."""
         while not self.done():
             yield self
         return self.result()
@@ -65,7 +65,7 @@ class Promise(Future):
 
 
 class OneAtATime:
-    """What one coroutine of a node does at a time; the others wait, in the order in which they came.
+    """Mutual exclusion of coroutines of a node: one at a time, the others wait in order of arrival.
 
     Args:
         promise: Makes a promise of the node.
@@ -76,7 +76,7 @@ class OneAtATime:
         self._waiting: deque[Promise] = deque()
 
     async def __aenter__(self) -> None:
-        """Waits until it is the turn of this coroutine."""
+        """Wait for the turn of the coroutine."""
         if self._taken:
             turn = self._promise()
             self._waiting.append(turn)
@@ -84,7 +84,7 @@ class OneAtATime:
         self._taken = True
 
     async def __aexit__(self, *_: object) -> None:
-        """Lets the next one in: nobody who comes now is before it."""
+        """Admit the next coroutine: no later arrival gets in before."""
         if self._waiting:
             self._waiting.popleft().set_result(None)
         else:
@@ -112,11 +112,11 @@ class Coroutines:
         self._wake()
 
     def begin(self, work: Work) -> None:
-        """Runs a coroutine until it waits; in the loop."""
+        """Run a coroutine until the first wait; in the loop."""
         self._run(work)
 
     def step(self) -> None:
-        """Run coroutines that can go on until they wait; in the loop, which has its turn after some of them."""
+        """Run coroutines that can go on until they wait; in the loop, which has the turn after some of them."""
         for _ in range(_AT_ONCE):
             if not self._ready:
                 return
@@ -124,7 +124,7 @@ class Coroutines:
         self._wake()
 
     def close(self) -> None:
-        """Drops all coroutines, of a node that ends; those that have not begun never will."""
+        """Drop all coroutines of an ending node; coroutines not yet begun never start."""
         while self._ready:
             work = self._ready.popleft()
             if inspect.getcoroutinestate(work) == inspect.CORO_CREATED:
@@ -145,7 +145,7 @@ class Coroutines:
 
 
 async def calling(work: Callable[[], None]) -> None:
-    """Calls a function: whoever spawns this, from any thread, has the loop call it."""
+    """Call a function: a spawn from any thread runs the call in the loop."""
     work()
 
 
@@ -154,7 +154,7 @@ async def _finish(work: Work) -> None:
 
 
 class _Rest:
-    """What is left of a coroutine that has begun."""
+    """Rest of a coroutine already begun."""
 
     def __init__(self, work: Work) -> None:
         self._work = work
@@ -169,7 +169,7 @@ class _Rest:
 
 
 class TimedNode(Protocol):
-    """What alarms need of a node: a timer of wall time."""
+    """Node as needed by alarms: with a timer of wall time."""
 
     steady_clock: Clock
 
@@ -180,13 +180,13 @@ class TimedNode(Protocol):
 
 @dataclass(eq=False)
 class Alarm:
-    """A function that is to be called once; None when it was, or is not wanted any more."""
+    """Function to be called once; None after the call or the cancellation."""
 
     call: Callable[[], None] | None
 
 
 class Alarms:
-    """Calls functions in the loop of a node, in wall time: any number of them, with one timer of the middleware.
+    """Call functions in a node's loop at wall times: any number of functions, with one timer of the middleware.
 
     Args:
         node: The node.
@@ -209,7 +209,7 @@ class Alarms:
         return alarm
 
     def cancel(self, alarm: Alarm) -> None:
-        """Takes an alarm back, if its function was not called yet."""
+        """Cancel an alarm, if the function was not called yet."""
         if alarm.call is None:
             return
         alarm.call = None

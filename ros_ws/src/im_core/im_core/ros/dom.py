@@ -48,7 +48,7 @@ MessageT = TypeVar("MessageT")
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What is known of an object: its version, whether that is valid, and type and data if this node has put it."""
+    """Knowledge of an object: version, validity, and, if put by the present node, type and data."""
 
     version: int
     valid: bool
@@ -79,7 +79,7 @@ class DomClient:
         self._list = node.create_client(ListObjects, "/dom/list", qos_profile=qos.QUEUED_SERVICE)
 
     def heard(self, info: ObjectInfo, own: tuple[type, bytes] | None = None) -> None:
-        """Takes what ``/dom`` says of an object; whoever has a client hands on what arrives on ``/dom/changes``.
+        """Take the report of ``/dom`` on an object; the owner of a client passes on messages of ``/dom/changes``.
 
         Args:
             info: The versions of an object follow each other, and one that is not valid does not become so again.
@@ -94,11 +94,11 @@ class DomClient:
                 del self._known[next(iter(self._known))]
 
     def forget_known(self) -> None:
-        """Has everything be asked for again: ``/dom`` has died, and what it has told meanwhile was not heard."""
+        """Forget all known objects: ``/dom`` has died, and the changes reported meanwhile were missed."""
         self._known.clear()
 
     async def put(self, name: str, message: object, place: str = "", command: str = "") -> int:
-        """Store an object and make it valid; it outlives the loss of power when this returns.
+        """Store an object as valid; the object outlives a power loss after the return.
 
         Args:
             name: Its name.
@@ -129,7 +129,7 @@ class DomClient:
         return int(answer.object.version)
 
     async def append(self, name: str, message: object) -> int:
-        """Append to the sequences of an object those of a message of its type; its other fields stay as they are.
+        """Append sequences of a message to the sequences of an object of the same type; other fields stay unchanged.
 
         It outlives the loss of power when this returns; place and command stay those for which the object was put.
 
@@ -177,7 +177,7 @@ class DomClient:
         return message
 
     async def version(self, name: str, message_type: type[MessageT], version: int) -> MessageT:
-        """A version of an object, which may be older than the newest, while it is kept.
+        """Return a kept version of an object, possibly older than the newest.
 
         Raises:
             ImError: It is not kept, or is of another type.
@@ -188,7 +188,7 @@ class DomClient:
         return message
 
     async def _when_valid(self, name: str, kind: str, timeout_s: float) -> Any:
-        """The answer that has an object, as soon as that is valid; asked for anew now and then, for /dom may die."""
+        """Return the answer with an object, once valid; the request is repeated now and then, for /dom may die."""
         deadline = clock.monotonic() + timeout_s
         while True:
             left = max(0.0, deadline - clock.monotonic())
@@ -200,7 +200,7 @@ class DomClient:
                 raise self._failure(self._get, answer)
 
     async def is_valid(self, name: str) -> bool:
-        """Whether there is a valid object of that name.
+        """Return whether a valid object of the name exists.
 
         An answer may be overtaken by a change, which arrives on another topic: what was heard meanwhile is newer.
 
@@ -236,7 +236,7 @@ class DomClient:
         return bool(self._list.service_is_ready() and self._invalidate.service_is_ready())
 
     async def names(self, prefix: str) -> list[str]:
-        """Names of all objects that begin with ``prefix``, also of those that are not valid.
+        """Return the names of all objects beginning with ``prefix``, invalid objects included.
 
         Raises:
             ImError: The store could not be read.
@@ -245,7 +245,7 @@ class DomClient:
         return [str(info.name) for info in answer.objects]
 
     async def forget(self, prefix: str) -> None:
-        """Deletes all objects below a name.
+        """Delete all objects below a name.
 
         Args:
             prefix: The name, and ``/``.
@@ -266,7 +266,7 @@ class DomClient:
         return doubted(self._node, status_to_error(answer.status), client.srv_name)
 
     async def _call(self, client: Client, request: object, what: str, size: int = 0) -> Any:
-        """Calls a service, with a request of some size [bytes]."""
+        """Call a service, with a request of some size [bytes]."""
         extra_s, tries = size // MEBIBYTE * MEBIBYTE_S, count()
 
         async def ask() -> Any:

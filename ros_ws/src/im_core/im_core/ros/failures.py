@@ -1,4 +1,4 @@
-"""What callbacks of a node raised: said in the log, counted on ``/diagnostics``."""
+"""Errors raised in callbacks of a node: logged, and counted on ``/diagnostics``."""
 
 import traceback
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ MOST_NAMES = 5
 
 
 class Failures:
-    """Counts what was raised where nobody expected it.
+    """Counter of unexpected exceptions.
 
     Args:
         node: Whose callbacks they are; it may not be made yet.
@@ -83,7 +83,7 @@ class Failures:
 
 
 def sentence(error: BaseException) -> str:
-    """What an error says, as text that every message can carry: half a pair of surrogates has no UTF-8."""
+    """Return the sentence of an error, as a text fit for every message: half a pair of surrogates has no UTF-8."""
     words = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
     return words.encode("utf-8", "backslashreplace").decode()
 

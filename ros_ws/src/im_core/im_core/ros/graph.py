@@ -1,4 +1,4 @@
-"""Changes of the ROS graph as events: rclpy has none, so its C library is asked to wait for them.
+"""Changes of the ROS graph as events: rclpy has none, so the C library of rclpy is asked to wait.
 
 ``rcl_node_get_graph_guard_condition`` gives what the middleware triggers whenever a node, publisher, subscription,
 service or client comes or goes anywhere in the domain.
@@ -24,7 +24,7 @@ class _Allocator(ctypes.Structure):
 
 
 class _WaitSet(ctypes.Structure):
-    """``rcl_wait_set_t``: arrays of six kinds with their sizes, and what implements them."""
+    """``rcl_wait_set_t``: arrays of six kinds with sizes, and the implementation."""
 
     _fields_ = [(name, ctypes.c_void_p) for name in "abcdefghijklm"]
 
@@ -45,7 +45,7 @@ def _libraries() -> tuple[ctypes.CDLL, ctypes.CDLL]:
 
 
 class GraphWatch:
-    """Calls a function, in a thread of its own, after each change of the graph and once at the beginning.
+    """Call a function, in a separate thread, after each change of the graph and once at the start.
 
     Args:
         node: A node that exists longer than this.

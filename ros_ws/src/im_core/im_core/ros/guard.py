@@ -1,4 +1,4 @@
-"""The base of every node: whatever its callbacks raise is said, counted and answered, and the node goes on.
+"""Base of every node: an exception in a callback is logged, counted and answered, and the node goes on.
 
 A callback that raises would end the loop of the events executor, and with it the node; of a service, it would leave
 the client waiting for ever.
@@ -58,7 +58,7 @@ _ACTION_SERVICES = dict.fromkeys((f"{name}_service_qos_profile" for name in ("go
 
 
 class GuardedNode(Node):
-    """A node whose callbacks may raise.
+    """Node with callbacks allowed to raise.
 
     Attributes:
         failures: What they raised.
@@ -69,7 +69,7 @@ class GuardedNode(Node):
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Refuse an internal name of a class of another package, which would call what is meant for something else.
+        """Refuse an internal name of a class of another package: calls would reach the wrong method.
 
         Raises:
             TypeError: The class takes one.
@@ -92,7 +92,7 @@ class GuardedNode(Node):
 
     @property
     def tells_contents(self) -> bool:
-        """Whether services and actions publish all that they carry."""
+        """Whether services and actions publish all contents carried."""
         return False
 
     def begin(self, work: Coroutine[object, object, None]) -> None:
@@ -105,11 +105,11 @@ class GuardedNode(Node):
         self.turns += 1
 
     def get_logger(self) -> RcutilsLogger:
-        """As in rclpy, which does not say of what type it is; what is said costs less."""
+        """Return the logger, of unknown type in rclpy; logging costs less."""
         return self._logger
 
     def guarded(self, what: str, callback: Callable[..., Any], told: Callable[[], str] = str) -> Callable[..., Any]:
-        """A callback that notes what the given one raises, and returns None then.
+        """Return a callback, noting exceptions of the given callback and then returning None.
 
         Args:
             what: Kind of callback, and the name of what it serves.
@@ -128,7 +128,7 @@ class GuardedNode(Node):
         return call
 
     def note_failure(self, what: str, error: Exception, told: Callable[[], str] = str) -> None:
-        """Note what a callback raised; arguments as of :meth:`guarded`.
+        """Note an exception of a callback; arguments as of :meth:`guarded`.
 
         Raises:
             Exception: The error itself, when ROS has been shut down: the loop ends by it.
@@ -188,7 +188,7 @@ class GuardedNode(Node):
         qos_profile: QoSProfile = qos.SERVICES,
         callback_group: CallbackGroup | None = None,
     ) -> Service:
-        """As in rclpy, with queues for many clients; an answer is sent whatever the callback does.
+        """Create a service as in rclpy, with queues for many clients; an answer is sent in any case.
 
         The callback may be a coroutine. It may also return a function: that is given who called, as
         :func:`im_core.ros.client_identity.client_of` says, and returns what the callback would have returned.
@@ -208,12 +208,12 @@ class GuardedNode(Node):
         qos_profile: QoSProfile = qos.SERVICES,
         callback_group: CallbackGroup | None = None,
     ) -> Client:
-        """As in rclpy, with a queue for many answers: every client is sent those to all others, too."""
+        """Create a client as in rclpy, with a queue for many answers: every client also gets answers to others."""
         return super().create_client(srv_type, srv_name, qos_profile=qos_profile, callback_group=callback_group)
 
 
 class GuardedActionServer(ActionServer):
-    """An action server whose callbacks may raise: a goal is rejected then, or aborted with a result that says why.
+    """Action server with callbacks allowed to raise: the goal is rejected, or aborted with the reason in the result.
 
     What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of a
     hundred thousand points each, do not add up.
@@ -249,17 +249,17 @@ class GuardedActionServer(ActionServer):
         )
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
-        """As in rclpy; a goal whose callback raises is rejected."""
+        """Register the goal callback as in rclpy; a goal is rejected if the callback raises."""
         guarded = goal_callback and self._or(goal_callback, GoalResponse.REJECT)
         ActionServer.register_goal_callback(self, guarded)
 
     def register_cancel_callback(self, cancel_callback: Callable[[Any], Any] | None) -> None:
-        """As in rclpy; what cannot be decided is not cancelled."""
+        """Register the cancel callback as in rclpy; an undecidable goal is not cancelled."""
         guarded = cancel_callback and self._or(cancel_callback, CancelResponse.REJECT)
         ActionServer.register_cancel_callback(self, guarded)
 
     def register_execute_callback(self, execute_callback: Callable[[Any], Any]) -> None:
-        """As in rclpy; a goal whose callback raises is aborted, and its result says why."""
+        """Register the execute callback as in rclpy; a raising callback aborts the goal, the result gives a reason."""
 
         async def execute(handle: ServerGoalHandle) -> Any:
             self._tell(lambda events: events.tell_goal(self.request_for(handle)))
@@ -284,7 +284,7 @@ class GuardedActionServer(ActionServer):
         self._guard.begin(run(execute_callback or self._execute_callback, goal_handle))
 
     async def execute(self, taken_data: Any) -> None:
-        """As in rclpy, which calls it for every request."""
+        """Handle a taken request, as in rclpy; rclpy calls the method for every request."""
         self._guard.turns += 1
         try:
             await ActionServer.execute(self, taken_data)
@@ -292,11 +292,11 @@ class GuardedActionServer(ActionServer):
             self._guard.note_failure(self._what, error, self._told)
 
     def request_for(self, handle: ServerGoalHandle) -> Any:
-        """The request for a goal, as a message, for who listens to what the action carries; None: it is not told."""
+        """Return the request for a goal, as a message, for listeners to the action's contents; None: not told."""
         return self._action_type.Impl.SendGoalService.Request(goal_id=handle.goal_id, goal=handle.request)
 
     def _tell(self, tell: Callable[[ActionEvents], None]) -> None:
-        """Publish an event of the action, if it has any; a goal that cannot be told is carried out all the same."""
+        """Publish an event of the action, if any; a goal is carried out even if the event cannot be told."""
         if self._events is not None:
             try:
                 tell(self._events)
@@ -372,7 +372,7 @@ class GuardedActionServer(ActionServer):
 
 
 class GuardedActionClient(ActionClient):
-    """An action client whose callback for feedback may raise, and which any thread may ask.
+    """Action client with a feedback callback allowed to raise; usable from any thread.
 
     rclpy notes what was asked only after it was sent: an answer that comes before that is dropped. A result is asked
     for again and again: the answer of a server to a process that was silent for longer than the lease of discovery,
@@ -422,7 +422,7 @@ class GuardedActionClient(ActionClient):
         return future
 
     async def execute(self, taken_data: Any) -> None:
-        """As in rclpy, which calls it for every answer and feedback."""
+        """Handle a taken answer or feedback, as in rclpy; rclpy calls the method for each."""
         self._guard.turns += 1
         with self._asking:
             pass  # whoever has sent has noted it
@@ -438,7 +438,7 @@ def _pass_on(awaited: Future, answered: Future) -> None:
 
 
 class _Raised:
-    """What a service's callback raised, on its way to where the client is known."""
+    """Exception of a service's callback, on the way to the code with the client's identity."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
@@ -467,7 +467,7 @@ class _Answers:
             return _Raised(as_exception(error))
 
     def _answer(self, response: Any, header: Any) -> None:
-        """Send what the callback returned; the events executor would take a coroutine for the response."""
+        """Send the return value of the callback; the events executor would take a coroutine for the response."""
         try:
             if callable(response):
                 response = response(client_of(header))
@@ -491,7 +491,7 @@ class _Answers:
         self._node.late_answers.send(self._what, header, partial(self._send, response, header))
 
     def _refuse(self, error: Exception, header: Any) -> None:
-        """Note what was raised, and answer that the request did not succeed."""
+        """Note the exception, and answer with a refusal of the request."""
         srv_type: Any = self._service.srv_type
 
         def told() -> str:
@@ -506,7 +506,7 @@ class _Answers:
 
 
 def with_fault(answer: Any, what: str, error: Exception) -> Any:
-    """An answer that says what its callback raised, in the fields that its type has for that.
+    """Return an answer with the callback's exception, in the fault fields of the answer's type.
 
     Args:
         answer: A response or a result as made; it does not say ``success``.
@@ -526,6 +526,6 @@ def with_fault(answer: Any, what: str, error: Exception) -> Any:
 
 
 def _package(cls: type) -> str:
-    """The package that a class belongs to, also in a module that was run by ``python -m``."""
+    """Return the package of a class, also in a module run by ``python -m``."""
     spec = getattr(sys.modules["__main__"], "__spec__", None) if cls.__module__ == "__main__" else None
     return (spec.name if spec is not None else cls.__module__).partition(".")[0]

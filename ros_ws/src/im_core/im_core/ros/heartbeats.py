@@ -36,7 +36,7 @@ _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Last sign of life of a task: its incarnation, when that was heard first, and when it was heard last [s].
+    """Last heartbeat of a task: incarnation, time of the incarnation's first heartbeat, time of the last heartbeat [s].
 
     ``pid`` is its process where that is one of this host, else 0; ``starting``: it has not passed all phases of its
     start yet. Of a task that was asked for and not heard yet ``incarnation`` is None, and the times are that of the
@@ -52,7 +52,7 @@ class Heartbeat:
 
 @dataclass(eq=False)
 class TaskWatch:
-    """Somebody who waits for a task.
+    """Pending wait for a task.
 
     Attributes:
         since: Incarnation that was asked; None: whichever answers.
@@ -89,16 +89,16 @@ class Heartbeats:
         node.create_subscription(TaskStatus, STATUS_TOPIC, self._hear, qos.STATUS)
 
     def incarnation(self, task: str) -> int | None:
-        """Incarnation of a task, None if it was never heard."""
+        """Return the incarnation of a task, None if never heard."""
         return self._followed(task).incarnation
 
     def heard_since(self, task: str) -> float | None:
-        """When the present incarnation of a task was heard first (monotonic) [s], None if it was never heard."""
+        """Return the first heartbeat time of a task's present incarnation (monotonic) [s], None if never heard."""
         last = self._followed(task)
         return None if last.incarnation is None else last.since
 
     def starting(self, task: str) -> bool:
-        """Whether a task was heard last while it started: what it serves is there, and it cannot do it yet."""
+        """Return whether a task was last heard during the start: services are there, but not usable yet."""
         life = self._vouched(task)
         return self._followed(task).starting if life is None else life.starting
 
@@ -142,7 +142,7 @@ class Heartbeats:
         return known[1].look()
 
     def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
-        """Has a function called when a task goes missing, until that is called which is returned."""
+        """Have a function called when a task goes missing; return the function to end the watch."""
         watch = TaskWatch(since, lost)
         if not self._watches:
             self._checked = clock.monotonic()
@@ -162,7 +162,7 @@ class Heartbeats:
         self._returned.append(returned)
 
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
-        """Await a future that ``task`` will complete.
+        """Await a future to be completed by ``task``.
 
         An answer that comes while this process is stopped for longer than :data:`LEASE_S` is lost.
 

@@ -38,7 +38,7 @@ def interface_class(name: str) -> Any:
 
 
 def message_class(name: str) -> Any:
-    """The class of a type whose messages can be on a topic: ``package/msg/Type``, or that of a service's events.
+    """Return the class of a type possible on a topic: ``package/msg/Type``, or the events of a service.
 
     Raises:
         NotFoundError: No such package or type is installed.
@@ -51,7 +51,7 @@ def message_class(name: str) -> Any:
 
 
 def decoded(data: bytes, interface: type) -> Any:
-    """The message that CDR bytes are.
+    """Decode CDR bytes to a message.
 
     Raises:
         DataError: They are none of this type.
@@ -63,6 +63,6 @@ def decoded(data: bytes, interface: type) -> Any:
 
 
 def type_name(interface: type) -> str:
-    """``geometry_msgs/msg/Pose`` for the class of that message."""
+    """Return the type name of a message class, as ``geometry_msgs/msg/Pose``."""
     package, kind = interface.__module__.split(".")[:2]
     return f"{package}/{kind}/{interface.__name__}"

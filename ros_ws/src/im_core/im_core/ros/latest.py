@@ -1,4 +1,4 @@
-"""The last message of a topic that its node repeats while it lives."""
+"""Last message of a topic repeated by a living node."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -12,7 +12,7 @@ MessageT = TypeVar("MessageT")
 
 
 class Latest(Generic[MessageT]):
-    """Keeps the last message, and knows whether its node still speaks: a latched message outlives nobody.
+    """Keep the last message of a topic, and detect a silent node: a latched message outlives no node.
 
     Args:
         node: The node that listens.
@@ -42,7 +42,7 @@ class Latest(Generic[MessageT]):
 
     @property
     def stale(self) -> bool:
-        """Whether there is no message, or nothing was heard for so long that the last one may no longer be true."""
+        """Whether no message came, or the silence is too long to trust the last message."""
         return self.message is None or clock.monotonic() - self._heard_at > self.silence_s
 
     def forget(self) -> None:

@@ -1,4 +1,4 @@
-"""The logger of a node, which finds out cheaply who has said something."""
+"""Logger of a node, with a cheap way to find the caller."""
 
 import os
 import sys
@@ -14,7 +14,7 @@ _ITS_FILES = (__file__, rcutils_logger.__file__)
 
 
 class Logger(RcutilsLogger):
-    """As in rclpy, which looks at every module that is loaded, and at the source, to tell function, file and line.
+    """Logger as in rclpy, but faster: rclpy searches all loaded modules and the source for function, file and line.
 
     Each line cost 2 ms so, the first one 10 ms more. The stack knows all three.
     """
@@ -23,7 +23,7 @@ class Logger(RcutilsLogger):
         RcutilsLogger.__init__(self, name)
 
     def log(self, message: str, severity: LoggingSeverity | int, **options: Any) -> bool:
-        """As in rclpy; what is to be said once, seldom, or not at first is left to it."""
+        """Log a message as in rclpy; messages said once, seldom or not at first are left to rclpy."""
         if options:
             told: bool = RcutilsLogger.log(self, message, severity, **options)
             return told

@@ -101,7 +101,7 @@ class ManagedNode(GuardedNode):
         return service
 
     def phase_configure(self) -> None:
-        """Load the configuration, open what is shared, start child processes.
+        """Load the configuration, open shared resources, start child processes.
 
         Raises:
             ImError: It cannot be done; the node reports FAILED with the sentence.
@@ -115,11 +115,11 @@ class ManagedNode(GuardedNode):
         """
 
     def phase_shutdown(self) -> None:
-        """Release everything; called once, whatever happened before."""
+        """Release everything; called once, regardless of earlier events."""
 
     @property
     def tells_contents(self) -> bool:
-        """Whether services and actions publish all that they carry."""
+        """Whether services and actions publish all contents carried."""
         return bool(self.introspection == ServiceIntrospectionState.CONTENTS)
 
     @property
@@ -133,7 +133,7 @@ class ManagedNode(GuardedNode):
         return self._detail if self._phase == TaskStatus.FAILED else ""
 
     def fail(self, error: ImError) -> None:
-        """Report that this task cannot go on."""
+        """Report a failure of the task: the task cannot go on."""
         self._set_phase(TaskStatus.FAILED, error.message)
         self.get_logger().error(error.message)
 
@@ -152,25 +152,25 @@ class ManagedNode(GuardedNode):
         self._follow(member(StartupPhase, order.phase, "the phase that the agent orders"))
 
     def promise(self) -> Promise:
-        """A future for coroutines of this node that any thread may complete."""
+        """Create a future for coroutines of the node; any thread may complete the future."""
         return Promise(self.wake)
 
     def spawn(self, work: Work) -> None:
-        """Run a coroutine in the loop; it costs nothing while it waits for a promise. From any thread."""
+        """Run a coroutine in the loop, from any thread; a coroutine waiting for a promise costs nothing."""
         self._coroutines.spawn(work)
 
     def begin(self, work: Work) -> None:
-        """Run a coroutine at once, until it waits; likewise, from the loop alone."""
+        """Run a coroutine at once, until the first wait; from the loop alone."""
         self._coroutines.begin(work)
 
     def wake(self) -> None:
-        """Let the executor look at its suspended coroutines soon; from any thread."""
+        """Let the executor look at suspended coroutines soon; from any thread."""
         if not self._awake and rclpy.ok():
             self._awake = True
             self._wake_timer.reset()
 
     def shut_down_once(self) -> None:
-        """Run :meth:`phase_shutdown` if it has not been run."""
+        """Run :meth:`phase_shutdown` if not run yet."""
         if self._stopped:
             return
         self._stopped = True
@@ -189,7 +189,7 @@ class ManagedNode(GuardedNode):
         self._coroutines.step()
 
     def destroy_node(self) -> None:
-        """Drops the coroutines that would go on."""
+        """Drop the remaining coroutines."""
         self._coroutines.close()
         destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
         destroy()

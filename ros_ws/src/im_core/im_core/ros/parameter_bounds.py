@@ -1,4 +1,4 @@
-"""Size before work in the parameter services that rclpy gives every node: what is too long is refused by its length."""
+"""Size checks before work in the parameter services of rclpy: too long requests are refused by length."""
 
 import ctypes
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ MOST_CHARACTERS = 100_000
 
 @dataclass(frozen=True)
 class TooLong:
-    """A request that was not looked at further.
+    """Request refused without a further look.
 
     Attributes:
         sentence: What is too long.
@@ -58,25 +58,25 @@ _LISTS = ("byte_array_value", "bool_array_value", "integer_array_value", "double
 
 
 class _Size:
-    """Counts what a request holds, until it is too much."""
+    """Counter of a request's contents, up to the limit."""
 
     def __init__(self) -> None:
         self._items = self._characters = 0
 
     def texts(self, texts: Sequence) -> str:
-        """What is too long once these are counted; empty: nothing."""
+        """Return the excess after counting the texts; empty: none."""
         if why := self.items(texts.size):
             return why
         characters = (Sequence * texts.size).from_address(texts.data) if texts.size else ()
         return self.characters(sum(text.size for text in characters))
 
     def items(self, count: int) -> str:
-        """What is too long with this many names or elements more; empty: nothing."""
+        """Return the excess with the given number of names or elements added; empty: none."""
         self._items += count
         return f"{self._items} names and elements, {MOST_NAMES} are allowed" if self._items > MOST_NAMES else ""
 
     def characters(self, count: int) -> str:
-        """What is too long with this many characters more; empty: nothing."""
+        """Return the excess with the given number of characters added; empty: none."""
         self._characters += count
         too_many = self._characters > MOST_CHARACTERS
         return f"{self._characters} characters, {MOST_CHARACTERS} are allowed" if too_many else ""
@@ -99,7 +99,7 @@ def _parameters_too_long(address: int) -> str:
 
 
 def _refuse_all(refused: TooLong, response: Any) -> None:
-    """Nothing is told, as rclpy answers who asks for a parameter that there is not."""
+    """Leave the response empty, as rclpy answers a request for an unknown parameter."""
 
 
 def _refuse_each(refused: TooLong, response: Any) -> None:
@@ -121,7 +121,7 @@ _SERVICES: Mapping[Any, tuple[Callable[[int], str], Callable[[TooLong, Any], Non
 
 
 def bounded(srv_type: Any, callback: Callable[[Any, Any], Any]) -> tuple[Any, Callable[[Any, Any], Any]]:
-    """The type and the callback of a service; of one for parameters, such that requests that are too long are refused.
+    """Return type and callback of a service; for parameters, too long requests are refused.
 
     A request to set parameters is told why; what asks for values or names gets none.
     """
@@ -140,7 +140,7 @@ def bounded(srv_type: Any, callback: Callable[[Any, Any], Any]) -> tuple[Any, Ca
 
 @cache
 def _looked_at(srv_type: Any) -> Any:
-    """The type, its requests looked at before they become objects."""
+    """Return a type with requests checked before the conversion to objects."""
     check_for_type_support(srv_type)
     too_long, whole = _SERVICES[srv_type][0], converter(srv_type.Request)
 

@@ -1,4 +1,4 @@
-"""Parameters of a node: described, checked, and closed to later changes where they are read once."""
+"""Parameters of a node: described, checked, and closed to later changes if read only once."""
 
 from collections.abc import Collection
 from typing import TypeVar
@@ -14,7 +14,7 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: 
 
 
 class DeclaredParameters:
-    """Declares the parameters of a node; they are read-only unless it is said that they may be changed.
+    """Declare the parameters of a node; read-only unless declared changeable.
 
     A wrong value that is given at the start does not keep the node from being made: its default stands in, and
     :attr:`fault` says what is wrong, for the node to fail with when it is configured.
@@ -41,7 +41,7 @@ class DeclaredParameters:
         known: Collection[str] = (),
         changeable: bool = False,
     ) -> ValueT:
-        """Declare a parameter and return its value.
+        """Declare a parameter and return the value.
 
         Args:
             name: Its name.
@@ -70,7 +70,7 @@ class DeclaredParameters:
         return value
 
     def check_given(self) -> None:
-        """Make sure that all that was given at the start is known, now that everything is declared.
+        """Check all parameters given at the start, after all declarations: each must be known.
 
         Raises:
             NotFoundError: A parameter is not; it would have no effect.
@@ -81,7 +81,7 @@ class DeclaredParameters:
                 raise NotFoundError(kind=kind, name=name, known=self._node.get_parameters_by_prefix(""))
 
     def _typed(self, name: str, value: object, default: ValueT) -> ValueT:
-        """The value, if it is of the type of ``default``.
+        """Return the value, if of the type of ``default``.
 
         Raises:
             ConfigError: It is not.
@@ -95,7 +95,7 @@ class DeclaredParameters:
         raise ConfigError(f"parameter {name} of {node} is {value!r}, not {_WORDS[kind]}", parameter=name)
 
     def _check(self, name: str, value: object, span: tuple[float, float] | None, known: Collection[str]) -> None:
-        """Check what a value may be.
+        """Check a value against span and known texts.
 
         Raises:
             DataError: It is out of range.
@@ -111,7 +111,7 @@ class DeclaredParameters:
 
 
 def describe_sim_time(node: Node) -> None:
-    """Describe ``use_sim_time``, which every node has; rclpy leaves that out."""
+    """Describe ``use_sim_time``, a parameter of every node; rclpy leaves the description out."""
     told = "take the time from /clock, which the testbed publishes"
     descriptor = ParameterDescriptor(description=told, type=ParameterType.PARAMETER_BOOL)
     node.set_descriptor("use_sim_time", descriptor)

@@ -1,4 +1,4 @@
-"""What a node has noticed once and goes on saying: a warning in the log, and on ``/diagnostics`` from then on."""
+"""Reminders of a node: a warning in the log once, and on ``/diagnostics`` from then on."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -26,7 +26,7 @@ class Reminders:
         self._publisher: Publisher | None = None
 
     def add(self, subject: str, text: str) -> None:
-        """Writes a warning into the log, and goes on saying it."""
+        """Write a warning to the log, and keep the warning on ``/diagnostics``."""
         self._node.get_logger().warning(text)
         said = self._said.setdefault(subject, [])
         said.append(text)
@@ -36,7 +36,7 @@ class Reminders:
             self._node.create_timer(PERIOD_S, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def end(self, subject: str) -> None:
-        """Say nothing more of a subject: its last warning is not true any more."""
+        """Say nothing more of a subject: the last warning is not true any more."""
         if self._said.pop(subject, None):
             self._node.get_logger().info(f"{subject}: over")
 

@@ -1,4 +1,4 @@
-"""Running nodes with the events executor: the one place that spins."""
+"""Running of nodes with the events executor: the one place to spin."""
 
 import argparse
 import contextlib
@@ -40,7 +40,7 @@ NodeT = TypeVar("NodeT", bound=rclpy.node.Node)
 
 @dataclass(frozen=True)
 class Program:
-    """What a process does with one node; arguments as of :func:`main`."""
+    """Work of a process with one node; arguments as of :func:`main`."""
 
     make_node: Callable[[], rclpy.node.Node]
     at_end: Callable[[Any], None] | None = None
@@ -50,7 +50,7 @@ _gathered: ContextVar[list[Program] | None] = ContextVar("gathered", default=Non
 
 
 class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc]  # of C++: it has no types
-    """The events executor, mended: what came while it began to listen is heard, and a task that raises ends nothing.
+    """Events executor, fixed: arrivals before the listening are heard, and a raising task ends nothing.
 
     A task that raised would end its process by a segmentation fault; for the rest see
     :mod:`im_core.ros.rclpy_fixes.backlog`.
@@ -73,18 +73,18 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
         return added
 
     def wake(self) -> None:
-        """As in rclpy: look at what the nodes have now; from any thread."""
+        """Look at the present contents of the nodes, as in rclpy; from any thread."""
         rclpy_implementation.EventsExecutor.wake(self)
         self._look_into_new_readers()
 
     def _look_into_new_readers(self) -> None:
-        """Have each new reader looked into after the executor has begun to listen to it, which waits in its queue."""
+        """Queue a check of each new reader, run after the executor has begun to listen to the reader."""
         for node in self.get_nodes():
             for reader in new_readers(node, self._listened):
                 self.create_task(take_backlog, reader, self)
 
     def create_task(self, callback: Any, *args: Any, **options: Any) -> Task:
-        """As in rclpy; the result of a task that raised is None."""
+        """Create a task as in rclpy; the result of a task with an exception is None."""
 
         async def guarded() -> Any:
             try:
@@ -98,7 +98,7 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
 
 
 class Spinner:
-    """Nodes of one context in one events executor, in this thread or in one of its own; the last one ends first."""
+    """Nodes of one context in one events executor, in the present thread or an own one; the last node ends first."""
 
     def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
         self.nodes = list(nodes)
@@ -111,7 +111,7 @@ class Spinner:
         self._thread: threading.Thread | None = None
 
     def spin(self) -> None:
-        """Spin until :meth:`stop`, or until ROS is shut down; what leaves the executor is noted, and that is all."""
+        """Spin until :meth:`stop` or the shutdown of ROS; an exception leaving the executor is only noted."""
         context = self.nodes[0].context
         while not self._end.done() and context.ok():
             try:
@@ -131,7 +131,7 @@ class Spinner:
             guarded.note_failure("the executor", error)
 
     def start(self) -> "Spinner":
-        """Spin in a thread; harmless when it spins already."""
+        """Spin in a thread; harmless if already spinning."""
         if self._thread is None:
             self._thread = threading.Thread(target=self.spin, name="spinner", daemon=True)
             self._thread.start()
@@ -163,7 +163,7 @@ class Spinner:
 
 
 def _destroy(node: rclpy.node.Node) -> None:
-    """Destroy a node, its actions first: rclpy leaves them, and with them the participant, in the graph for ever.
+    """Destroy a node, actions first: rclpy leaves actions and the participant in the graph for ever.
 
     Servers of which a peer hears only a part keep its clients from finding those that are there.
     """
@@ -175,7 +175,7 @@ def _destroy(node: rclpy.node.Node) -> None:
 
 
 def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
-    """Spin nodes in a thread; stop with :meth:`Spinner.stop`, or use it in a ``with`` statement."""
+    """Spin nodes in a thread; stop with :meth:`Spinner.stop`, or use a ``with`` statement."""
     return Spinner(nodes).start()
 
 
@@ -203,7 +203,7 @@ def main(
 
 @contextlib.contextmanager
 def gathered() -> Iterator[list[Program]]:
-    """Within it :func:`main` runs nothing: what it would run is added to a list, for :func:`run_together`."""
+    """Collect programs in a list for :func:`run_together`: within the context, :func:`main` runs nothing."""
     programs: list[Program] = []
     token = _gathered.set(programs)
     try:
@@ -213,7 +213,7 @@ def gathered() -> Iterator[list[Program]]:
 
 
 def run_together(programs: Sequence[Program], args: Sequence[str] | None = None) -> int:
-    """Run the nodes of several programs in this process: one interpreter, one DDS participant, one executor.
+    """Run the nodes of several programs in one process: one interpreter, one DDS participant, one executor.
 
     They are made in this order and end in the reverse one. A callback that blocks holds up all of them.
 
@@ -273,7 +273,7 @@ def _serve(agent: AgentSocket | None, nodes: Sequence[ManagedNode]) -> None:
 
 
 def _watch(spinner: Spinner, pulse: Pulse | None) -> LoopWatch | None:
-    """Begins to tell the agent that started this process, if there is one, how its loop is.
+    """Begin to report the state of the loop to the agent of the process, if any.
 
     The loop may stand still for as long as the most patient of its nodes allows now.
     """
@@ -291,7 +291,7 @@ def _watch(spinner: Spinner, pulse: Pulse | None) -> LoopWatch | None:
 
 
 def _parser(make_node: Callable[[], NodeT]) -> argparse.ArgumentParser:
-    """The arguments of a node: none of its own, those of ROS, and help."""
+    """Build the argument parser of a node: no own arguments, the arguments of ROS, and help."""
     return argparse.ArgumentParser(
         usage="%(prog)s [-h] [--ros-args -p NAME:=VALUE ... --params-file FILE --log-level LEVEL]",
         description=sys.modules[make_node.__module__].__doc__,

@@ -11,18 +11,18 @@ OK = "ok"
 
 
 def ok_status(message: str = "") -> Status:
-    """The status of what went well."""
+    """Return the status of a success."""
     return Status(code=OK, message=message)
 
 
 def to_status(error: ImError) -> Status:
-    """The message that stands for an error."""
+    """Convert an error to a message."""
     facts = [KeyValue(key=key, value=json.dumps(value, default=str)) for key, value in error.facts.items()]
     return Status(code=error.code, message=error.message, facts=facts)
 
 
 def status_to_error(status: Status) -> ImError:
-    """The error that a message stands for."""
+    """Convert a message to an error."""
     facts: dict[str, object] = {}
     for fact in status.facts:
         try:

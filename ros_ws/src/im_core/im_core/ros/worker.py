@@ -1,4 +1,4 @@
-"""A thread that does in order what may block, for a node; what waits meanwhile is done together the next time."""
+"""Thread for blocking work of a node, in order; work waiting meanwhile is done together the next time."""
 
 import queue
 import threading
@@ -30,7 +30,7 @@ MOST_GATHER_S = 0.05
 
 
 class Worker:
-    """Does things in the order in which they were asked for, while the loop of the node goes on.
+    """Worker for functions in the order of the calls, while the loop of the node goes on.
 
     Args:
         node: The node.
@@ -56,7 +56,7 @@ class Worker:
         self._thread.start()
 
     async def run(self, function: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None) -> ResultT:
-        """Have a function called, and await what it returns.
+        """Call a function in the worker, and await the return value.
 
         Args:
             function: The function.
@@ -80,7 +80,7 @@ class Worker:
         return result
 
     def _watch(self) -> None:
-        """Ends what is late, and looks again when the next may be: they are late in the order of their asking."""
+        """End late requests, and check again at the next due time: requests get late in order of arrival."""
         now = clock.monotonic()
         while self._asked and (self._asked[0][1].done() or self._asked[0][0] <= now):
             _, ended = self._asked.popleft()
@@ -91,7 +91,7 @@ class Worker:
             self._node.alarms.after(self._asked[0][0] - now, self._watch)
 
     def close(self, timeout_s: float = 1.0) -> bool:
-        """Do what was asked for, and end; whether it has ended within a time [s]."""
+        """Finish the requested work, and end; return whether ended within a time [s]."""
         self._work.put(None)
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
@@ -130,7 +130,7 @@ class Worker:
             return [StateError(f"{self._name} broke: {error!r}")] * len(works)
 
     def _gather(self, several: int, took_s: float) -> None:
-        """Waits until so many have asked, but not much longer than it took to serve those before [s]."""
+        """Wait for the given number of requests, little longer than the service of the requests before [s]."""
         deadline = clock.monotonic() + several * GATHER_S + min(took_s, MOST_GATHER_S)
         while (missing := several - 1 - self._work.qsize()) > 0 and clock.monotonic() < deadline:
             clock.sleep(max(LOOK_S, missing * GATHER_S / 2))

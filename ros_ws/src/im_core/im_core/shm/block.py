@@ -40,7 +40,7 @@ class SharedBlock:
 
     @classmethod
     def create(cls, name: str, size: int) -> Self:
-        """Create a zeroed block of ``size`` bytes; a stale block of that name is replaced.
+        """Create a zeroed block of ``size`` bytes; a stale block of the same name is replaced.
 
         The block can be attached only after :meth:`publish`, so that nobody sees it half initialised. All its pages
         are there from the beginning: one that had to be found at the first write would end the writer with SIGBUS
@@ -76,7 +76,7 @@ class SharedBlock:
 
     @classmethod
     def attach(cls, name: str, timeout_s: float) -> Self:
-        """Attach to a published block whose owner lives.
+        """Attach to a published block with a living owner.
 
         Args:
             name: Name given by the creator.
@@ -103,7 +103,7 @@ class SharedBlock:
         self.published = True
 
     def array(self, dtype: np.dtype[np.void] | str, count: int, offset: int = 0) -> NDArray[Any]:
-        """A view of ``count`` items of ``dtype`` at byte ``offset``."""
+        """Return a view of ``count`` items of ``dtype`` at byte ``offset``."""
         return np.frombuffer(self._memory, dtype=dtype, count=count, offset=_HEADER_BYTES + offset)
 
     def buffer(self, count: int, offset: int = 0) -> memoryview:
@@ -113,15 +113,15 @@ class SharedBlock:
 
     @property
     def owner_pid(self) -> int:
-        """The process that created the block."""
+        """Process id of the block's creator."""
         return self._owner.pid
 
     def owner_alive(self) -> bool:
-        """Whether the process that created the block still runs."""
+        """Return whether the process of the block's creator still runs."""
         return self._owner.alive()
 
     def close(self) -> None:
-        """Release the mapping; views that are still in use keep it until they go. The owner unlinks the name."""
+        """Release the mapping; views in use keep the mapping until released; the owner unlinks the name."""
         if self.owned:
             self.unlink()
         try:
@@ -130,7 +130,7 @@ class SharedBlock:
             return  # numpy views are alive: the mapping ends with the last of them
 
     def unlink(self) -> None:
-        """Remove the name; processes that are attached keep the memory. Only the owner's own block is removed."""
+        """Remove the name of an owned block; attached processes keep the memory."""
         if self.owned:
             self.owned = False
             unlink(self.name)
@@ -212,7 +212,7 @@ def _refuse_if_in_use(name: str) -> None:
 
 
 def unlink(name: str) -> None:
-    """Remove a block's name if it exists."""
+    """Remove the name of a block if present."""
     try:
         posix_ipc.unlink_shared_memory(f"/{name}")
     except posix_ipc.ExistentialError:

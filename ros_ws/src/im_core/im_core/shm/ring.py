@@ -12,7 +12,7 @@ _HEADER_BYTES = 64
 
 
 class MessageRing:
-    """A queue with one writer and one reader that never block each other.
+    """Queue with one writer and one reader, never blocking each other.
 
     Two counters run through the ring: ``head`` (bytes written, moved by the writer) and ``tail`` (bytes read, moved by
     the reader). A message is its length (4 bytes) and its JSON text.
@@ -27,7 +27,7 @@ class MessageRing:
 
     @classmethod
     def create(cls, name: str, capacity: int = 65536) -> Self:
-        """Create an empty ring of ``capacity`` bytes; one of that name is replaced."""
+        """Create an empty ring of ``capacity`` bytes; a ring of the same name is replaced."""
         block = SharedBlock.create(name, _HEADER_BYTES + capacity)
         block.publish()
         return cls(block)
@@ -82,7 +82,7 @@ class MessageRing:
 
     @property
     def filled(self) -> float:
-        """Share of it that the reader has not taken yet, 0 to 1."""
+        """Share of the ring not yet taken by the reader, 0 to 1."""
         return (int(self._counters[0]) - int(self._counters[1])) / self.capacity
 
     def empty(self) -> bool:
@@ -90,7 +90,7 @@ class MessageRing:
         return int(self._counters[0]) == int(self._counters[1])
 
     def owner_alive(self) -> bool:
-        """Whether the process that created the ring still runs."""
+        """Return whether the process of the ring's creator still runs."""
         return self._block.owner_alive()
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ _POLL_S = 0.01
 
 
 class Semaphore:
-    """A counter shared by processes: :meth:`post` raises it, :meth:`wait` waits until it can lower it."""
+    """Counter shared by processes: :meth:`post` increments, :meth:`wait` waits until a decrement is possible."""
 
     def __init__(self, name: str, semaphore: posix_ipc.Semaphore, owned: bool) -> None:
         """Use :meth:`create` or :meth:`attach`."""
@@ -24,7 +24,7 @@ class Semaphore:
 
     @classmethod
     def create(cls, name: str) -> Self:
-        """Create a semaphore of value 0; one of that name is replaced.
+        """Create a semaphore of value 0; a semaphore of the same name is replaced.
 
         Raises:
             LinkError: It is another user's.
@@ -71,12 +71,12 @@ class Semaphore:
             continue
 
     def close(self) -> None:
-        """Release the semaphore; its owner removes the name."""
+        """Release the semaphore; the owner removes the name."""
         self._semaphore.close()
         self.unlink()
 
     def unlink(self) -> None:
-        """Remove the name, as its owner."""
+        """Remove the name, as the owner."""
         if self.owned:
             self.owned = False
             _unlink(self.name)

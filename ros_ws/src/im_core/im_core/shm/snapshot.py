@@ -29,7 +29,7 @@ class Snapshot:
 
     @classmethod
     def create(cls, name: str, dtype: np.dtype[np.void]) -> Self:
-        """Create the snapshot as its only writer; the record is all zeros until the first :meth:`write`."""
+        """Create the snapshot as the only writer; the record is all zeros until the first :meth:`write`."""
         block = SharedBlock.create(name, 64 + dtype.itemsize)
         block.publish()
         return cls(block, dtype)
@@ -66,7 +66,7 @@ class Snapshot:
         self._sequence[0] = odd + 1
 
     def read(self) -> NDArray[np.void]:
-        """A copy of the newest record, shape ().
+        """Return a copy of the newest record, shape ().
 
         A write that was once waited for in vain is not waited for again.
 
@@ -87,7 +87,7 @@ class Snapshot:
                 raise LinkError(f"the writer of snapshot '{name}' stopped in the middle of a write", name=name)
 
     def owner_alive(self) -> bool:
-        """Whether the process that created the snapshot still runs."""
+        """Return whether the process of the snapshot's creator still runs."""
         return self._block.owner_alive()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What commands take of the cell: for each command, and each choice of the arguments that decide it, the resources."""
+"""Needs of commands in the cell: resources for each command, and each choice of the deciding arguments."""
 
 import itertools
 import re
@@ -18,7 +18,7 @@ MOST_VARIANTS = 200
 
 @dataclass(frozen=True)
 class Variant:
-    """A command with a choice of the arguments that decide what it takes.
+    """Command with a choice of the arguments that decide on the resources.
 
     Attributes:
         name: Its transition of the net ``cell``.
@@ -37,12 +37,12 @@ class Variant:
     declared: CommandDeclaration = field(hash=False)
 
     def is_meant(self, arguments: Mapping[str, object]) -> bool:
-        """Whether arguments, with their defaults, have this choice."""
+        """Return whether arguments, with the defaults, have this choice."""
         return all(arguments.get(name) == value for name, value in self.choice.items())
 
 
 class Needs:
-    """What the commands of some nets take.
+    """Needs of the commands of some nets.
 
     Args:
         nets: The nets; a command that declares no needs is not among these.
@@ -78,15 +78,15 @@ class Needs:
         return any(variant.symbol == symbol for variant in self.variants.values())
 
     def declared(self, symbol: str) -> CommandDeclaration:
-        """Returns what its net says of a command that takes something."""
+        """Return the declaration of a command with resources."""
         return next(variant.declared for variant in self.variants.values() if variant.symbol == symbol)
 
     def declared_by(self, symbol: str) -> str:
-        """Returns the net that says so."""
+        """Return the net of the declaration."""
         return next(variant.net for variant in self.variants.values() if variant.symbol == symbol)
 
     def variant(self, symbol: str, arguments: Mapping[str, object]) -> Variant:
-        """Returns what a command with these arguments is.
+        """Return the variant of a command with these arguments.
 
         Raises:
             NetError: Nothing; its arguments were not checked.

@@ -1,4 +1,4 @@
-"""The net ``cell``: a place for each resource, and a transition for each command that takes what it needs at once."""
+"""The net ``cell``: a place for each resource, and a transition for each command, taking all the needs at once."""
 
 from im_core.yamltext import write_yaml
 from im_dispatcher.cell.needs import Needs, Variant
@@ -10,12 +10,12 @@ NAME = "cell"
 
 
 def turn_of(variant: str) -> str:
-    """Returns the name of the enabling function of what begins here: whether it is the turn of that command."""
+    """Return the name of the enabling function for the turn of a command."""
     return f"turn_of_{variant}"
 
 
 def cell_net(needs: Needs) -> Net:
-    """Returns the net: whatever runs holds all that it needs, and nothing that waits holds anything.
+    """Return the net: a running command holds all the needs, and a waiting one holds nothing.
 
     A command is handed on to its own net, and what it took is given back when that has ended it, however it did.
     """
@@ -41,7 +41,7 @@ def _declared(variant: Variant) -> dict[str, object]:
 
 
 def _handed_on(variant: Variant) -> dict[str, object]:
-    """The arguments of the command, those that decide as values: what is taken is what they need."""
+    """Return the arguments of the command, with the deciding ones as values."""
     arguments = variant.declared.arguments.arguments
     return {name: variant.choice.get(name, f"${{arguments.{name}}}") for name in arguments}
 

@@ -1,4 +1,4 @@
-"""The line in which commands wait for what others hold, and whose turn it is.
+"""Queue of commands for occupied resources, and the order.
 
 A command begins when all that it needs is free, and nobody before it in the line waits for any of that. What comes
 first has the smaller ``number - 10 * priority``, where commands are numbered as they come: a step of priority is worth
@@ -24,29 +24,29 @@ LEAST, MOST = -10, 10
 
 
 class Claim(NamedTuple):
-    """A command and what it takes."""
+    """Command with the resources."""
 
     command: Command
     variant: Variant
 
     @property
     def rank(self) -> tuple[int, int]:
-        """What is smaller goes first."""
+        """Rank of the command; the smallest goes first."""
         priority = max(LEAST, min(MOST, self.command.priority))
         return self.command.id - PLACES * priority, self.command.id
 
     def shares(self, other: "Claim") -> list[str]:
-        """What both need."""
+        """Return the common resources of two commands."""
         return [need for need in self.variant.needs if need in other.variant.needs]
 
 
 def its_turn(asking: Claim, waiting: Iterable[Claim]) -> bool:
-    """Whether no command that waits before another one needs any of what that needs."""
+    """Return whether no earlier command in the queue needs any of the same resources."""
     return not any(other.rank < asking.rank and asking.shares(other) for other in waiting)
 
 
 class WaitingLine:
-    """The commands of the net ``cell`` that have not ended.
+    """Queue of the open commands of the net ``cell``.
 
     Args:
         needs: What its commands take.
@@ -57,21 +57,21 @@ class WaitingLine:
         self._needs, self._executor = needs, executor
 
     def waiting(self) -> list[Claim]:
-        """Returns those that wait and are not paused, the next first."""
+        """Return the waiting commands without the paused ones, the next first."""
         rule = self._executor().rule
         jobs = [job for job in rule.ledger.tape.waiting() if not rule.is_held(job)]
         return sorted((self.claim(job.command) for job in jobs), key=lambda claim: claim.rank)
 
     def coming(self) -> list[Claim]:
-        """Returns those that have just been written: the net has not taken them yet, and will in its next turn."""
+        """Return the commands just written: the net will take them in the next turn."""
         return [self.claim(job.command) for job in self._executor().coming()]
 
     def running(self) -> list[Claim]:
-        """Returns those that have begun."""
+        """Return the running commands."""
         return [self.claim(job.command) for job in self._executor().jobs() if not job.waiting]
 
     def claim(self, command: Command) -> Claim:
-        """Returns what a command takes.
+        """Return the resources of a command.
 
         Raises:
             NetError: Its arguments were not checked.
@@ -79,7 +79,7 @@ class WaitingLine:
         return Claim(command, self._needs.variant(command.symbol, command.arguments))
 
     def require_same(self, needs: Needs) -> None:
-        """Checks that the commands that have not ended need the same as before.
+        """Check whether the needs of the open commands are unchanged.
 
         Raises:
             StateError: One would need something else, or is not there any more; names it.
@@ -92,7 +92,7 @@ class WaitingLine:
                 raise StateError(text, command=job.symbol)
 
     def require_taken(self, claim: Claim) -> None:
-        """Checks that the net takes what a command needs.
+        """Check whether the net takes the resources of a command.
 
         Raises:
             StateError: It does not know the command, or takes something else: it was made for other nets.
@@ -103,7 +103,7 @@ class WaitingLine:
             raise StateError(text, command=symbol)
 
     def guards(self) -> dict[str, GuardFunction]:
-        """Returns the enabling functions of the net, by name."""
+        """Return the enabling functions of the net, by name."""
 
         def guard(name: str) -> GuardFunction:
             return lambda context: self.lets(name, context.command)
@@ -111,19 +111,19 @@ class WaitingLine:
         return {turn_of(name): guard(name) for name in self._needs.variants}
 
     def lets(self, variant: str, command: Command) -> bool:
-        """Whether it is the turn of a command, and it is begun as this variant."""
+        """Return whether a command is next, and begins as this variant."""
         asking = self.claim(command)
         return asking.variant.name == variant and its_turn(asking, self.waiting())
 
     def keepers(self, asking: Claim) -> list[tuple[Claim, str]]:
-        """Returns who keeps a command from beginning, each with what it has, or waits for before that."""
+        """Return the commands in the way of another, with the resources, held or awaited."""
         before = [other for other in (*self.waiting(), *self.coming()) if other.rank < asking.rank]
         told = [(other, "has") for other in self.running()] + [(other, "waits for") for other in before]
         return [(other, how) for other, how in told if other.command.id != asking.command.id and asking.shares(other)]
 
 
 def reason(asking: Claim, keepers: Iterable[tuple[Claim, str]]) -> str:
-    """Says who keeps a command from beginning: ``move needs left_arm, which home (number 3) has``."""
+    """Return the obstacle of a waiting command: ``move needs left_arm, which home (number 3) has``."""
     told = [
         f"{' and '.join(asking.shares(other))}, which {other.command.symbol} (number {other.command.id}) {how}"
         for other, how in keepers

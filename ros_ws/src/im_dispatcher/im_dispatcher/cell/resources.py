@@ -1,4 +1,4 @@
-"""What the cell has once, so that one command at a time may use it."""
+"""Resources of the cell: one command at a time uses each."""
 
 from im_cell.robot import Cell
 
@@ -9,6 +9,6 @@ LASER = "laser"
 
 
 def resources_of(cell: Cell) -> tuple[str, ...]:
-    """Returns the names of the resources of a cell: of each side arm, cart, gripper and light, cameras, laser, zone."""
+    """Return the resources of a cell: arm, cart, gripper and light of each side, cameras, laser, zone."""
     sides = [f"{side}_{part}" for side in cell.sides for part in ("arm", "cart", "gripper", "led")]
     return (*sides, *cell.cameras, LASER, ZONE)

@@ -19,7 +19,7 @@ NETS = Path(__file__).parent.parent / "nets"
 
 
 def shipped() -> list[str]:
-    """Names of the commands that are shipped: those of their net files."""
+    """Return names of the shipped commands: those of the net files."""
     return sorted(path.stem for path in NETS.glob("*.yaml"))
 
 
@@ -71,7 +71,7 @@ def load_named_net(path: str) -> Net:
 
 
 def installed() -> list[CommandDescription]:
-    """What is described of commands that need functions, by name.
+    """Return the descriptions of commands with functions, by name.
 
     Raises:
         ConfigError: A module in this folder describes none, or cannot be imported.

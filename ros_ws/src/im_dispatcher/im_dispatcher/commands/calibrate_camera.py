@@ -1,4 +1,4 @@
-"""What the transitions of ``nets/calibrate_camera.yaml`` do; the net decides what comes when.
+"""Functions of ``nets/calibrate_camera.yaml``; the net decides on the order.
 
 What a command has collected is in its memory (``ctx.memory``), which does not grow from pose to pose, and in data
 objects; every function may be done twice: a dispatcher that died goes on with the command when it is back.
@@ -93,7 +93,7 @@ class CalibrateCamera:
     # In the order of the net.
 
     async def init_calib(self, ctx: ActionContext) -> None:
-        """Reads the poses and sets the loop variable."""
+        """Read the poses and set the loop variable."""
         self._times.restart(ctx.command.id)
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
         text = await self._host.noted_apart("poses", _poses_text, str(ctx.command.arguments.get("poses_file", "")))
@@ -109,7 +109,7 @@ class CalibrateCamera:
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
-        """Counts the loop variable down and stores the next destination."""
+        """Count the loop variable down and store the next destination."""
         loop = _loop(ctx)
         done, number = loop.progress, loop.next_pose()
         pose = (await self._poses(ctx)).poses[number - 1]
@@ -140,47 +140,47 @@ class CalibrateCamera:
         return {"destination": "next_destination", "leaves": f"path/{ctx.command.arguments['group']}"}
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
-        """Which cameras are to look, for what, and how: the pose where the arm is is the one that is looked at."""
+        """Return cameras, light and exposure of the present look, at the arm's present pose."""
         loop = _loop(ctx)
         visit = loop.look()
         ctx.memory["loop"], ctx.memory["looked"] = loop.to_json(), ctx.memory["pose"]
         return {**self.watchers(ctx), "longer": visit.longer}
 
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
-        """Which cameras have looked, and for what."""
+        """Return the cameras and the light of the last look."""
         return {"cameras": ctx.memory["cameras"], "light": ctx.memory["light"]}
 
     def looked_pose(self, ctx: ActionContext) -> dict[str, object]:
-        """Whose spots and position are to be kept."""
+        """Return the pose of the spots and the position to keep."""
         loop, pose = _loop(ctx), ctx.memory["looked"]
         ctx.memory.pop("taken_up", None)
         ctx.progress(f"pose {pose} observed", loop.looked_progress)
         return {"number": loop.looked_number, "pose": pose}
 
     async def visit_again(self, ctx: ActionContext) -> None:
-        """Has the pose that was looked at visited again, with more light where it was too faint."""
+        """Visit the last seen pose again, with more light after a faint spot."""
         loop = _loop(ctx)
         loop.give_back_looked(longer=ctx.failure is not None and ctx.failure.code == TOO_FAINT)
         ctx.memory["loop"] = loop.to_json()
         ctx.progress(f"pose {ctx.memory['looked']} is visited again: {_reason(ctx)}", loop.looked_progress)
 
     async def skip_pose(self, ctx: ActionContext) -> None:
-        """Leaves out the pose where the arm is, or was to be, and says why."""
+        """Leave out the arm's present or coming pose, with the reason."""
         await self._skip(ctx, str(ctx.memory["pose"]), _loop(ctx).progress)
 
     async def skip_look(self, ctx: ActionContext) -> None:
-        """Leaves out the pose that was looked at and says why."""
+        """Leave out the last seen pose, with the reason."""
         await self._skip(ctx, str(ctx.memory["looked"]), _loop(ctx).looked_progress)
 
     async def take_up(self, ctx: ActionContext) -> None:
-        """Gives the present pose back, if there is one: it is visited again."""
+        """Give the present pose back, if there is one: it is visited again."""
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
         ctx.memory["taken_up"] = _take_ups(ctx) + 1
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
-        """What is to be calibrated from: the numbers of the poses that were observed, and why others were not."""
+        """Return the input of the calibration: numbers of the observed poses, and reasons for the others."""
         skipped = await self._skipped(ctx)
         left_out = {skip.pose for skip in skipped}
         poses = (await self._poses(ctx)).poses
@@ -192,7 +192,7 @@ class CalibrateCamera:
         }
 
     async def write_report(self, ctx: ActionContext) -> None:
-        """Writes the report of a calibration that succeeded."""
+        """Write the report of a successful calibration."""
         solver = await self._host.get_object(ctx.object("calibration"), SolverReport)
         poses = _loop(ctx).poses
         report = succeeded(solver, await self._skipped(ctx), poses)
@@ -200,26 +200,26 @@ class CalibrateCamera:
         ctx.result.update(self._finish(ctx, report))
 
     async def note_left(self, ctx: ActionContext) -> None:
-        """The calibration stands, but the cell is not as the command found it: its result says so."""
+        """Note in the result of a good calibration a cell left in another state than found."""
         told = ctx.result.get("message")
         before = f"{told};" if told else "the cell is not left as it was found:"
         ctx.result["message"] = f"{before} {_reason(ctx)}"
 
     async def note_failure(self, ctx: ActionContext) -> None:
-        """Keeps the reason for which the command ends, before what is done to end it can fail too."""
+        """Keep the reason of the command's end, before the closing steps can fail too."""
         reason = "the command was cancelled" if ctx.cancelled else _reason(ctx)
         ctx.memory["reason"] = reason
         ctx.progress(f"{'establishing again' if _begun_anew(ctx) else 'giving up'}: {reason}")
 
     async def note_unkept(self, ctx: ActionContext) -> None:
-        """The same, and that nothing is kept of the pose that was looked at: who goes on goes there again."""
+        """Keep the reason, and note the lost look: after a resume the pose is visited again."""
         loop = _loop(ctx)
         loop.give_back_looked()
         ctx.memory["loop"] = loop.to_json()
         await self.note_failure(ctx)
 
     async def report_failure(self, ctx: ActionContext) -> None:
-        """Writes the report of a command that failed."""
+        """Write the report of a failed command."""
         reason = str(ctx.memory.get("reason") or _reason(ctx))
         ctx.result["message"] = reason
         self._expected = None
@@ -241,7 +241,7 @@ class CalibrateCamera:
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
-        """The poses of a command; a dispatcher that came back reads them again, and one that is recorded."""
+        """Return the poses of a command; read them again after a restart or in a recording."""
         if self._file is None or self._file[0] != ctx.command.id or self._host.recorded:
             self._file = ctx.command.id, await self._host.get_object(ctx.object(POSES), PosesFile)
         return self._file[1]
@@ -251,7 +251,7 @@ class CalibrateCamera:
         return [await self._host.get_object(ctx.object(f"skipped/{count}"), SkippedPose) for count in counts]
 
     async def _expect(self, poses: int) -> None:
-        """Finds out how long the command should have taken, where its nets say."""
+        """Compute the expected duration of the command, where the nets give one."""
 
         def compute() -> None:
             self._expected = expectation(self._host.nets_for(SYMBOL), SYMBOL, poses)
@@ -279,7 +279,7 @@ class CalibrateCamera:
         return {"report": report, "directory": directory}
 
     def _elapsed(self, ctx: ActionContext) -> tuple[float, float]:
-        """Wall and testbed time since the command began [s], without that in which there was no machine.
+        """Return wall and testbed time since the command began [s], without the time of a dead machine.
 
         Raises:
             StateError: None has begun.
@@ -301,7 +301,7 @@ class CalibrateCamera:
         )
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
-        """The times of a command; a dispatcher that came back takes up those of its former life."""
+        """Return the times of a command; after a restart, continue those of the former incarnation."""
         if self._times.command != ctx.command.id:
             self._times.command = ctx.command.id
             self._times.add_times(ctx.memory.get("times"))
@@ -329,7 +329,7 @@ def _goes_on(ctx: ActionContext) -> bool:
 
 
 def _another_visit_may_help(ctx: ActionContext) -> bool:
-    """Whether a light was too faint, for the first time, or the images are gone with the process that had them."""
+    """Return whether a light was too faint for the first time, or the images died with the process."""
     code, looked = ctx.failure.code if ctx.failure is not None else "", _loop(ctx).looked
     return code == FORGOTTEN or (code == TOO_FAINT and looked is not None and not looked.longer)
 
@@ -339,7 +339,7 @@ def _dispensable(ctx: ActionContext) -> bool:
 
 
 def _begun_anew(ctx: ActionContext) -> bool:
-    """Whether what was established is gone with the life in which it was, and to establish it again may help."""
+    """Return whether a lost establishment can be mended by another one."""
     gone = ctx.last_failure is not None and ctx.last_failure.code == BEGUN_ANEW
     return gone and not ctx.cancelled and _take_ups(ctx) < MOST_TAKE_UPS
 
@@ -349,7 +349,7 @@ def _take_ups(ctx: ActionContext) -> int:
 
 
 def _reason(ctx: ActionContext) -> str:
-    """Why the token is where it is; where nothing came with it, what failed last for the command."""
+    """Return the reason of the token's place; without one, the last failure of the command."""
     failure = ctx.failure or ctx.last_failure
     return "nobody says why" if failure is None else failure.message
 

@@ -21,7 +21,7 @@ ValueT = TypeVar("ValueT")
 
 
 class DispatcherHost:
-    """A :class:`im_dispatcher.command.CommandHost`; commands take it before the node is made, and use it after.
+    """Host of commands (:class:`im_dispatcher.command.CommandHost`), given before the node exists and used afterwards.
 
     Args:
         host: The node, or what stands for it.
@@ -32,7 +32,7 @@ class DispatcherHost:
         self._timed: list[tuple[str, StepTimes]] = []
 
     def attach(self, node: PntNode) -> None:
-        """Tells which node it stands for."""
+        """Set the node behind this host."""
         self._node, self.seed = node, node.seed
         node.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
 
@@ -42,37 +42,37 @@ class DispatcherHost:
         return self._host.recorded
 
     async def put_object(self, name: str, value: object, place: str = "") -> None:
-        """Stores a data object of a type that :data:`MESSAGES` knows."""
+        """Store a data object of a type in :data:`MESSAGES`."""
         await self._host.dom.put(name, MESSAGES[type(value)](value), place)
 
     async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
-        """Returns a data object as a value of a type that :data:`VALUES` knows."""
+        """Return a data object as a value of a type in :data:`VALUES`."""
         message_type, value_of = VALUES[kind]
         value: ValueT = value_of(await self._host.dom.get(name, message_type))
         return value
 
     def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what is computed from the world outside."""
+        """Return a value computed from the world outside."""
         return self._host.noted(key, compute)
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Does the same in a thread of its own."""
+        """Return a value computed from the world outside, in a thread of its own."""
         return await self._host.noted_apart(key, compute, *arguments)
 
     def time_steps(self, net: str, times: StepTimes) -> None:
-        """Has the firings of a net timed, and of those that it needs."""
+        """Time the firings of a net, and of the nets it needs."""
         self._timed.append((net, times))
 
     def nets_for(self, net: str) -> Sequence[Net]:
-        """Returns a net as written, with those that it needs."""
+        """Return a net as written, with the nets it needs."""
         return self._node.net_with_servers(net)
 
     def now(self) -> float:
-        """Returns the testbed time [s]."""
+        """Return the testbed time [s]."""
         return float(self._node.get_clock().now().nanoseconds) * 1e-9
 
     def warn(self, text: str) -> None:
-        """Writes a line to the log."""
+        """Write a line to the log."""
         self._host.warn(text)
 
     def _note_firing(self, message: Firing) -> None:
@@ -89,7 +89,7 @@ class DispatcherHost:
                 times.note_end(name, message.command_id, stamp, message.duration)
 
     def _is_step(self, net: str, message: Firing) -> bool:
-        """Whether a transition is one of a net, or of those that it needs: anybody may tell of firings."""
+        """Return whether a transition is one of a net, or of the nets it needs: firings come from any sender."""
         nets = self.nets_for(net) if net in self._node.exchange.nets else ()
         return any(each.name == message.net and message.transition in each.transitions for each in nets)
 

@@ -48,7 +48,7 @@ NO_NUMBER = 2**62
 
 
 class Dispatcher(PntNode):
-    """Root of the Coordination Level: its services and its action write commands to the input tape of its nets."""
+    """Root of the Coordination Level: the services and the action write commands to the input tape of the nets."""
 
     def __init__(self) -> None:
         host, commands = NodeHost(), installed()
@@ -67,12 +67,12 @@ class Dispatcher(PntNode):
         self._know(Needs((), self._resources))
 
     def phase_configure(self) -> None:
-        """Load the nets of the commands, and the net of what they need."""
+        """Load the nets of the commands, and the net of the resources."""
         self._library.begin_with(net_files(self._commands_named.split(",")))
         super().phase_configure()
 
     def completed(self, nets: list[Net]) -> list[Net]:
-        """The nets, and before them the one of what their commands need, which hands these on.
+        """Return the nets, and before them the net of the resources, which hands commands on.
 
         A journal brings that back as it was: perhaps the process died between a net and what its commands need.
         """
@@ -82,7 +82,7 @@ class Dispatcher(PntNode):
         return [*(before or [self._library.kept(cell.cell_net(self._needs))]), *others]
 
     def require_together(self, nets: Iterable[Net]) -> None:
-        """The net of the cell reads what others do, which it hands on to them."""
+        """Check nets together; the net of the cell reads the commands, and hands them on."""
         super().require_together(net for net in nets if net.name != cell.NAME)
 
     def phase_start(self) -> None:
@@ -95,7 +95,7 @@ class Dispatcher(PntNode):
         self.spawn(self._complete_cell())
 
     async def _complete_cell(self) -> None:
-        """Ends what a former life had begun when it loaded or unloaded a net."""
+        """Complete the loading or unloading of a net begun by a former incarnation."""
         try:
             async with self._changes:
                 if self._is_other(cell.cell_net(self._needs)):
@@ -106,7 +106,7 @@ class Dispatcher(PntNode):
             self.get_logger().error(f"what commands need is as before the last net came or went: {error.message}")
 
     async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
-        """Take a net into execution, and what its commands need into the net of the cell, in one turn.
+        """Take a net into execution, and the needs of the commands into the net of the cell, in one turn.
 
         All nets that will run then are verified together before. One net comes or goes at a time; others wait.
 
@@ -126,7 +126,7 @@ class Dispatcher(PntNode):
             return await self.load_beside(net, patience_s, [changed], around)
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
-        """Take a net out of execution, and its commands out of the net of the cell, in one turn.
+        """Take a net out of execution, and the commands out of the net of the cell, in one turn.
 
         Raises:
             StateError: One of its commands waits or runs, or it is the net of the cell.
@@ -141,7 +141,7 @@ class Dispatcher(PntNode):
             await self.unload_beside(name, patience_s, [changed], around)
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """What a command needs of the cell, and who keeps it from beginning, if somebody does."""
+        """Return the needs of a command in the cell, and the commands in the way, if any."""
         asked = command.job.command
         if asked.symbol not in self._needs:
             return (), ""
@@ -150,13 +150,13 @@ class Dispatcher(PntNode):
         return claim.variant.needs, reason(claim, keepers) if keepers else ""
 
     def _know(self, needs: Needs) -> None:
-        """Has commands wait by what they need."""
+        """Set the needs for the queue of commands."""
         self._needs = needs
         self._line = WaitingLine(needs, lambda: self.exchange.nets[cell.NAME])
         self.functions.guards.update(self._line.guards())
 
     async def _cell_for(self, needs: Needs, beside: Sequence[Net] = (), without: str = "") -> tuple[Net, Verification]:
-        """Makes the net of the cell for other needs, and verifies it with the nets that will run then."""
+        """Make the net of the cell for other needs, and verify it with the later running nets."""
         net = cell.cell_net(needs)
         return net, await self.loader.verified(net, beside, without)
 
@@ -165,7 +165,7 @@ class Dispatcher(PntNode):
 
     @contextmanager
     def _cell_changes(self, needs: Needs, net: Net, report: Verification) -> Iterator[None]:
-        """Has the cell hand out what commands need from now on, with the net that comes or goes meanwhile.
+        """Replace the net of the cell by one for the coming needs, with the net that comes or goes meanwhile.
 
         Raises:
             StateError: A command waits or runs that would need something else, or is not there any more.
@@ -188,7 +188,7 @@ class Dispatcher(PntNode):
         started: Callable[[int], None] | None = None,
         priority: int = 0,
     ) -> CommandOutcome:
-        """Runs a command; one that needs what others hold waits or is refused, by its declaration.
+        """Run a command; without free resources it waits or is refused, by the declaration.
 
         Of a command that needs nothing, a second one is refused.
 
@@ -274,7 +274,7 @@ class Dispatcher(PntNode):
 
 
 def require_wait(seconds: float) -> None:
-    """Checks how long a client would have a net wait for its rest.
+    """Check the wait of a client for the rest of a net.
 
     Raises:
         ArgumentError: It is no time.
@@ -284,7 +284,7 @@ def require_wait(seconds: float) -> None:
 
 
 def dispatcher_functions(host: Host) -> Functions:
-    """The functions of the commands, and of the net of what they need, to run the nets of a recorded mission again."""
+    """Return the functions of commands and cell, for a re-run of the nets of a mission."""
     made = joined(command.functions(DispatcherHost(host)) for command in installed())
     needs = Needs([net for net in host.nets() if net.name != cell.NAME], resources_of(load_cell()))
     made.guards.update(WaitingLine(needs, lambda: host.executor(cell.NAME)).guards())

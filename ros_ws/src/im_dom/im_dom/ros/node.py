@@ -71,7 +71,7 @@ class DomNode(ManagedNode):
         self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate, qos_profile=qos.QUEUED_SERVICE)
 
     def phase_shutdown(self) -> None:
-        """Close the store, unless something in it hangs."""
+        """Close the store, unless an operation in it hangs."""
         if self._worker is not None and self._worker.close() and self._store is not None:
             self._store.close()
 
@@ -123,7 +123,7 @@ class DomNode(ManagedNode):
         return await self._answer(response, append, changed=True)
 
     async def _require_place(self, place: str) -> None:
-        """Make sure that a place exists; one whose net was not described yet is waited for.
+        """Check whether a place exists; wait for a net without a description so far.
 
         Raises:
             DataError: It is none by its form.
@@ -154,7 +154,7 @@ class DomNode(ManagedNode):
         self.spawn(self._abandon(net, self._places.of(net), DESCRIBED_S if stranger and not description.json else 0.0))
 
     async def _abandon(self, net: str, places: frozenset[str], wait_s: float) -> None:
-        """Has objects lose their validity whose place a net does not have any more: no token can stand for them.
+        """Invalidate objects of places removed from a net: no token can stand for them.
 
         Args:
             net: Its name.
@@ -179,7 +179,7 @@ class DomNode(ManagedNode):
     def _get(
         self, request: GetObject.Request, response: GetObject.Response
     ) -> GetObject.Response | Coroutine[None, None, GetObject.Response]:
-        """Answers at once what is in memory; else the store is asked, and the response comes later."""
+        """Answer at once from memory; else ask the store, and respond later."""
         cached = self.store.cached(request.name)
         if cached is None or request.version or request.as_json or not 0.0 <= request.timeout <= LONGEST_WAIT_S:
             return self._get_stored(request, response)
@@ -223,7 +223,7 @@ class DomNode(ManagedNode):
                     self._awaited.pop(changed, None)
 
     def _next_change(self, name: str) -> Promise | None:
-        """A promise that is kept when an object is put next; None if too many wait already."""
+        """Return a promise of the next put of an object; None with too many waiting already."""
         if len(self._awaited) >= MOST_WAITING:
             return None
         promise = self.promise()
@@ -244,7 +244,7 @@ class DomNode(ManagedNode):
     async def _forget(
         self, request: InvalidateObject.Request, response: InvalidateObject.Response
     ) -> InvalidateObject.Response:
-        """Forgets the objects of a command, or all below another name that ends with ``/``."""
+        """Delete the objects of a command, or all below another name ending with ``/``."""
 
         def forget() -> list[ObjectRecord]:
             return self.store.forget(request.name)
@@ -290,7 +290,7 @@ class DomNode(ManagedNode):
     def _ask(
         self, work: Callable[[], ResultT], late: Callable[[ResultT], None] = lambda _: None
     ) -> Coroutine[Any, Any, ResultT]:
-        """Has something done in the store, together with what else waits for it; what is answered is on the disk."""
+        """Run work in the store, together with other waiting work; answered work is on the disk."""
         assert self._worker is not None, "the services are offered when the store is open"
         return self._worker.run(work, late)
 
@@ -306,7 +306,7 @@ class DomNode(ManagedNode):
 
 
 def _told(request: PutObject.Request | AppendObject.Request) -> bytes:
-    """The message of a request, which says it in one of two ways.
+    """Return the message of a request, from one of the two forms.
 
     Raises:
         DataError: It says it in both, or its JSON does not fit the type.

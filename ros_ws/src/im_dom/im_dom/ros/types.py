@@ -1,4 +1,4 @@
-"""Types of data objects: whether bytes are a message of one, the hash of its definition, and a message as JSON."""
+"""Types of data objects: check of bytes as a message, the hash of a definition, and a message as JSON."""
 
 import array
 import functools
@@ -35,7 +35,7 @@ LONGEST_SHOWN = 80
 
 
 def check_message(name: str, kind: str, data: bytes) -> str:
-    """Make sure that bytes are a message of a type.
+    """Check whether bytes are a message of a type.
 
     Args:
         name: Of the object, for the error.
@@ -58,7 +58,7 @@ def check_message(name: str, kind: str, data: bytes) -> str:
 
 
 def extended(name: str, kind: str, data: bytes, more: bytes) -> bytes:
-    """A message whose sequences have grown by those of another of its type; its other fields stay as they are.
+    """Return a message with sequences grown by those of another of the type; the other fields stay.
 
     Args:
         name: Of the object, for errors.
@@ -108,7 +108,7 @@ def type_hash(kind: str) -> str:
 
 
 def as_json(name: str, kind: str, data: bytes) -> str:
-    """The fields of a message as JSON; numbers that are not finite are texts there.
+    """Return the fields of a message as JSON; infinite numbers are texts there.
 
     Raises:
         DataError: The bytes are none of that type any more, or too many.
@@ -120,7 +120,7 @@ def as_json(name: str, kind: str, data: bytes) -> str:
 
 
 def from_json(name: str, kind: str, text: str) -> bytes:
-    """The message (CDR) whose fields are told as :func:`as_json` tells them; those that are not keep their defaults.
+    """Return the message (CDR) with fields in the form of :func:`as_json`; missing ones keep the defaults.
 
     Raises:
         DataError: It is no JSON, a field does not fit, or it is the type of no messages.
@@ -168,7 +168,7 @@ def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
 
 
 def _number(kind: str, value: Any) -> Any:
-    """JSON writes 1 where a message wants 1.0, and has no number that is not finite; texts of ROS end with a zero."""
+    """Convert a number of JSON: 1 for 1.0, texts for infinite numbers; texts of ROS end with a zero."""
     if isinstance(value, str) and "\0" in value:
         raise ValueError(value)
     if kind in ("float", "double") and not isinstance(value, bool):

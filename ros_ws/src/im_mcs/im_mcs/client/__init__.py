@@ -1,4 +1,4 @@
-"""Client interface layer (paper, section 4): what may be asked for, checked before anything happens."""
+"""Client interface layer (paper, section 4): requests of clients, checked before any effect."""
 
 from im_mcs.client.points import ordered_points
 

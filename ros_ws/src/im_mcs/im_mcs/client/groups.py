@@ -1,4 +1,4 @@
-"""Groups: which there are at present, and what was measured of one, from the newest snapshot of the servo."""
+"""Groups: the present ones, and the measurements of one, from the newest snapshot of the servo."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ def all_groups(config: McsConfig) -> list[str]:
 
 
 def group_in_force(config: McsConfig, name: str) -> Group:
-    """A group of the preset in force.
+    """Return a group of the preset in force.
 
     Raises:
         StateError: The group is one of another preset; the message says of which.
@@ -38,7 +38,7 @@ def group_in_force(config: McsConfig, name: str) -> Group:
 
 @dataclass(frozen=True)
 class GroupState:
-    """What is known of a group without moving it and without letting time pass.
+    """State of a group, known without motion and without passing time.
 
     Attributes:
         group: Its name.

@@ -1,4 +1,4 @@
-"""Kinematic questions that are answered without the servo; safe to ask from several threads."""
+"""Kinematic questions without the servo; safe to ask from several threads."""
 
 import threading
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from im_mcs.protocol.requests import unit_pose
 
 @dataclass(frozen=True)
 class Forward:
-    """Where a frame is, and how the joints of a group move it.
+    """Place of a frame, and the Jacobian by the joints of a group.
 
     Attributes:
         pose: Of the frame in ``world``.
@@ -86,7 +86,7 @@ class Kinematics:
         q_all: NDArray[np.float64],
         avoid_collisions: bool,
     ) -> NDArray[np.float64]:
-        """Joint positions of a group for a pose of its wrist.
+        """Return joint positions of a group for a pose of the wrist.
 
         Args:
             group: Name of the group.
@@ -114,7 +114,7 @@ class Kinematics:
     def check_path(
         self, group: str, points: list[list[float]], q_all: NDArray[np.float64], blend: float = 0.0
     ) -> float:
-        """Smallest distance on the way that a move through ``points`` takes [m]: the move's own planner says which.
+        """Return the smallest distance on a move through ``points`` [m], by the move's own planner.
 
         Args:
             group: Name of the group.
@@ -139,7 +139,7 @@ class Kinematics:
             return self._paths.check_motion(q_all, index, motion, limits.velocity)
 
     def index(self, group: str) -> NDArray[np.intp]:
-        """Ranks of a group's joints, shape (n,).
+        """Return ranks of a group's joints, shape (n,).
 
         Raises:
             NotFoundError: No such group.
@@ -160,7 +160,7 @@ class Kinematics:
 
 
 def wrist_pose(position: Sequence[float], orientation: Sequence[float]) -> pin.SE3:
-    """A pose from a position [m] and a quaternion x, y, z, w.
+    """Return a pose from a position [m] and a quaternion x, y, z, w.
 
     Raises:
         DataError: A value is not finite, or the quaternion is not of length 1 (within 1 %).

@@ -13,7 +13,7 @@ _ASTRAY = 1.0  # how far out of its range a joint may be found, as a share of it
 
 
 class JointsError(DataError):
-    """Joint names that are not those of the group."""
+    """Joint names not of the group."""
 
     default_code = "joints"
 
@@ -93,7 +93,7 @@ def ordered_points(
 def check_measured_path(
     limits: JointLimits, index: NDArray[np.intp], points: Sequence[Sequence[float]], max_points: int
 ) -> NDArray[np.float64]:
-    """Points of a path that begins where the group is, which may be somewhat out of range, as an array, shape (m, n).
+    """Return points of a path from the group's measured place, possibly out of range, as an array, shape (m, n).
 
     Raises:
         DataError: None or too many points, a wrong size, or a value that is not finite.

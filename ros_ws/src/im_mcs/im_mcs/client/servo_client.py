@@ -59,7 +59,7 @@ OnProgress = Callable[[MotionProgress], None]
 
 
 class ServoClient:
-    """Requests to the servo process and their answers.
+    """Client of the servo process: requests and the answers.
 
     A thread of its own waits for events and calls back from there. Signs of life are given by :meth:`beat`, which
     whoever answers for the machine calls from where it would notice a stop: a thread of its own would hide a hang.
@@ -94,7 +94,7 @@ class ServoClient:
         on_reply: OnReply | None = None,
         on_progress: OnProgress | None = None,
     ) -> int:
-        """Send a request; its answer comes to ``on_reply``, in another thread.
+        """Send a request; the answer comes to ``on_reply``, in another thread.
 
         Returns:
             Number of the request.
@@ -142,7 +142,7 @@ class ServoClient:
         return self._records.read(number)
 
     def beat(self) -> None:
-        """Give the servo a sign of life; from the first one on it watches that they go on."""
+        """Give the servo a sign of life; from the first one on it watches for the next."""
         self._channel.heartbeat.beat()
 
     def silence_s(self) -> float:
@@ -154,7 +154,7 @@ class ServoClient:
         return 0.0 if self._channel.requests.empty() else clock.monotonic() - self._heard
 
     def give_up(self, error: ImError) -> None:
-        """The servo process is gone: every request that waits is answered with ``error``, and so is every new one."""
+        """Answer every waiting and later request with ``error``: the servo process is gone."""
         with self._lock:
             self._refusal = error
             waiting, self._waiting = self._waiting, {}
@@ -162,7 +162,7 @@ class ServoClient:
             on_reply(ServoReply(error, {}))
 
     def suspend(self, error: ImError) -> None:
-        """The servo process hangs: as :meth:`give_up`, until :meth:`resume`; to be called as long as it hangs.
+        """Answer requests as :meth:`give_up` does until :meth:`resume`, for a hanging servo; call it during the hang.
 
         An emergency stop is passed on nevertheless, and acts when the process wakes. So does the cancelling of
         everything whose sender has been told that it failed.
@@ -178,7 +178,7 @@ class ServoClient:
             self._refusal = None
 
     def close(self) -> None:
-        """End the thread and answer what still waits."""
+        """End the thread and answer waiting requests."""
         self._running = False
         self._channel.bell.post()
         self._thread.join()
@@ -219,7 +219,7 @@ class ServoClient:
 def ask(
     client: ServoClient, event: Event, arguments: dict[str, Any] | None = None, timeout_s: float = 10.0
 ) -> ServoReply:
-    """Send a request and wait for its answer; for scripts and tests.
+    """Send a request and wait for the answer; for scripts and tests.
 
     Raises:
         LinkError: No answer within ``timeout_s`` of wall time [s].

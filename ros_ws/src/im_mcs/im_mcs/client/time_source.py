@@ -1,4 +1,4 @@
-"""Where a client's time comes from: a simulated testbed may stand still until it is asked for time."""
+"""Source of a client's time: a simulated testbed may stand still until asked for time."""
 
 from contextlib import suppress
 from typing import Protocol
@@ -8,19 +8,19 @@ from im_core.errors import LinkError
 
 
 class TimeSource(Protocol):
-    """Time of the testbed, as far as a client must know of it."""
+    """Time of the testbed, as clients need it."""
 
     @property
     def tick(self) -> int:
-        """Number of the present tick, as far as it can be known."""
+        """Number of the present tick, as far as known."""
         ...
 
     def ask(self) -> None:
-        """A request has been sent: let it be heard."""
+        """Let a sent request be heard."""
         ...
 
     def ask_until(self, tick: int) -> None:
-        """Let time pass until ``tick``; asked for by number, so that a tick which begins just now counts."""
+        """Let time pass until ``tick``, requested by number, so a tick beginning just now counts."""
         ...
 
     def close(self) -> None:
@@ -29,7 +29,7 @@ class TimeSource(Protocol):
 
 
 class TestbedTime:
-    """Time of the simulated testbed, which passes only while somebody asks for it if its clock factor is 0.
+    """Time of the simulated testbed, passing only on request if the clock factor is 0.
 
     Args:
         link: The testbed; closed with this object.

@@ -1,4 +1,4 @@
-"""Trajectories with times, as ``FollowJointTrajectory`` and ``/<group>/joint_trajectory`` bring them."""
+"""Trajectories with times, of ``FollowJointTrajectory`` and ``/<group>/joint_trajectory``."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _AT_REST = 1e-6
 
 
 class OldStampError(ImError):
-    """A trajectory that ends before now."""
+    """Trajectory with the end before now."""
 
     default_code = "old_stamp"
 
@@ -43,7 +43,7 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class GoalTolerances:
-    """What a goal allows.
+    """Tolerances of a goal.
 
     Attributes:
         path: On the way.
@@ -58,7 +58,7 @@ class GoalTolerances:
 
 @dataclass(frozen=True)
 class TimedTrajectory:
-    """A trajectory as a client sends it.
+    """Trajectory in a client's form.
 
     Attributes:
         joints: Names that its values are for, in any order.
@@ -81,7 +81,7 @@ class TimedTrajectory:
 
 @dataclass(frozen=True)
 class Accepted:
-    """What is accepted of trajectories beyond whole ones that end at rest.
+    """Accepted forms of trajectories beyond whole ones with rest at the end.
 
     Attributes:
         partial_joints: Some of the joints only; the others hold.
@@ -97,7 +97,7 @@ STRICT = Accepted()
 
 @dataclass(frozen=True)
 class Present:
-    """What a group does when a trajectory comes for it.
+    """Present motion of a group at the arrival of a trajectory.
 
     Attributes:
         now_s: Testbed time [s].
@@ -120,12 +120,12 @@ class Course(TimedPoints):
         return Course(self.times[first:] + delay_s, self.q[first:], v, a)
 
     def held(self, time_s: float, q: NDArray[np.float64]) -> "Course":
-        """The same, and before it a point at rest at ``q``, shape (n,)."""
+        """Return the course with a point at rest at ``q`` before it, shape (n,)."""
         v, a = (None if x is None else np.vstack([np.zeros_like(q), x]) for x in (self.v, self.a))
         return Course(np.append(time_s, self.times), np.vstack([q, self.q]), v, a)
 
     def points(self) -> list[dict[str, Any]]:
-        """Its points, as a MOVE request has them."""
+        """Return the points, in the form of a MOVE request."""
         none: list[list[float]] = [[] for _ in self.times]
         v, a = (none if x is None else x.tolist() for x in (self.v, self.a))
         names = ("time", "positions", "velocities", "accelerations")
@@ -142,7 +142,7 @@ def trajectory_path(
     *,
     stream: bool = False,
 ) -> tuple[Course, dict[str, Any]]:
-    """What a group is to follow, and the other fields of the ``path`` of a MOVE request.
+    """Return the path of a group, and the other fields of the ``path`` of a MOVE request.
 
     A start to come shifts all times; a group at rest stays where it is until then. Of a trajectory that began before
     now, the points to come are followed, as the joint trajectory controller of ros2_control does.
@@ -184,7 +184,7 @@ def trajectory_path(
 def joint_ranks(
     group: str, joints: Sequence[str], names: Sequence[str], accepted: Accepted
 ) -> tuple[list[int], list[str]]:
-    """Where each joint of a group stands among the names that are given and those that are missing; the latter.
+    """Return the rank of each joint of a group among given and missing names; and the missing ones.
 
     Raises:
         JointsError: The names are not the group's, or not all that are needed.
@@ -198,7 +198,7 @@ def joint_ranks(
 def _course(
     group: str, joints: Sequence[str], trajectory: TimedTrajectory, held: NDArray[np.float64], accepted: Accepted
 ) -> Course:
-    """The points in the order of the group; joints that are not named hold."""
+    """Return the points in the order of the group; joints without a name hold."""
     order, missing = joint_ranks(group, joints, trajectory.joints, accepted)
     if not len(trajectory.times):
         raise DataError(f"the trajectory for group '{group}' has no points")
@@ -268,7 +268,7 @@ def _check_stamp(trajectory: TimedTrajectory, now_s: float, delay_s: float) -> N
 
 
 def _bounds(group: str, joints: Sequence[str], tolerances: Sequence[Tolerance], where: str) -> dict[str, list[float]]:
-    """Bounds of position and velocity in the order of the group; none if none are given."""
+    """Return bounds of position and velocity in the order of the group; none if none are given."""
     position, velocity = dict.fromkeys(joints, UNSET), dict.fromkeys(joints, UNSET)
     for tolerance in tolerances:
         name = tolerance.joint

@@ -1,4 +1,4 @@
-"""``trajectory_msgs/JointTrajectory`` and goals of ``FollowJointTrajectory``, read from the bytes that travel (CDR).
+"""``trajectory_msgs/JointTrajectory`` and goals of ``FollowJointTrajectory``, read from the bytes (CDR).
 
 A message of 100,000 points takes seconds to become objects, and holds every thread of Python up meanwhile; read as
 arrays it takes a hundredth of that. How long a message is stands at its begin: one that is too long costs nothing.
@@ -28,7 +28,7 @@ UUID_BYTES = 16
 
 
 class CdrReader:
-    """Reads what CDR encodes, one after the other.
+    """Reader of CDR, one value after the other.
 
     Args:
         data: All bytes, with the four that say how they are encoded.
@@ -46,16 +46,16 @@ class CdrReader:
         self._u32, self._i32 = (struct.Struct(order + kind).unpack_from for kind in "Ii")
 
     def count(self) -> int:
-        """A number from 0 on: how many of something follow."""
+        """Read a number from 0 on: the count of following elements."""
         return self._number(self._u32)
 
     def seconds(self) -> float:
-        """A time or a duration [s]."""
+        """Read a time or a duration [s]."""
         whole = self._number(self._i32)
         return float(whole + 1e-9 * self._number(self._u32))
 
     def text(self) -> str:
-        """A text of up to 256 bytes."""
+        """Read a text of up to 256 bytes."""
         length = self.count()
         if length > LONGEST_TEXT + 1:
             raise DataError(f"a name of {length - 1} bytes is too long; {LONGEST_TEXT} are allowed", bytes=length - 1)
@@ -64,7 +64,7 @@ class CdrReader:
         return data.decode(errors="replace")
 
     def doubles(self) -> tuple[int, int]:
-        """Where an array of numbers begins, and how many they are."""
+        """Read begin and length of an array of numbers."""
         count = self.count()
         if count:
             self._align(8)
@@ -73,7 +73,7 @@ class CdrReader:
         return begin, count
 
     def numbers(self, count: int) -> tuple[float, ...]:
-        """Some numbers that are no array."""
+        """Read some numbers without an array."""
         self._align(8)
         begin = self.at
         self.skip(8 * count)
@@ -101,7 +101,7 @@ class CdrReader:
 
 @dataclass(frozen=True)
 class TrajectoryHead:
-    """What stands before the points.
+    """Content before the points.
 
     Attributes:
         start_s: Stamp of the header [s].
@@ -115,7 +115,7 @@ class TrajectoryHead:
 
 
 def read_head(cdr: CdrReader, most_points: int) -> TrajectoryHead:
-    """Read what stands before the points; takes no longer for a long trajectory.
+    """Read the content before the points, in constant time for any length.
 
     Raises:
         DataError: Too many points or names, or one that is too long.
@@ -131,7 +131,7 @@ def read_head(cdr: CdrReader, most_points: int) -> TrajectoryHead:
 
 
 def check_points(points: int, most: int) -> None:
-    """Refuse what has too many points.
+    """Refuse a trajectory with too many points.
 
     Raises:
         DataError: It has.
@@ -155,7 +155,7 @@ def read_trajectory(cdr: CdrReader, head: TrajectoryHead) -> TimedTrajectory:
 
 
 def read_tolerances(cdr: CdrReader) -> GoalTolerances:
-    """Read what follows the trajectory of a goal.
+    """Read the content behind the trajectory of a goal.
 
     Raises:
         DataError: It has more than tolerances of joints.
@@ -260,7 +260,7 @@ def _alike(cdr: CdrReader, point: _Point, stride: int, count: int) -> int:
 def _columns(
     cdr: CdrReader, point: _Point, stride: int, count: int
 ) -> tuple[NDArray[np.float64], list[NDArray[np.float64]]]:
-    """Times and values of points that are alike."""
+    """Return times and values of points of the same form."""
     seconds = _strided(cdr, "i4", point.time, stride, (count,))
     nanoseconds = _strided(cdr, "u4", point.time + 4, stride, (count,))
     values = [_strided(cdr, "f8", begin, stride, (count, size)) for begin, size in point.arrays[: len(_NAMES)]]
@@ -268,6 +268,6 @@ def _columns(
 
 
 def _strided(cdr: CdrReader, kind: str, offset: int, stride: int, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Numbers that come again every ``stride`` bytes; along the second axis, neighbours."""
+    """Return numbers at every ``stride`` bytes; along the second axis, neighbours."""
     dtype = np.dtype(cdr.order + kind)
     return np.ndarray(shape, dtype, cdr.data, offset, (stride, dtype.itemsize)[: len(shape)])

@@ -14,7 +14,7 @@ _NEVER_TOUCHING = 2
 
 @dataclass(frozen=True)
 class Closest:
-    """The two bodies that are closest to each other.
+    """The two closest bodies.
 
     Attributes:
         distance: Between their surfaces, negative if they overlap [m].
@@ -29,7 +29,7 @@ class Closest:
 
 
 class Bodies:
-    """Capsules of all links and the boxes that are fixed to the world, at one position of the joints after the other.
+    """Capsules of all links and the boxes fixed to the world, at one position of the joints after the other.
 
     Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
     them from touching otherwise.
@@ -58,7 +58,7 @@ class Bodies:
 
     @property
     def ends(self) -> list[tuple[int, NDArray[np.float64]]]:
-        """Joint of each body (0: the world) and the ends of its line in the joint's frame, shape (2, 3) [m]."""
+        """Joint of each body (0: the world) and the ends of the line in the joint's frame, shape (2, 3) [m]."""
         found = []
         for body in self._geometry.geometryObjects:
             half = body.geometry.halfLength if isinstance(body.geometry, coal.Capsule) else 0.0
@@ -68,11 +68,11 @@ class Bodies:
         return found
 
     def place(self, q: NDArray[np.float64]) -> None:
-        """Bring the bodies to where they are at ``q``, shape (18,)."""
+        """Place the bodies for ``q``, shape (18,)."""
         pin.updateGeometryPlacements(self._model.pin, self._data, self._geometry, self._results, q)
 
     def distance(self, pair: int) -> float:
-        """Distance of a pair where the bodies were placed last, negative if they overlap [m]."""
+        """Return the distance of a pair at the last placement, negative for an overlap [m]."""
         return float(pin.computeDistance(self._geometry, self._results, pair).min_distance)
 
     def closest(self) -> Closest:
@@ -85,12 +85,12 @@ class Bodies:
         return Closest(float(distances[k]), *self.pair_names(k), place)
 
     def pair_names(self, pair: int) -> tuple[str, str]:
-        """Links or boxes of a pair."""
+        """Return links or boxes of a pair."""
         first, second = self.pairs[pair]
         return self.names[first], self.names[second]
 
     def touching(self, start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> str | None:
-        """Link or box that a thick line in ``world`` touches where the bodies were placed last.
+        """Return a link or box in touch with a thick line in ``world`` at the last placement.
 
         Args:
             start: Shape (3,) [m].
@@ -136,7 +136,7 @@ class Bodies:
 
 
 def ancestors(model: CellModel, joint: int) -> list[int]:
-    """A joint of pinocchio's model and all those that it rides on, the world (0) last."""
+    """Return a joint of pinocchio's model and all the carriers, the world (0) last."""
     chain = [joint]
     while chain[-1] != 0:
         chain.append(int(model.pin.parents[chain[-1]]))
@@ -144,7 +144,7 @@ def ancestors(model: CellModel, joint: int) -> list[int]:
 
 
 def _capsule(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> tuple[coal.Capsule, pin.SE3]:
-    """A capsule around the line from ``start`` to ``end`` and its placement."""
+    """Return a capsule around the line from ``start`` to ``end`` and the placement."""
     length = float(np.linalg.norm(end - start))
     rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
     return coal.Capsule(radius, length), pin.SE3(rotation, (start + end) / 2.0)

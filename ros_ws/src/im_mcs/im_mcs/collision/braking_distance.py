@@ -1,4 +1,4 @@
-"""Where joints come to rest if they brake now."""
+"""Places of rest of joints that brake now."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +22,7 @@ STRAIGHT: Mapping[int, Ahead] = {}
 
 
 class BrakingDistance:
-    """Displacement of every joint until rest, when each group brakes on its path.
+    """Displacement of every joint until rest, when each group brakes on the path.
 
     Alone, a joint first takes its acceleration to zero, then decelerates, both within the limits of acceleration and
     jerk. A group that brakes on its path keeps its joints in proportion: it decelerates like one joint whose limits
@@ -62,7 +62,7 @@ class BrakingDistance:
 
 
 class _Group:
-    """Joints that brake together."""
+    """Joints braking together."""
 
     def __init__(self, limits: MotionLimits, index: NDArray[np.intp], reaction_s: float) -> None:
         self.index, self.place = index, place_of(index)
@@ -84,11 +84,11 @@ class _Group:
         return v * (gain * (self._seconds(v, forward / gain, gain) + self._reaction))
 
     def seconds_on_curve(self, v: NDArray[np.float64], a: NDArray[np.float64]) -> float:
-        """How far on its path, in time, a stop may end."""
+        """Return the largest time along the path up to the end of a stop."""
         return _CURVE * self._seconds(v, self._forward(v, a)) + _CURVE_S + self._reaction
 
     def _apart(self, v: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of joints whose accelerations do not point along the motion: each alone, and together."""
+        """Return joints with accelerations off the motion: each alone, and together."""
         later = v + self._reaction * a
         v = np.where(np.abs(later) > np.abs(v), later, v)  # a motion that speeds up does so until it brakes
         shared = self._seconds(v, self._forward(v, a))

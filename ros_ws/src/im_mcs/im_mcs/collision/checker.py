@@ -24,7 +24,7 @@ class Positions(Protocol):
 
 
 class PlannedMotion(Protocol):
-    """A motion in its own time."""
+    """Motion in its own time."""
 
     @property
     def duration(self) -> float:
@@ -32,11 +32,11 @@ class PlannedMotion(Protocol):
         ...
 
     def span(self, t: NDArray[np.float64]) -> Positions:
-        """Where it is at times ``t``, shape (m,) [s]."""
+        """Return positions at times ``t``, shape (m,) [s]."""
         ...
 
     def point(self, t: float) -> int:
-        """Index of the point that it is on its way to."""
+        """Return the index of the next point."""
         ...
 
 
@@ -112,7 +112,7 @@ class CollisionChecker:
     def check_motion(
         self, q_all: NDArray[np.float64], index: NDArray[np.intp], motion: PlannedMotion, velocity: NDArray[np.float64]
     ) -> float:
-        """Check a motion along the way that it takes, whether that is straight or not.
+        """Check a motion along the true way, straight or not.
 
         Args:
             q_all: Positions of all joints; those of other groups stay, shape (18,).

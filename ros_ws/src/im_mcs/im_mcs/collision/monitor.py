@@ -50,7 +50,7 @@ def _lever(model: CellModel, carrier: int, between: list[int], ends: NDArray[np.
 
 
 def _axis(model: CellModel, joint: int) -> NDArray[np.float64]:
-    """Axis of a revolute joint in its own frame, shape (3,)."""
+    """Return the axis of a revolute joint in its own frame, shape (3,)."""
     data = model.pin.createData()
     q = pin.neutral(model.pin)
     jacobian = pin.computeJointJacobian(model.pin, data, q, joint)
@@ -74,7 +74,7 @@ _LOOKS = 8
 
 @dataclass(frozen=True)
 class Proximity:
-    """What the monitor says of one tick.
+    """Finding of the monitor in one tick.
 
     Attributes:
         distance: Of the closest pair where the joints come to rest if they brake now, negative if they overlap [m];
@@ -92,7 +92,7 @@ class Proximity:
 
 
 class CollisionMonitor:
-    """Watches all pairs of bodies where the joints would come to rest if they braked now.
+    """Watch over all pairs of bodies at the places of rest of joints that brake now.
 
     Pairs that braking brings closer slow the motion down from ``slow_down_m`` on, and stop it at ``stop_m``. Motion
     that takes bodies apart, or leaves their distance, goes on at any distance: after a stop the way back is free.
@@ -163,7 +163,7 @@ class CollisionMonitor:
         return Proximity(distance, *self._names[closest], self._ceiling, culprit is not None)
 
     def _refresh(self) -> int:
-        """Measure some pairs in turn, and those that may be the closest within the zone; the closest."""
+        """Measure some pairs in turn, and those possibly closest within the zone; return the closest."""
         lower, distance = self._lower, self._bodies.distance
         for pair in next(self._turns):
             lower[pair] = distance(pair)
@@ -179,14 +179,14 @@ class CollisionMonitor:
         return closest
 
     def _near(self) -> NDArray[np.intp]:
-        """Pairs that end within the zone, measured."""
+        """Return measured pairs with the rest within the zone."""
         zone = self._settings.slow_down_m
         for pair in np.flatnonzero(self._lower < zone).tolist():
             self._lower[pair] = self._bodies.distance(pair)
         return np.flatnonzero(self._lower < zone)
 
     def _judge(self, near: NDArray[np.intp], q: NDArray[np.float64]) -> tuple[float, int | None]:
-        """Speed ceiling, and the worst pair that braking brings too close, if there is one.
+        """Return the speed ceiling, and the worst pair too close after braking, if there is one.
 
         Args:
             near: Pairs that end within the zone.

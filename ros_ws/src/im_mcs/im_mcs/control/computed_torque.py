@@ -51,7 +51,7 @@ class ComputedTorque:
         self._feedback.hold(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques of the wanted motion and of what shall bring the error to zero, shape (n,)."""
+        """Return torques of the wanted motion and of the error's feedback, shape (n,)."""
         acceleration = given.wanted_all.a.copy()
         acceleration[self._joints] += self._feedback.update(given.setpoint.q - given.q)
         tau = self._model.inverse_dynamics(given.q_all, given.wanted_all.v, acceleration)[self._joints]

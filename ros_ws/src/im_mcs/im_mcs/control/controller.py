@@ -15,7 +15,7 @@ from im_mcs.planning.trajectories.trajectory import Setpoint
 
 @dataclass(frozen=True)
 class ControllerSetup:
-    """What a control law is made from.
+    """Setup of a control law.
 
     Attributes:
         joints: Indices of its joints among all joints, shape (n,).
@@ -36,7 +36,7 @@ class ControllerSetup:
 
 @dataclass(frozen=True)
 class ControlInput:
-    """What a control law sees in a tick; ``n`` joints of its group, and the whole cell for laws that model coupling.
+    """Input of a control law in a tick; ``n`` joints of the group, and the whole cell for laws with coupling.
 
     Attributes:
         q: Measured positions, shape (n,) [rad or m].
@@ -63,11 +63,11 @@ class Controller(Protocol):
         ...
 
     def hold_integral(self, hold: bool) -> None:
-        """Freeze what accumulates, so that an arm at rest stays exactly where it is."""
+        """Freeze accumulated terms, so an arm at rest stays exactly in place."""
         ...
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques for this tick, shape (n,) [Nm or N]; the loop limits them."""
+        """Return torques for this tick, shape (n,) [Nm or N]; the loop limits them."""
         ...
 
 
@@ -75,7 +75,7 @@ ParametersT = TypeVar("ParametersT", bound=pydantic.BaseModel)
 
 
 def checked(model: type[ParametersT], parameters: dict[str, Any]) -> ParametersT:
-    """Parameters of a control law as its typed model.
+    """Return parameters of a control law as the typed model.
 
     Raises:
         ConfigError: Some are missing, unknown or out of range; they are named.

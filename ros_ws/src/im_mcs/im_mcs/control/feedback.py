@@ -33,7 +33,7 @@ class VelocityEstimator:
         self._value = np.zeros_like(self._value)
 
     def update(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Take a reading, shape (n,), and return its derivative, shape (n,).
+        """Take a reading, shape (n,), and return the derivative, shape (n,).
 
         That of a signal that is not a number is none either; the first reading after that is taken as standing still.
         """
@@ -47,7 +47,7 @@ class VelocityEstimator:
 
 
 class FeedbackParameters(ConfigModel):
-    """Gains as the poles of a joint of its own inertia, so that one line serves joints of any size.
+    """Gains as the poles of a joint of its own inertia, so one line serves joints of any size.
 
     With inertia ``I`` the gains are ``kp = I w^2``, ``kd = 2 zeta w I``, ``ki = kp w_i``.
     """
@@ -121,7 +121,7 @@ class Feedback:
         return self._kp * error + self._kd * self._rate.update(error) + self._integral
 
     def integrate(self, tau: NDArray[np.float64], torque_limit: NDArray[np.float64]) -> None:
-        """Take the last error into the integral; no wind-up: a joint whose torque saturates integrates only back.
+        """Integrate the last error; no wind-up: a joint with saturated torque integrates only back.
 
         Args:
             tau: Torques that followed from the answer, shape (n,) [Nm or N].
@@ -137,12 +137,12 @@ class Feedback:
 
 
 def beyond(x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What of ``x`` lies beyond a dead band from ``low`` to ``high``, shape (n,) each."""
+    """Return the part of ``x`` beyond a dead band from ``low`` to ``high``, shape (n,) each."""
     return np.asarray(x - clip(x, low, high))
 
 
 def clip(
     x: NDArray[np.float64], low: NDArray[np.float64] | float, high: NDArray[np.float64] | float
 ) -> NDArray[np.float64]:
-    """As :func:`numpy.clip`, shape (n,); for a few numbers its checks take five times as long as the work."""
+    """Clip as :func:`numpy.clip`, shape (n,); for a few numbers numpy's checks take five times as long as the work."""
     return np.minimum(np.maximum(x, low), high)

@@ -1,4 +1,4 @@
-"""Feed-forward of the model's friction: what the drives lose on the way to the joints."""
+"""Feed-forward of the model's friction: losses of the drives on the way to the joints."""
 
 import numpy as np
 import pydantic
@@ -10,7 +10,7 @@ from im_mcs.control.feedback import Feedback, clip
 
 
 class FrictionParameters(ConfigModel):
-    """Shares of the modelled friction that are fed forward, 0 to 1."""
+    """Shares of the modelled friction fed forward, 0 to 1."""
 
     friction: float = pydantic.Field(default=0.0, ge=0, le=1)
     stiction: float = pydantic.Field(
@@ -58,7 +58,7 @@ class FrictionFeedforward:
         return np.asarray(self._coulomb * direction + self._viscous * v)
 
     def _push(self, feedback: Feedback) -> NDArray[np.float64]:
-        """Share of dry friction that brings a joint stuck beside its setpoint to the verge of breaking loose.
+        """Return the share of dry friction at which a joint stuck beside the setpoint almost breaks loose.
 
         The integral does the rest. At rest there is no push: friction alone holds the joint, far from the verge.
         """

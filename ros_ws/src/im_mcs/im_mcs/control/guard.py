@@ -1,4 +1,4 @@
-"""What a control law does wrong becomes an error that names it: others write laws, and the servo must live."""
+"""Faults of a control law as errors with the name: users write laws, and the servo must live."""
 
 import math
 
@@ -11,13 +11,13 @@ from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 
 
 class ControlLawError(ImError):
-    """A control law raised an error, or returned what is no torque."""
+    """Control law with an error, or with a wrong kind of torque."""
 
     default_code = "control_law"
 
 
 class GuardedLaw:
-    """A control law whose answers are checked.
+    """Control law with checked answers.
 
     Args:
         name: ``module:Class``.
@@ -42,14 +42,14 @@ class GuardedLaw:
             raise self._failed("reset", error) from error
 
     def hold_integral(self, hold: bool) -> None:
-        """Freeze or free what accumulates; if the law raises an error, the next :meth:`torque` does."""
+        """Freeze or free accumulated terms; an error of the law is raised by the next :meth:`torque`."""
         try:
             self._law.hold_integral(hold)
         except Exception as error:
             self._fault = self._failed("hold_integral", error)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques for this tick, shape (n,) [Nm or N], finite.
+        """Return torques for this tick, shape (n,) [Nm or N], finite.
 
         Raises:
             ControlLawError: The law raised an error, or returned something else.
@@ -79,7 +79,7 @@ class GuardedLaw:
 
 
 def load_controller(name: str, setup: ControllerSetup) -> Controller:
-    """Make the control law that the configuration names ``module:Class``.
+    """Make the control law named ``module:Class`` in the configuration.
 
     Raises:
         ConfigError: There is no such module or class, or it refuses its parameters; names the law.

@@ -1,4 +1,4 @@
-"""Joint impedance: the arm as springs and dampers around the setpoint; it yields to what pushes it."""
+"""Joint impedance: the arm as springs and dampers around the setpoint; it yields to a push."""
 
 import numpy as np
 import pydantic
@@ -51,7 +51,7 @@ class JointImpedance:
         """Nothing accumulates."""
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques of the wanted motion and of springs and dampers, shape (n,)."""
+        """Return torques of the wanted motion and of springs and dampers, shape (n,)."""
         error = given.setpoint.q - given.q
         wanted = given.wanted_all
         known = self._model.inverse_dynamics(given.q_all, wanted.v, wanted.a)[self._joints]

@@ -1,4 +1,4 @@
-"""A control law in a process of its own, seen from the servo loop (paper, section 4: multiprocessor algorithms)."""
+"""Control law in a process of its own, seen from the servo loop (paper, section 4: multiprocessor algorithms)."""
 
 import itertools
 import json
@@ -25,7 +25,7 @@ _NUMBERS = itertools.count()
 
 
 class LawProcess:
-    """A law's process: started before the loop, ended with it, and by the kernel if the loop dies.
+    """Process of a law: started before the loop, ended with it, and by the kernel if the loop dies.
 
     Args:
         law: ``module:Class``.
@@ -70,7 +70,7 @@ class LawProcess:
         self._link.unlink()
 
     def idle(self, deadline: float) -> bool:
-        """Whether the law can be asked, perhaps after it has ended a late answer, which is dropped.
+        """Return whether the law can be asked, possibly after a late answer, which is dropped.
 
         Args:
             deadline: Until when to wait [s of :func:`im_core.clock.monotonic`].
@@ -81,7 +81,7 @@ class LawProcess:
         return not self._at_work or self.answer(deadline) is not None
 
     def ask(self, group: int, reset: bool, hold: int, carried: NDArray[np.float64], given: ControlInput) -> None:
-        """Put a question (:meth:`LawLink.put_question`) to a law that is :meth:`idle`."""
+        """Put a question (:meth:`LawLink.put_question`) to an :meth:`idle` law."""
         self._link.put_question(group, reset, hold, carried, given)
         self._at_work = True
         self._link.question.post()
@@ -155,11 +155,11 @@ class RemoteLaw:
         self._reset, self._hold, self._in_row, self._beyond_gravity = True, -1, 0, 0.0
 
     def hold_integral(self, hold: bool) -> None:
-        """Freeze or free what accumulates, with the next question."""
+        """Freeze or free accumulated terms, with the next question."""
         self._hold = int(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques for this tick, shape (n,) [Nm or N].
+        """Return torques for this tick, shape (n,) [Nm or N].
 
         Raises:
             ControlLawError: The law failed, its process is gone, or it was late too often.

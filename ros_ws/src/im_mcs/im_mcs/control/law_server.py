@@ -1,4 +1,4 @@
-"""``python -m im_mcs.control.law_server``: the process of a control law; its job comes as JSON on standard input."""
+"""``python -m im_mcs.control.law_server``: the process of a control law; the job comes as JSON on standard input."""
 
 import json
 import sys
@@ -19,7 +19,7 @@ _LOOK_S = 0.5
 
 
 def main() -> int:
-    """Serve a law until the servo ends it or is gone; 1 if the law cannot be made, and the link says why."""
+    """Serve a law until the servo ends it or is gone; 1 if the law cannot be made, with the reason in the link."""
     job: dict[str, Any] = json.load(sys.stdin)
     model = ControlledModel(Cell.model_validate(job["cell"]), job["model_error"])
     link = LawLink.attach(job["link"], model.n, len(model.wrists), _ATTACH_S)

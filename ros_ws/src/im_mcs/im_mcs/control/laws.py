@@ -17,7 +17,7 @@ _SHADOW_S = 0.036
 
 @dataclass
 class _Share:
-    """A law at work, and what is left of the law before it.
+    """Working law, and the rest of the law before it.
 
     Attributes:
         law: The law.
@@ -34,7 +34,7 @@ class _Share:
     ticks: int = 0
 
     def answer(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques of the law, shape (n,), with what is left of the law before."""
+        """Return torques of the law, shape (n,), with the rest of the law before."""
         if self.left > 0.0 and self.error is not None:
             setpoint = replace(given.setpoint, q=given.setpoint.q - self.left * self.error)
             given = replace(given, setpoint=setpoint)
@@ -80,12 +80,12 @@ class ControlLaws:
 
     @property
     def switching(self) -> bool:
-        """Whether a handover, or a change of payload, is under way: the arm is not at rest then, whatever it looks."""
+        """Whether a handover, or a change of payload, is under way: the arm then counts as moving."""
         return self._next is not None or self._present.left > 0.0 or self._model_changes
 
     @property
     def late(self) -> int:
-        """How many answers of laws in processes of their own were late so far; the ticks made do without them."""
+        """Number of late answers of laws in processes of their own; the ticks went without them."""
         return sum(law.late for law in self._laws.values() if isinstance(law, RemoteLaw))
 
     @property
@@ -93,7 +93,7 @@ class ControlLaws:
         return self._model is not None and self._model.changing
 
     def switch(self, name: str) -> None:
-        """Let another law take over from the next tick on; nothing happens if it is in force.
+        """Let another law take over from the next tick on; do nothing if it is in force.
 
         Raises:
             NotFoundError: The configuration has no such law.
@@ -116,11 +116,11 @@ class ControlLaws:
         self._present.law.reset()
 
     def hold_integral(self, hold: bool) -> None:
-        """Freeze or free what accumulates."""
+        """Freeze or free accumulated terms."""
         self._present.law.hold_integral(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques for this tick, shape (n,) [Nm or N].
+        """Return torques for this tick, shape (n,) [Nm or N].
 
         Raises:
             ControlLawError: A law failed, be it the one in the shadow.

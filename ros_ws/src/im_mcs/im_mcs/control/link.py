@@ -14,7 +14,7 @@ _PARTS = ("q", "v", "a")
 
 
 def layout(n_joints: int, n_wrists: int) -> np.dtype[np.void]:
-    """Fields of the link. A group of ``n`` joints uses the first ``n`` of what is not of all joints."""
+    """Return the fields of the link. A group of ``n`` joints uses the first ``n`` of fields smaller than the cell."""
     joints = (n_joints,)
     setpoints = [(f"{whose}_{part}", "<f8", joints) for whose in ("setpoint", "wanted_all") for part in _PARTS]
     return np.dtype(
@@ -106,7 +106,7 @@ class LawLink:
 
     @property
     def fault(self) -> str:
-        """What went wrong in the law; empty: nothing."""
+        """Fault of the law; empty: none."""
         return bytes(self.view["fault"][()]).decode(errors="replace")
 
     @fault.setter
@@ -118,7 +118,7 @@ class LawLink:
         return self._block.owner_alive()
 
     def unlink(self) -> None:
-        """Remove the names, as the servo; both sides keep what they have attached to."""
+        """Remove the names, as the servo; both sides keep the mappings."""
         for part in (self._block, self.question, self.answer):
             part.unlink()
 

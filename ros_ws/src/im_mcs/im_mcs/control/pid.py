@@ -36,11 +36,11 @@ class Pid:
         self._feedback.hold(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """PID torques, shape (n,)."""
+        """Return PID torques, shape (n,)."""
         tau = self._feedback.update(given.setpoint.q - given.q) + self.feedforward(given)
         self._feedback.integrate(tau, self._torque_limit)
         return tau
 
     def feedforward(self, given: ControlInput) -> NDArray[np.float64]:
-        """Torques known beforehand, shape (n,); none here."""
+        """Return torques known beforehand, shape (n,); none here."""
         return np.zeros_like(given.q)

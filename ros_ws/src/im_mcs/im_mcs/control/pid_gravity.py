@@ -12,7 +12,7 @@ from im_mcs.control.pid import Pid
 
 
 class Feedforward(FrictionParameters):
-    """Shares of the modelled torques that are fed forward, 0 to 1."""
+    """Shares of the modelled torques fed forward, 0 to 1."""
 
     gravity: float = pydantic.Field(default=1.0, ge=0, le=1)
     inertia: float = pydantic.Field(default=0.0, ge=0, le=1)

@@ -1,4 +1,4 @@
-"""Where the control laws of groups come from: made in the servo process, or served by processes of their own."""
+"""Source of the groups' control laws: made in the servo process, or served by processes of their own."""
 
 from typing import Any
 
@@ -69,7 +69,7 @@ class LawSource:
 
     @property
     def late(self) -> dict[str, int]:
-        """Late answers so far of each law that has a process of its own."""
+        """Late answers so far of each law with a process of its own."""
         counts = dict.fromkeys(self._processes, 0)
         for (law, _, _), remote in self._remote.items():
             counts[law] += remote.late

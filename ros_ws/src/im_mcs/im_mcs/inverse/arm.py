@@ -62,7 +62,7 @@ class Arm:
         return off_axis / self.reach, math.sin(q[2] + self._bend), math.sin(q[4])
 
     def away(self, q: NDArray[np.float64], wanted: float) -> NDArray[np.float64]:
-        """Direction that brings factors up to ``wanted``, 0 where they are larger; shape (6,).
+        """Return the direction of growing factors up to ``wanted``, 0 for larger ones; shape (6,).
 
         Args:
             q: Positions of the arm's joints, shape (6,) [rad].
@@ -82,7 +82,7 @@ class Arm:
         return gradient
 
     def beyond_reach(self, q_all: NDArray[np.float64], wrist: NDArray[np.float64]) -> float:
-        """How far a place is out of the arm's reach, 0 if it is within [m].
+        """Return the distance of a place from the arm's reach, 0 if within [m].
 
         Args:
             q_all: Positions of all joints; only those of the carriers matter, shape (18,) [rad or m].
@@ -104,5 +104,5 @@ class Arm:
 
 
 def _lack(factor: float, wanted: float) -> float:
-    """What a factor lacks, with its sign; at 0 it is pushed to the positive side."""
+    """Return the missing part of a factor, with the sign; at 0 the positive side is chosen."""
     return math.copysign(max(wanted - abs(factor), 0.0), factor)

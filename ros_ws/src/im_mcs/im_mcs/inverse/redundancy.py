@@ -1,4 +1,4 @@
-"""What a group does with joints that a pose of its wrist leaves free."""
+"""Use of joints left free by a pose of the wrist."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ _FACTOR_GAIN = 4.0
 
 
 class Redundancy:
-    """Where a group would rather be: near its preferred position, off joint limits and singularities of its arm.
+    """Preferred region of a group: near the preferred position, off joint limits and singularities of the arm.
 
     The wish is the negative gradient of a sum of squares, to be followed in the null space of the task (A. Liegeois,
     1977).
@@ -46,7 +46,7 @@ class Redundancy:
         self._ranks = np.array([ranks.get(int(joint), 0) for joint in self._arm.joints], dtype=np.intp)
 
     def wish(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement that the group would like, shape (n,) [rad or m].
+        """Return the wanted displacement of the group, shape (n,) [rad or m].
 
         Args:
             q: Positions of the group, shape (n,) [rad or m].

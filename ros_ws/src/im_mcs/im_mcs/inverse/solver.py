@@ -49,7 +49,7 @@ class IkAttempt:
 
 
 class InverseKinematics:
-    """Joint positions of one group for a pose of its wrist.
+    """Joint positions of one group for a pose of the wrist.
 
     Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
     against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off limits and singularities,
@@ -121,7 +121,7 @@ class InverseKinematics:
         )
 
     def _at_limits(self, q: NDArray[np.float64]) -> str:
-        """Says which joints are against which limit, a clause; empty if none is."""
+        """Return the joints against a limit, a clause; empty if there is none."""
         limits, told = self._limits, []
         for i, value, lower, upper in zip(self._index, q, self._lower, self._upper, strict=True):
             if min(value - lower, upper - value) < _AT_LIMIT:
@@ -135,7 +135,7 @@ class InverseKinematics:
         return [seed, self._preferred, *(self._lower + spread * (self._upper - self._lower))]
 
     def descent(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> Iterator[IkAttempt]:
-        """Iterate from one start; the last attempt is where it ended.
+        """Iterate from one start; the last attempt is the end.
 
         Args:
             target: Wanted pose of the wrist in ``world``.

@@ -1,4 +1,4 @@
-"""Joint positions of an arm along a path of its wrist, with their derivatives by the path parameter."""
+"""Joint positions of an arm along a path of the wrist, with the derivatives by the path parameter."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class Tracked:
 
 
 class ArmTracker:
-    """Finds the six joints of an arm for a pose of its wrist, near to where they are, by Newton's method.
+    """Newton's method for the six joints of an arm at a pose of the wrist, near to the present positions.
 
     Args:
         model: Kinematics.
@@ -90,7 +90,7 @@ class ArmTracker:
         twist: NDArray[np.float64],
         twist_rate: NDArray[np.float64],
     ) -> Tracked | None:
-        """Motion that keeps the wrist on a path; None where the arm is exactly singular.
+        """Return a motion along a path of the wrist; None where the arm is exactly singular.
 
         Args:
             q: Positions of all joints, shape (18,) [rad or m].
@@ -116,7 +116,7 @@ class ArmTracker:
         return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
 
     def singular_value(self, q: NDArray[np.float64]) -> float:
-        """Smallest singular value of the arm's Jacobian at ``q``, shape (18,); lengths divided by its reach."""
+        """Smallest singular value of the arm's Jacobian at ``q``, shape (18,); lengths divided by the reach."""
         return self._smallest(self._jacobian(q)[:, self._arm.joints])
 
     def _smallest(self, jacobian: NDArray[np.float64]) -> float:

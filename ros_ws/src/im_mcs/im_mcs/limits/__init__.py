@@ -1,1 +1,1 @@
-"""Limits and configuration of MCS: what everything else keeps to."""
+"""Limits and configuration of MCS: rules for everything else."""

@@ -43,14 +43,14 @@ class Servo(Model):
 
 
 class Group(Model):
-    """Slots that move together."""
+    """Slots moving together."""
 
     joints: tuple[str, ...] = Field(min_length=1)
     wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
 
 
 class LimitShares(Model):
-    """Shares of the limits in the cell's parameter file that MCS allows itself, and bounds of its own."""
+    """Shares of the cell's limits used by MCS, and bounds of its own."""
 
     position_margin: float = Field(ge=0, description="distance kept from the end stops [rad or m]")
     velocity: float = Field(gt=0, le=1)
@@ -83,21 +83,21 @@ class Safety(Model):
 
 
 class Control(Model):
-    """A control law and its parameters."""
+    """Control law and the parameters."""
 
     controller: str = Field(pattern=r"^[\w.]+:\w+$")
     parameters: dict[str, Any] = Field(default_factory=dict)
 
 
 class Switching(Model):
-    """Control laws that a group may be switched to at run time, beside the one it starts with."""
+    """Control laws for a switch at run time, beside the first one of a group."""
 
     handover_s: float = Field(gt=0, le=10, description="the torque of the law before fades over this time [s]")
     laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
 
 
 class LawProcesses(Model):
-    """Control laws that run in a process of their own each, joined to the loop by the inter-processor blocking."""
+    """Control laws in a process of their own each, joined to the loop by the inter-processor blocking."""
 
     laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
     patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")
@@ -105,7 +105,7 @@ class LawProcesses(Model):
 
 
 class PayloadLimits(Model):
-    """What an arm may be told that it carries."""
+    """Allowed payloads of an arm."""
 
     rated_kg: float = Field(gt=0)
     reach_m: float = Field(gt=0, description="largest offset of the centre of mass from the wrist, per axis [m]")
@@ -186,7 +186,7 @@ class McsConfig(Model):
         return self.presets[self.preset]
 
     def parameters_of_laws(self, group: str) -> dict[str, dict[str, Any]]:
-        """Parameters, by ``module:Class``, of every control law that a group may have."""
+        """Return parameters, by ``module:Class``, of every possible control law of a group."""
         first = self.group_control.get(group, self.control)
         return {**self.switching.laws, first.controller: first.parameters}
 
@@ -216,7 +216,7 @@ class McsConfig(Model):
         return self.model_copy(update={"preset": preset})
 
     def at_period(self, period_s: float) -> Self:
-        """The same with another servo period [s]; what is counted in ticks takes as long as it did.
+        """Return the configuration with another servo period [s]; times counted in ticks stay as long.
 
         Raises:
             ConfigError: The period, or a number of ticks that follows from it, is out of range.
@@ -272,7 +272,7 @@ class McsConfig(Model):
 
 
 def load_config(path: Path | None = None) -> McsConfig:
-    """Read a configuration; without a path, the one that comes with the package.
+    """Read a configuration; without a path, the one of the package.
 
     Raises:
         ConfigError: The file is missing or wrong; the message names file, line and field.

@@ -17,7 +17,7 @@ _NONE = SlotLimits()
 
 
 class JointLimits:
-    """Limits of all joints, and sentences about values that break them.
+    """Limits of all joints, and sentences about values beyond them.
 
     Attributes:
         lower: Least positions, shape (n,) [rad or m].
@@ -64,7 +64,7 @@ class JointLimits:
         self._speed = speed * _OVERSPEED
 
     def enforced(self) -> dict[str, Limits]:
-        """The limits that motions are planned with, of each joint by name; the torques as MCS allows them itself."""
+        """Return the planning limits of each joint by name; torques with the share of MCS."""
         motion = self.motion
         columns = (self.lower, self.upper, motion.velocity, motion.acceleration, motion.jerk, self.torque)
         fields = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
@@ -74,7 +74,7 @@ class JointLimits:
     def check_finite(
         self, index: NDArray[np.intp], values: Sequence[float], where: str, what: str = "position"
     ) -> NDArray[np.float64]:
-        """Values for the joints ``index`` as an array, if they are as many and finite.
+        """Return values for the joints ``index`` as an array, if finite and as many.
 
         Args:
             index: Joints, shape (n,).
@@ -100,7 +100,7 @@ class JointLimits:
     def check_positions(
         self, index: NDArray[np.intp], values: Sequence[float], where: str, beyond: float = 0.0
     ) -> NDArray[np.float64]:
-        """Positions for the joints ``index`` as an array, if they may be commanded, or be where a group is.
+        """Return positions for the joints ``index`` as an array, if they may be commanded, or measured.
 
         Args:
             index: Joints, shape (n,).
@@ -125,7 +125,7 @@ class JointLimits:
         return positions
 
     def overspeed(self, v: NDArray[np.float64]) -> LimitError | None:
-        """The fault if a measured velocity, shape (18,), is far beyond what any motion commands."""
+        """Return the fault of a measured velocity, shape (18,), far beyond any commanded motion."""
         beyond = np.abs(v) > self._speed
         if 1 not in beyond.tobytes():
             return None
@@ -141,7 +141,7 @@ class JointLimits:
     def following(
         self, index: NDArray[np.intp], error: NDArray[np.float64], factor: float, tick: int
     ) -> LimitError | None:
-        """The fault if a following error, shape (n,), is beyond ``factor`` times its bound."""
+        """Return the fault of a following error, shape (n,), beyond ``factor`` times the bound."""
         bound = self.following_error[index] * factor
         beyond = np.abs(error) > bound
         if not beyond.any():

@@ -1,4 +1,4 @@
-"""What every trajectory keeps to."""
+"""Limits of every trajectory."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,7 +18,7 @@ class Synchrony(StrEnum):
 
 
 class BeyondLimits(StrEnum):
-    """What becomes of a trajectory whose velocity, acceleration or jerk is beyond a limit somewhere."""
+    """Rule for a trajectory with a velocity, acceleration or jerk beyond a limit."""
 
     RETIME = "retime"
     """It is followed on its own path, later than asked for."""
@@ -28,7 +28,7 @@ class BeyondLimits(StrEnum):
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits that a trajectory keeps, each of shape (n,).
+    """Limits of a trajectory, each of shape (n,).
 
     Attributes:
         velocity: [rad/s or m/s].
@@ -41,7 +41,7 @@ class MotionLimits:
     jerk: NDArray[np.float64]
 
     def of(self, index: NDArray[np.intp]) -> Self:
-        """Those of the joints ``index``."""
+        """Return the limits of the joints ``index``."""
         return type(self)(self.velocity[index], self.acceleration[index], self.jerk[index])
 
     def along(self, way: NDArray[np.float64]) -> tuple[float, float, float]:

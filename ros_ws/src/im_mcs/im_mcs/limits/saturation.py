@@ -7,7 +7,7 @@ KINDS = ("position", "velocity", "acceleration", "jerk", "torque")
 
 
 class Saturations:
-    """Ticks in which a limit cut what was wanted.
+    """Ticks with a setpoint or torque cut by a limit.
 
     Attributes:
         counts: Shape (kinds, n), in the order of :data:`KINDS`.
@@ -20,5 +20,5 @@ class Saturations:
         self.counts = np.zeros((len(KINDS), n_joints), dtype=np.int64)
 
     def add(self, kind: str, cut: NDArray[np.bool_]) -> None:
-        """Count a tick for the joints that were cut, shape (n,)."""
+        """Count a tick for the cut joints, shape (n,)."""
         self.counts[KINDS.index(kind)] += cut

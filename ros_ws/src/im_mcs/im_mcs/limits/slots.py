@@ -1,4 +1,4 @@
-"""What ``mcs.yaml`` says of channel drivers and slots."""
+"""Channel drivers and slots of ``mcs.yaml``."""
 
 import inspect
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ OFFERED = ("instance", "timeout_s")
 
 
 class Driver(Model):
-    """A channel driver and its settings, the keywords of its constructor."""
+    """Channel driver and the settings, the keywords of the constructor."""
 
     driver: str = Field(pattern=r"^[\w.]+:\w+$")
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -48,7 +48,7 @@ class Testbed(Model):
 
 
 class SlotLimits(Model):
-    """Limits of one slot, narrower than the cell's; what is not given is the cell's.
+    """Limits of one slot, narrower than the cell's; missing ones are the cell's.
 
     ``JointLimits`` takes, for every joint slot, the narrower of these and of its share of the cell's.
     """
@@ -66,7 +66,7 @@ class SlotLimits(Model):
 
 
 class Slot(Model):
-    """A joint, gripper or wrist force-torque sensor, and the channel that it is."""
+    """Joint, gripper or wrist force-torque sensor, and the channel."""
 
     name: str = Field(min_length=1)
     kind: Kind = "joint"
@@ -82,7 +82,7 @@ class Slot(Model):
 
 
 def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
-    """Refuse slots that contradict each other or name a driver that there is not.
+    """Refuse slots with contradictions or with an unknown driver.
 
     Raises:
         FieldError: With slot, driver, channel, and what exists.
@@ -108,7 +108,7 @@ def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
 
 
 def check_settings(name: str, settings: Mapping[str, object]) -> None:
-    """Whether there is a driver ``module:Class`` with these settings.
+    """Check whether there is a driver ``module:Class`` with these settings.
 
     Raises:
         ConfigError: There is none, or it does not take them; says what it takes.
@@ -125,7 +125,7 @@ def check_settings(name: str, settings: Mapping[str, object]) -> None:
 
 
 def find_driver(name: str) -> Callable[..., object]:
-    """The class of a channel driver by its name ``module:Class``.
+    """Return the class of a channel driver by the name ``module:Class``.
 
     Raises:
         ConfigError: There is no such module or class.

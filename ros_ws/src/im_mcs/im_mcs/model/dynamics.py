@@ -12,7 +12,7 @@ Place = slice | NDArray[np.intp]
 
 
 class CellModel:
-    """All joints of the cell, in its order; made from the same parameter file as the testbed.
+    """All joints of the cell, in the order; made from the same parameter file as the testbed.
 
     Args:
         cell: Parameters.
@@ -59,7 +59,7 @@ class CellModel:
         return int(self.pin.getFrameId(frame))
 
     def joints_below(self, frame: str) -> NDArray[np.intp]:
-        """Ranks of the joints that move a frame, and carry what hangs on it, shape (k,).
+        """Return ranks of the joints that move a frame with all the loads, shape (k,).
 
         Raises:
             NotFoundError: There is no such frame.
@@ -68,7 +68,7 @@ class CellModel:
         return np.array([below - 1 for below in self.pin.supports[joint] if below > 0], dtype=np.intp)
 
     def gravity(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Torques that hold the arms still at ``q``, shape (18,) [Nm or N]."""
+        """Return torques for still arms at ``q``, shape (18,) [Nm or N]."""
         return np.asarray(pin.computeGeneralizedGravity(self.pin, self._data, q))
 
     def inertia(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -83,7 +83,7 @@ class CellModel:
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Torques of a motion, rotors included, friction not, shape (18,) [Nm or N]."""
+        """Return torques of a motion, with rotors, without friction, shape (18,) [Nm or N]."""
         return np.asarray(pin.rnea(self.pin, self._data, q, v, a)).copy()
 
     def pose(self, q: NDArray[np.float64], frame: str) -> pin.SE3:
@@ -104,7 +104,7 @@ class CellModel:
         }
 
     def over_joints(self, q: NDArray[np.float64]) -> list[pin.SE3]:
-        """Pose of every joint's child link in its parent link at ``q``, in the order of the joints."""
+        """Return the pose of every joint's child link in the parent link at ``q``, in the order of the joints."""
         pin.forwardKinematics(self.pin, self._data, q)
         return list(self._data.liMi)[1:]
 
@@ -122,6 +122,6 @@ class CellModel:
 
 
 def place_of(index: NDArray[np.intp]) -> Place:
-    """Ranks of joints, shape (n,), as a slice if they are neighbours: numpy writes there several times quicker."""
+    """Return ranks of joints, shape (n,), as a slice for neighbours: numpy writes there several times quicker."""
     first, count = int(index[0]), len(index)
     return slice(first, first + count) if np.array_equal(index, np.arange(first, first + count)) else index

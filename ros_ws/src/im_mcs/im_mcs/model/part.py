@@ -1,4 +1,4 @@
-"""The part of the cell that a group moves: its pose, gravity torques and inertia while all else stands still."""
+"""The part of the cell moved by a group: the pose, gravity torques and inertia while all else stands still."""
 
 import json
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True)
 class Part:
-    """Some joints, and the frames between which their kinematics are meant.
+    """Some joints, and the frames of the kinematics.
 
     Attributes:
         name: Name of the group.
@@ -34,7 +34,7 @@ class Part:
 
 
 def part_of(name: str, config: McsConfig, preset: str | None = None) -> Part:
-    """A part by name: ``left_arm``, ``right_arm``, or a group of a preset, in the world then.
+    """Return a part by name: ``left_arm``, ``right_arm``, or a group of a preset, in the world then.
 
     Args:
         name: Name of the part.
@@ -92,7 +92,7 @@ def _short(text: str, length: int = 60) -> str:
 
 
 class PartModel:
-    """Kinematics and dynamics of a part; other joints of the cell stand at home, their brakes on, carts upright.
+    """Kinematics and dynamics of a part; other joints of the cell stand at home, the brakes on, carts upright.
 
     Args:
         part: Joints and frames.
@@ -107,7 +107,7 @@ class PartModel:
         self.units = tuple("m" if cell.joints[i].kind == "prismatic" else "rad" for i in self.index)
 
     def warnings(self, q: Sequence[float]) -> list[str]:
-        """A sentence for each joint that is beyond its end stops at ``q``, shape (n,)."""
+        """Return a sentence for each joint beyond the end stops at ``q``, shape (n,)."""
         sentences = []
         for i, value, unit in zip(self.index, q, self.units, strict=True):
             joint = self._model.cell.joints[i]
@@ -128,7 +128,7 @@ class PartModel:
         }
 
     def gravity(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Torques that hold the part still at ``q``, shape (n,) [Nm or N]."""
+        """Return torques for a still part at ``q``, shape (n,) [Nm or N]."""
         return np.asarray(self._model.gravity(self._whole(q))[self.index])
 
     def inertia(self, q: NDArray[np.float64], motors: bool) -> NDArray[np.float64]:
@@ -142,7 +142,7 @@ class PartModel:
         return links_and_motors if motors else links_and_motors - np.diag(self._model.rotor_inertia[self.index])
 
     def _whole(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions of all joints, shape (18,); carts that the part does not move stand upright."""
+        """Return positions of all joints, shape (18,); carts outside of the part stand upright."""
         cell = self._model.cell
         whole = np.where([name.endswith("_tilt") for name in cell.joint_names], 0.0, cell.home)
         whole[self.index] = q

@@ -1,4 +1,4 @@
-"""What an arm carries: checked, and taken on by the controllers' model without a bump."""
+"""Payload of an arm: checked, and taken into the controllers' model without a bump."""
 
 import math
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class Payload:
     def checked(
         cls, mass: float, center: Sequence[float], inertia: Sequence[float], rated_kg: float, reach_m: float
     ) -> "Payload":
-        """A payload that a rigid body can have and the arm may carry.
+        """Return a payload, if a rigid body can have it and the arm may carry it.
 
         Args:
             mass: [kg].
@@ -91,7 +91,7 @@ def _check_inertia(payload: Payload, reach_m: float) -> None:
 
 
 class ControlledModel(CellModel):
-    """The dynamics in the eyes of the control laws: perhaps wrong by intent, and with what the arms carry.
+    """Dynamics for the control laws: possibly wrong by intent, and with the arms' payloads.
 
     A new payload enters along half a cosine, tick by tick (:meth:`advance`): mass, first moment and inertia about the
     wrist, in which all torques are linear, go from what they are to what they shall be, so that what is carried is a
@@ -115,16 +115,16 @@ class ControlledModel(CellModel):
 
     @property
     def changing(self) -> bool:
-        """Whether a payload is still on its way into the model."""
+        """Whether a payload is still on the way into the model."""
         return self._passed < self._ticks
 
     @property
     def carried(self) -> NDArray[np.float64]:
-        """What is carried now, for :meth:`carry`, shape (wrists, 10): parameters in the frames of the last links."""
+        """Present payloads, for :meth:`carry`, shape (wrists, 10): parameters in the frames of the last links."""
         return self._present
 
     def set_payload(self, wrist: str, payload: Payload, ticks: int) -> None:
-        """Let a wrist carry something else, from the next :meth:`advance` on and wholly after ``ticks`` of them.
+        """Change the payload of a wrist, from the next :meth:`advance` on and wholly after ``ticks`` of them.
 
         Raises:
             NotFoundError: There is no such wrist.
@@ -138,14 +138,14 @@ class ControlledModel(CellModel):
         self._ticks, self._passed = max(1, ticks), 0
 
     def advance(self) -> None:
-        """One tick of what :meth:`set_payload` began; to be called once before the torques of every tick."""
+        """Do one tick of :meth:`set_payload`'s change; to be called once before the torques of every tick."""
         if self.changing:
             self._passed += 1
             share = 0.5 * (1.0 - math.cos(math.pi * self._passed / self._ticks))
             self.carry((1.0 - share) * self._from + share * self._to if self.changing else self._to)
 
     def carry(self, parameters: NDArray[np.float64]) -> None:
-        """Carry at once what another model carries, shape (wrists, 10); no fade."""
+        """Set the payloads of another model at once, shape (wrists, 10); no fade."""
         self._present = parameters
         for link, bare, more in zip(self._links, self._bare, parameters, strict=True):
             self.pin.inertias[link] = pin.Inertia.FromDynamicParameters(bare + more)

@@ -1,4 +1,4 @@
-"""Motions that somebody waits for: the one under way, and those that wait behind it."""
+"""Goals of motions: the one under way, and the waiting ones."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from im_mcs.protocol.requests import SLOWEST, Move, Policy
 
 @dataclass
 class Goal:
-    """A motion that somebody waits for.
+    """Motion with a waiting client.
 
     Attributes:
         id: Request that asked for it.
@@ -28,7 +28,7 @@ class Goal:
 
 @dataclass
 class Queued:
-    """A motion that waits: being prepared, or ready.
+    """Waiting motion: in preparation, or ready.
 
     Attributes:
         goal: Who waits for it.
@@ -77,13 +77,13 @@ class Current:
 
     @property
     def judges_goal(self) -> bool:
-        """Whether tolerances decide over its end, and not rest alone."""
+        """Whether tolerances decide over the end, and not rest alone."""
         return self.tolerances is not None and self.tolerances.judges_goal
 
 
 @dataclass
 class Rates:
-    """What sets the rate of motions.
+    """Causes of the rate of motions.
 
     Attributes:
         override: Of the client, above 0 up to 1.

@@ -13,16 +13,16 @@ from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 
 class Follower(Protocol):
-    """Something that moves the setpoint, from knot to knot."""
+    """Mover of the setpoint, from knot to knot."""
 
     @property
     def ahead(self) -> Ahead | None:
-        """Where a curved path leads; None: it goes straight on, or each joint for itself."""
+        """Direction of a curved path; None: it goes straight on, or each joint for itself."""
         ...
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to its end, for good."""
+        """Whether the motion has come to the end, for good."""
         ...
 
     @property
@@ -32,22 +32,22 @@ class Follower(Protocol):
 
     @property
     def end_setpoint(self) -> Setpoint:
-        """Where it comes to rest, unless it is interrupted."""
+        """Setpoint at the end, unless the motion is interrupted."""
         ...
 
     @property
     def progress(self) -> float:
-        """Fraction of its time that has passed, 0 to 1."""
+        """Passed fraction of the motion's time, 0 to 1."""
         ...
 
     @property
     def point(self) -> int:
-        """Point of the path that it is on its way to."""
+        """Index of the next point of the path."""
         ...
 
     @property
     def sigma(self) -> float:
-        """Time of its own at which it is [s]."""
+        """Present time on the motion's own clock [s]."""
         ...
 
     @property
@@ -61,16 +61,16 @@ class Follower(Protocol):
         ...
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
-        """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
+        """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
         ...
 
     def look_ahead(self) -> None:
-        """Prepare what :meth:`advance` will most likely be asked for next; that changes no answer."""
+        """Prepare the likely next call of :meth:`advance`; the answer does not change."""
         ...
 
 
 class GroupPlanner:
-    """Follows one motion after the other; between them it holds.
+    """Follower of one motion after the other; between them it holds.
 
     A motion is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a multiple of
     the servo frequency"), at *knots*, and there for the ticks up to the next one, at once. Of a stream, setpoints in
@@ -96,7 +96,7 @@ class GroupPlanner:
         self.hold(q)
 
     def hold(self, q: NDArray[np.float64]) -> None:
-        """Stand still at ``q`` from now on, whatever was before."""
+        """Stand still at ``q`` from now on, in place of any motion."""
         self.setpoint = self._knot = Setpoint.at_rest(q)
         self.follower: Follower = Standing(q)
         self._ready: list[Setpoint] = []
@@ -106,29 +106,29 @@ class GroupPlanner:
         self.follower = PathFollower(trajectory, start_rate, self.limits, self.period_s, self.divisor)
 
     def start_rate(self, rate: float) -> float:
-        """Rate at which a trajectory can begin now that is to be run at ``rate``, without going beyond limits."""
+        """Return the possible start rate of a trajectory for ``rate``, within limits."""
         return max(rate, least_rate(self._knot.v, self._knot.a, self.limits))
 
     def start_state(self, start_rate: float) -> Setpoint:
-        """The state with which a trajectory begins at this knot, in its own time."""
+        """Return the first state of a trajectory at this knot, in its own time."""
         if start_rate == 0.0:
             return Setpoint.at_rest(self._knot.q)
         return Setpoint(self._knot.q, self._knot.v / start_rate, self._knot.a / start_rate**2)
 
     @property
     def ahead(self) -> Ahead | None:
-        """Displacement that a curved path brings from here within some seconds; None: the motion goes straight on."""
+        """Displacement along a curved path within some seconds; None: the motion goes straight on."""
         place = self.follower.ahead
         return None if place is None else lambda seconds: place(seconds) - self.setpoint.q
 
     @property
     def at_knot(self) -> bool:
-        """Whether the next setpoint is still to be computed, so that another motion may take over."""
+        """Whether the next setpoint is still to be computed, so another motion may take over."""
         return not self._ready
 
     @property
     def finished(self) -> bool:
-        """Whether the motion has come to its end; a group that holds has."""
+        """Whether the motion has come to the end; true for a holding group."""
         return not self._ready and self.follower.finished
 
     @property
@@ -138,17 +138,17 @@ class GroupPlanner:
 
     @property
     def progress(self) -> float:
-        """Fraction of the motion's time that has passed, 0 to 1."""
+        """Passed fraction of the motion's time, 0 to 1."""
         return self.follower.progress
 
     @property
     def point(self) -> int:
-        """Point of the path that the group is on its way to."""
+        """Index of the next point of the path."""
         return self.follower.point
 
     @property
     def place(self) -> float:
-        """Time of its own at which the motion is now, whatever the rate [s]."""
+        """Present time on the motion's own clock, for any rate [s]."""
         return self.follower.sigma
 
     def advance(self) -> Setpoint:
@@ -183,7 +183,7 @@ class GroupPlanner:
 
 
 def _basis(ticks: int, period_s: float) -> NDArray[np.float64]:
-    """Rows for the setpoints between two knots, shape (3 ticks - 3, 6), from what both are: q, v, a and q, v, a."""
+    """Return rows for the setpoints between two knots, shape (3 ticks - 3, 6), from both: q, v, a and q, v, a."""
     coefficients = quintic(np.array([ticks * period_s]), *np.eye(6).reshape(2, 3, 6).swapaxes(0, 1))[0]
     times = np.asarray(np.arange(1, ticks) * period_s, dtype=np.float64)
     return np.asarray(powers(times) @ coefficients).reshape(-1, 6)

@@ -1,1 +1,1 @@
-"""Poses of a wrist whose light is to be seen by cameras: for calibrations."""
+"""Poses of a wrist with the light in view of cameras: for calibrations."""

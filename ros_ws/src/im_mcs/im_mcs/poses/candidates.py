@@ -1,4 +1,4 @@
-"""Candidate poses: the light anywhere in the common view, turned so that all cameras see it."""
+"""Candidate poses: the light anywhere in the common view, turned to all cameras."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Volume:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pose of the wrist and where it brings the light.
+    """Pose of the wrist with the place of the light.
 
     Attributes:
         light: Position of the light in ``world``, shape (3,) [m].
@@ -80,7 +80,7 @@ def candidates(
 
 
 def _tilted(direction: NDArray[np.float64], angle: float, turn: float) -> NDArray[np.float64]:
-    """A direction ``angle`` away from another, to the side given by ``turn`` in 0..1."""
+    """Return a direction ``angle`` away from another, to the side given by ``turn`` in 0..1."""
     basis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).matrix()
     phi = 2.0 * np.pi * turn
     local = np.array([np.sin(angle) * np.cos(phi), np.sin(angle) * np.sin(phi), np.cos(angle)])

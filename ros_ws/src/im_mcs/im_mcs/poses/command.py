@@ -90,7 +90,7 @@ def _tilt(text: str) -> float:
 
 
 def make_selector(config_file: Path | None, group: str | None, cameras: Sequence[str]) -> tuple[PoseSelector, str]:
-    """What finds poses for cameras, and the name of the group that carries the light.
+    """Return the selector of poses for cameras, and the name of the group with the light.
 
     Args:
         config_file: Configuration of MCS; None: the shipped one.
@@ -126,7 +126,7 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
 
 
 def _group_for(config: McsConfig, model: CellModel, cameras: Sequence[str]) -> str:
-    """The first group that has a wrist and carries none of the cameras."""
+    """Return the first group with a wrist and without any of the cameras."""
     mounts = {model.cell.cameras[camera].parent for camera in cameras} - {"world"}
 
     def serves(group: Group) -> bool:

@@ -1,4 +1,4 @@
-"""Places that a light can reach and that all cameras see."""
+"""Places of a light within reach and in view of all cameras."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -21,7 +21,7 @@ _FEWEST = 25
 
 
 class CommonView:
-    """Where a light may be to be seen by all cameras: sampled positions of the arm, those in every image.
+    """Places of a light in view of all cameras: sampled positions of the arm, those in every image.
 
     Attributes:
         lower: Corner of the box around these places, shape (3,) [m].
@@ -62,12 +62,12 @@ class CommonView:
         return np.asarray((distances <= _NEAR_M) & np.all([view.sees(points) for view in self._views], axis=0))
 
     def start(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions of the group that bring the light near to a point, shape (n,) [rad or m]."""
+        """Return positions of the group with the light near to a point, shape (n,) [rad or m]."""
         return np.asarray(self._positions[int(self._tree.query(point)[1])])
 
 
 def _reason(seen: NDArray[np.bool_], names: Sequence[str], frame: str) -> str:
-    """Why cameras have no view in common: the fewest of them that have none."""
+    """Return the reason of a missing common view: the fewest cameras without one."""
     for size in range(1, len(names) + 1):
         for some in combinations(range(len(names)), size):
             if seen[list(some)].all(axis=0).sum() < _FEWEST:

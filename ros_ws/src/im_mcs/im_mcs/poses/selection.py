@@ -76,7 +76,7 @@ _MAX_DRAWS_PER_POSE = 4000
 
 @dataclass(frozen=True, eq=False)
 class PlacedPose:
-    """A candidate with joint positions that reach it.
+    """Candidate with joint positions.
 
     Attributes:
         candidate: Pose.
@@ -89,14 +89,14 @@ class PlacedPose:
 
 @dataclass(frozen=True)
 class Selection:
-    """Poses in the order in which they are to be visited, and how well they fill what the cameras see."""
+    """Poses in the order of the visits, and the fill of the cameras' view."""
 
     poses: tuple[PlacedPose, ...]
     spread: Spread
 
 
 class PoseSelector:
-    """Finds poses of one group that several cameras can see.
+    """Selector of poses of one group in view of several cameras.
 
     Args:
         model: Kinematics, shapes and the light.
@@ -130,7 +130,7 @@ class PoseSelector:
 
     @property
     def volume(self) -> Volume:
-        """Box around all places that the light can reach and all cameras see."""
+        """Box around all places of the light within reach and in view of all cameras."""
         return Volume(self._common.lower, self._common.upper)
 
     def select(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> Selection:
@@ -181,7 +181,7 @@ class PoseSelector:
         return pool
 
     def _try(self, candidate: Candidate) -> PlacedPose | str:
-        """A candidate with joint positions, or why it cannot be used."""
+        """Return a candidate with joint positions, or the reason against it."""
         lack = "are out of reach"
         for start in (self._common.start(candidate.light), self._home[self._index]):
             *_, attempt = self._solver.descent(candidate.wrist, self._home, start)
@@ -199,7 +199,7 @@ class PoseSelector:
         return lack
 
     def _blocked(self, candidate: Candidate, q: NDArray[np.float64]) -> str | None:
-        """A camera from which something hides the light, if there is one."""
+        """Return a camera with an obstacle before the light, if there is one."""
         whole = self._whole(q)
         for view in self._views:
             towards = view.position - candidate.light
@@ -224,7 +224,7 @@ class PoseSelector:
         return ordered, []
 
     def _place(self, candidate: Candidate, here: NDArray[np.float64]) -> PlacedPose | None:
-        """The configuration that path planning will choose from where the group is."""
+        """Return the configuration of path planning's choice from the group's present one."""
         try:
             q = self._solver.solve(candidate.wrist, self._home, here, self._checker)
         except ImError:
@@ -248,7 +248,7 @@ class PoseSelector:
 
 
 def _nearest_other(lights: NDArray[np.float64], k: int, tried: set[int]) -> int | None:
-    """The untried light nearest to light ``k``, None if all have been tried; it counts as tried from now on."""
+    """Return the untried light nearest to light ``k``, None if all were tried; it counts as tried from now on."""
     for other in np.argsort(np.linalg.norm(lights - lights[k], axis=1), kind="stable"):
         if int(other) not in tried:
             tried.add(int(other))

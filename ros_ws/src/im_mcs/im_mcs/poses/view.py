@@ -1,4 +1,4 @@
-"""Where cameras stand, what they see, and how a light is to be turned for all of them."""
+"""Places and views of cameras, and the best turn of a light for all of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _OPPOSITE = 1e-9
 
 @dataclass(frozen=True)
 class View:
-    """A nominal camera at its place in ``world``.
+    """Nominal camera at the place in ``world``.
 
     Attributes:
         name: Its name.
@@ -49,7 +49,7 @@ class View:
 
 
 def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
-    """Cameras where they are while a group moves and all other joints are at home.
+    """Return cameras at the places during a move of a group, with all other joints at home.
 
     Args:
         model: Kinematics and nominal cameras.
@@ -87,7 +87,7 @@ def rides_on(model: CellModel, frame: str, joints: Sequence[str]) -> bool:
 
 
 def facing(light: NDArray[np.float64], views: Sequence[View]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Directions from a light to the cameras, shape (c, 3), and the one whose largest angle to them is least, (3,).
+    """Return directions from a light to the cameras, shape (c, 3), and the one with the least largest angle, (3,).
 
     The latter is the middle of two of the directions, or equally far from three of them.
     """

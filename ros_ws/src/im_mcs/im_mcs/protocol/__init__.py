@@ -1,1 +1,1 @@
-"""What the node and the servo process share: requests, channel, samples, signs of life."""
+"""Shared parts of node and servo process: requests, channel, samples, signs of life."""

@@ -1,4 +1,4 @@
-"""What the servo process and its owner share: requests one way; events, samples, a snapshot, evidence the other."""
+"""Channel between servo process and owner: requests one way; events, samples, a snapshot, evidence the other."""
 
 from typing import Self
 
@@ -18,7 +18,7 @@ _TEXT, _LONG_TEXT = "S64", "S240"
 
 
 def group_type() -> np.dtype[np.void]:
-    """Fields of what the snapshot says of a group; texts are UTF-8, cut to their room."""
+    """Return the fields of a group in the snapshot; texts are UTF-8, cut to the room."""
     return np.dtype(
         [
             ("name", _TEXT),
@@ -39,7 +39,7 @@ def group_type() -> np.dtype[np.void]:
 
 
 def snapshot_type(config: McsConfig) -> np.dtype[np.void]:
-    """Fields of the snapshot; arrays over all joints in their order, ``groups`` over those of the preset in force."""
+    """Return the fields of the snapshot; arrays over all joints in the order, ``groups`` over the preset in force."""
     joints = (len(config.joint_slots),)
     grippers = (len(config.gripper_slots),)
     most_groups = max(len(groups) for groups in config.presets.values())
@@ -85,13 +85,13 @@ def snapshot_type(config: McsConfig) -> np.dtype[np.void]:
 
 
 def record_layout(config: McsConfig) -> RecordLayout:
-    """Size of the evidence that a configuration asks for."""
+    """Return the size of the evidence for a configuration."""
     rows = max(1, round(config.safety.record_s / config.servo.period_s))
     return RecordLayout(rows, len(config.joint_slots), len(config.wrench_slots))
 
 
 class ServoChannel:
-    """Shared memory ``<instance>_mcs_*`` between the owner, who creates it, and the servo, who attaches.
+    """Shared memory ``<instance>_mcs_*`` between the owner, the creator, and the servo.
 
     Attributes:
         requests: Owner to servo.

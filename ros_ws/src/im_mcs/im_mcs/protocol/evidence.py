@@ -104,7 +104,7 @@ class Recorder:
             self.keep()
 
     def freeze(self) -> int:
-        """Keep what the ring holds once the row of this tick is in it; the number of the record, one for a tick."""
+        """Keep the ring after the row of this tick; return the number of the record, one for a tick."""
         if not self._wanted:
             self._wanted = True
             self.newest += 1
@@ -124,7 +124,7 @@ class Recorder:
 
 
 class Records:
-    """The reader's side of what :class:`Recorder` keeps.
+    """Reader of the records of :class:`Recorder`.
 
     Args:
         layout: Columns and rows.
@@ -136,7 +136,7 @@ class Records:
         self._administration, self._copies = _views(layout, memory)
 
     def read(self, number: int) -> dict[str, NDArray[np.float64] | NDArray[np.int64]] | None:
-        """A record by name of its columns, oldest tick first; None if it was replaced by later ones, or never was."""
+        """Return a record by name of the columns, oldest tick first; None if replaced by later ones, or never made."""
         kept = number % KEPT
         if number < 1 or int(self._administration[kept, 0]) != number:
             return None

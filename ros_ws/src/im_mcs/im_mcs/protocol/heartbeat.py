@@ -13,7 +13,7 @@ _LOOK_S = 0.02
 
 
 class ServoHeartbeat:
-    """A counter for each side; who sees the other's stand still knows for how long.
+    """Counter for each side; a standing counter shows the time of silence.
 
     Args:
         block: Two counters and two process ids.
@@ -51,7 +51,7 @@ class ServoHeartbeat:
         self._counters[self._mine] += 1
 
     def silence_s(self) -> float:
-        """For how long the other side has given none that this side saw, as :class:`Silence` counts [s].
+        """Return the time without a sign of the other side on this one, as :class:`Silence` counts [s].
 
         It is 0 before the first; a side that does not listen for a while is not deceived about the other.
         """

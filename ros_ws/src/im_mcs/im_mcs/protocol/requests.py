@@ -1,4 +1,4 @@
-"""Requests to the servo process: what they say, checked once, where they enter it.
+"""Requests to the servo process: the content, checked once, at the entry.
 
 A request is JSON: ``{"id": 7, "request": "move", "arguments": {...}}``; its name says which model its arguments obey.
 What depends on the cell (the joints of a group, their limits) is not checked here but where it is known.
@@ -54,7 +54,7 @@ Numbers = Annotated[
 
 
 class Policy(StrEnum):
-    """What becomes of a motion that is under way when another is asked for."""
+    """Rule for a motion under way when another is requested."""
 
     REFUSE = "refuse"
     APPEND = "append"
@@ -71,7 +71,7 @@ class ServoRequest(Model):
 
 
 def _rows(kind: object) -> GetPydanticSchema:
-    """Lists of numbers that end up as one array, shape (m, n)."""
+    """Return lists of numbers for one array, shape (m, n)."""
     return GetPydanticSchema(
         lambda _, handler: core_schema.no_info_after_validator_function(_array, handler.generate_schema(kind))
     )
@@ -85,7 +85,7 @@ def _array(rows: list[list[float]], what: str = "positions") -> NDArray[np.float
 
 
 def unit_pose(numbers: list[float]) -> list[float]:
-    """Position [m] and quaternion x, y, z, w whose length is 1, exactly; it may be off by 1 %.
+    """Return position [m] and quaternion x, y, z, w of length 1, exactly; the input may be off by 1 %.
 
     Raises:
         ValueError: It is no pose.
@@ -105,7 +105,7 @@ def unit_pose(numbers: list[float]) -> list[float]:
 
 
 class _Path(ServoRequest):
-    """What kinds of paths have in common: not more points than are allowed, which is known while it is validated."""
+    """Common part of all kinds of paths: a bound on the number of points, checked during the validation."""
 
     _limit: ClassVar[str] = "max_points"
 
@@ -148,7 +148,7 @@ class LineMove(_Path):
 
 
 class TimedPoint(ServoRequest):
-    """A point of a trajectory as it is sent."""
+    """Point of a trajectory in the transmitted form."""
 
     time: Seconds
     positions: list[float]
@@ -178,7 +178,7 @@ def _in_order(points: TimedPoints) -> TimedPoints:
 
 
 def _points(_: object, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-    """A list of points, or points that have been found in memory."""
+    """Return a list of points, or points already found in memory."""
     listed = core_schema.no_info_after_validator_function(_timed, handler.generate_schema(list[TimedPoint]))
     either = core_schema.no_info_wrap_validator_function(
         lambda given, check: given if isinstance(given, TimedPoints) else check(given), listed
@@ -196,7 +196,7 @@ def _derivative(name: str, rows: list[list[float]]) -> NDArray[np.float64] | Non
 
 
 class TrajectoryMove(_Path):
-    """Positions at times, and how far they may be missed.
+    """Positions at times, with the tolerances.
 
     Attributes:
         points: Positions at times.
@@ -233,7 +233,7 @@ _PATHS: Mapping[str, type[ServoRequest]] = {"joint": JointMove, "line": LineMove
 
 
 class Sender(ServoRequest):
-    """Who asks: whether a group is his is decided by this.
+    """Sender of a request: decides on the ownership of a group.
 
     Attributes:
         client: The process that asks, as :mod:`im_core.ros.client_identity` knows it; empty: not known.
@@ -252,7 +252,7 @@ By = Annotated[Sender, Field(description="who asks: client and names")]
 
 
 class ReserveRequest(ServoRequest):
-    """Give a group its slots, for an owner, until a lease of testbed time lapses [s]; 0: never."""
+    """Reserve the slots of a group for an owner, until a lease of testbed time lapses [s]; 0: never."""
 
     group: Text
     owner: Text = ""
@@ -261,7 +261,7 @@ class ReserveRequest(ServoRequest):
 
 
 class TakeOverRequest(ReserveRequest):
-    """Take a group away from its owner: what it does ends on its path, and it is reserved for another owner."""
+    """Take a group away from the owner: the motion ends on the path, and it is reserved for another owner."""
 
 
 class ReleaseRequest(ServoRequest):
@@ -284,7 +284,7 @@ class RepartitionRequest(ServoRequest):
 
 
 class TransitionRequest(ServoRequest):
-    """Power on or off, enable or disable motion, the name says which: of a group, or of all that are the sender's."""
+    """Power on or off, enable or disable motion, by name: of a group, or of all groups of the sender."""
 
     group: Text = ""
     sender: By = NOBODY
@@ -332,26 +332,26 @@ class StreamRequest(ServoRequest):
 
 
 class CancelRequest(ServoRequest):
-    """End a goal, by the number of the request that asked for it."""
+    """End a goal, by the number of the request."""
 
     goal: Annotated[int, Field(description="a whole number")]
 
 
 class PauseRequest(ServoRequest):
-    """Halt a group on its path; all of them if none is named."""
+    """Halt a group on the path; all of them without a name."""
 
     group: Text = ""
 
 
 class ResumeRequest(ServoRequest):
-    """Go on after a pause or a protective stop; all groups that are the sender's if none is named."""
+    """Go on after a pause or a protective stop; all groups of the sender without a name."""
 
     group: Text = ""
     sender: By = NOBODY
 
 
 class SetSpeedRequest(ServoRequest):
-    """Share of the planned speed, for this motion and those after it."""
+    """Set the share of the planned speed, for this motion and later ones."""
 
     group: Text
     scale: Annotated[float, Field(ge=SLOWEST, le=1, description=f"a number from {SLOWEST:g} to 1")]
@@ -359,7 +359,7 @@ class SetSpeedRequest(ServoRequest):
 
 
 class SetGripperRequest(ServoRequest):
-    """Let jaws go to an opening [m], with a force [N], 0: all that the gripper can give; in place of what they do."""
+    """Move jaws to an opening [m], with a force [N], 0: the gripper's largest; in place of the present motion."""
 
     gripper: Text
     opening: Annotated[float, Field(description="a number [m]")]
@@ -376,7 +376,7 @@ class SetControllerRequest(ServoRequest):
 
 
 class SetPayloadRequest(ServoRequest):
-    """What the wrist of a group carries: mass [kg], centre [m], inertia about it [kg m2]."""
+    """Set the load of the wrist of a group: mass [kg], centre [m], inertia about it [kg m2]."""
 
     group: Text
     mass: Amount
@@ -426,12 +426,12 @@ REQUESTS: Mapping[str, type[ServoRequest]] = {
 
 
 def request_message(number: int, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """A request as JSON data; ``number`` is what the answer carries."""
+    """Return a request as JSON data; ``number`` comes back with the answer."""
     return {"id": number, "request": name, "arguments": arguments}
 
 
 def request_id(message: Mapping[str, Any]) -> int:
-    """Number of a request, 0 if it has none."""
+    """Return the number of a request, 0 without one."""
     number = message.get("id", 0)
     return number if isinstance(number, int) else 0
 
@@ -464,7 +464,7 @@ def parse_request(message: Mapping[str, Any], max_points: int, max_trajectory_po
 
 
 def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fault: Fault) -> str:
-    """What is wrong with a request; fields with a description are not what that says."""
+    """Return the fault of a request as a sentence; a field with a description is named by it."""
     where, value, here = fault.location, reprlib.repr(fault.value), model
     below: Any = given
     for rank, part in enumerate(where):
@@ -496,7 +496,7 @@ def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fa
 def _fields(
     name: str, model: type[ServoRequest], here: type[ServoRequest], given: Mapping[str, Any], fault: Fault
 ) -> str:
-    """Fields that are missing or too many, and those that there are."""
+    """Return missing or surplus fields, and the known ones."""
     needed = [field for field, info in here.model_fields.items() if info.is_required() or field == "kind"]
     order = [*needed, *(f"[{field}]" for field in here.model_fields if field not in needed)]
     if here is model:
@@ -507,7 +507,7 @@ def _fields(
 
 
 def _place(where: Location) -> str:
-    """``("path", "trajectory", "points", 0, "velocities", 3)`` as ``point 1: velocities``."""
+    """Return ``("path", "trajectory", "points", 0, "velocities", 3)`` as ``point 1: velocities``."""
     words: list[str] = []
     for part in where[2:] if where[:1] == ("path",) else where:
         if isinstance(part, str):

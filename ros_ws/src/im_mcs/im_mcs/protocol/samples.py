@@ -1,4 +1,4 @@
-"""Samples of the joints from the servo to its owner: a ring of records, newest first to stay."""
+"""Samples of the joints from the servo to the owner: a ring of records, the newest stay."""
 
 from typing import Any, Self
 
@@ -12,7 +12,7 @@ _HEADER = 64
 
 
 def sample_type(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]:
-    """Fields of a sample; arrays over all joints in their order."""
+    """Return the fields of a sample; arrays over all joints in the order."""
     joints = (n_joints,)
     return np.dtype(
         [
@@ -35,7 +35,7 @@ def sample_type(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.
 
 
 class SampleRing:
-    """One writer that never waits, one reader that takes what has come since it last looked.
+    """Ring with one writer without waits, and one reader of all records since the last look.
 
     A reader that is too slow loses the oldest. A sample that the writer may be writing over is not handed out.
     """
@@ -65,7 +65,7 @@ class SampleRing:
         return cls(SharedBlock.attach(name, timeout_s), dtype)
 
     def next_record(self) -> NDArray[np.void]:
-        """The record to fill next, shape (); :meth:`push_record` makes it readable."""
+        """Return the record to fill next, shape (); :meth:`push_record` makes it readable."""
         return self._records[int(self._head[0]) % _KEPT : int(self._head[0]) % _KEPT + 1].reshape(())
 
     def push_record(self) -> None:
@@ -73,7 +73,7 @@ class SampleRing:
         self._head[0] += np.uint64(1)
 
     def take_samples(self) -> list[dict[str, Any]]:
-        """Samples since the last call, oldest first, each by its fields; arrays as lists."""
+        """Return samples since the last call, oldest first, each by the fields; arrays as lists."""
         head = int(self._head[0])
         first = max(self._taken, head - _KEPT + 1)
         copies = [self._records[k % _KEPT].copy() for k in range(first, head)]

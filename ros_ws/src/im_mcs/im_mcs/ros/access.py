@@ -1,4 +1,4 @@
-"""What the servers of the node work with: the configuration in force, its groups, and the way to the servo."""
+"""Common tools of the node's servers: the configuration in force, the groups, and the way to the servo."""
 
 import re
 import threading
@@ -44,7 +44,7 @@ _ANSWERED_S = 0.5
 
 
 class Refusals:
-    """Counts refused messages by topic, and says each sentence once, whatever its numbers; fit for several threads.
+    """Counter of refused messages by topic, each sentence said once, for any numbers in it; fit for several threads.
 
     Args:
         logger: Of the node.
@@ -57,7 +57,7 @@ class Refusals:
         self._last: dict[str, str] = {}
 
     def add(self, topic: str, error: ImError) -> None:
-        """A message on ``topic`` was refused, or what it asked for ended badly."""
+        """Note a refused message on ``topic``, or a bad end of the request."""
         sentence = _NUMBER.sub("#", error.message)
         with self._lock:
             self._counts[topic] += 1
@@ -73,7 +73,7 @@ class Refusals:
 
 
 class TakeOvers:
-    """Every time that a group was taken away from its owner: said in the log, and kept for ``/diagnostics``.
+    """Takeovers of groups from the owners: in the log, and on ``/diagnostics``.
 
     Args:
         logger: Of the node.
@@ -84,7 +84,7 @@ class TakeOvers:
         self._newest: dict[str, str] = {}
 
     def add(self, group: str, before: str, owner: str, by: Sequence[str]) -> str:
-        """Group, its owner before and now, and who did it, by name; as a sentence."""
+        """Note a takeover: group, the owner before and now, and the operator, by name; return it as a sentence."""
         was, now = (f"'{name}'" if name else "anyone" for name in (before, owner))
         sentence = f"group '{group}', until now of {was}, is taken over for {now} by {', '.join(by)}"
         self._newest[group] = sentence
@@ -149,7 +149,7 @@ class McsAccess:
 
     @property
     def group_names(self) -> list[str]:
-        """Groups of all presets; each has its servers and topics whatever preset is in force."""
+        """Groups of all presets; each has the servers and topics under any preset in force."""
         return all_groups(self.config)
 
     def client(self) -> ServoClient:
@@ -161,7 +161,7 @@ class McsAccess:
         return self.keeper.client()
 
     def group(self, name: str) -> Group:
-        """A group of the preset in force.
+        """Return a group of the preset in force.
 
         Raises:
             StateError: MCS is unconfigured, or the group is one of another preset.
@@ -171,7 +171,7 @@ class McsAccess:
         return group_in_force(self.config, name)
 
     def check(self, message: Any) -> None:
-        """Look at the size of what a client sends, before anything is done with it.
+        """Check the size of a client's message, before any work with it.
 
         Raises:
             DataError: A text or a list is too long, or a number is not finite or too large.
@@ -179,11 +179,11 @@ class McsAccess:
         check_bounds(message, self.config.planning.max_points)
 
     def index(self, group: Group) -> NDArray[np.intp]:
-        """Ranks of a group's joints among all, shape (n,)."""
+        """Return ranks of a group's joints among all, shape (n,)."""
         return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
 
     async def sender(self, client: str, *names: str) -> dict[str, Any]:
-        """Who asks, in the arguments of a request.
+        """Return the sender, in the form of the arguments of a request.
 
         A process that has just begun is given a moment to be known by name.
 
@@ -206,7 +206,7 @@ class McsAccess:
         started: Started | None = None,
         on_progress: OnProgress | None = None,
     ) -> dict[str, Any]:
-        """Ask the servo and await its answer.
+        """Ask the servo and await the answer.
 
         Args:
             event: What is asked for.
@@ -234,7 +234,7 @@ class McsAccess:
         return reply.results
 
     async def transition(self, event: Event, client: str, group: str = "", owner: str = "") -> str:
-        """Change power or motion; where that led, as a sentence. The lifecycle follows.
+        """Change power or motion; return the new state, as a sentence. The lifecycle follows.
 
         Args:
             event: ``power_on``, ``power_off``, ``enable_motion`` or ``disable_motion``.
@@ -264,7 +264,7 @@ class McsAccess:
         return f"MCS is {self.state.value}"
 
     async def recover(self) -> None:
-        """Bring MCS back to cold if its servo has died or the testbed has left it; waits for both. Nothing moves.
+        """Bring MCS back to cold after the loss of the servo or testbed; wait for both. Nothing moves.
 
         An emergency stop that has any other cause stays latched. What somebody else has begun, to bring it back, is
         waited for.
@@ -302,7 +302,7 @@ class McsAccess:
         self._changed()
 
     async def _power(self, event: Event, client: str) -> None:
-        """Power of all groups that are the client's: lifecycle *active* is power on, whosever it is."""
+        """Switch the power of all groups of the client: lifecycle *active* is power on, of any owner."""
         next_state(self.state, event, cause=self.keeper.stop_cause)
         await self.transition(event, client)
         if event is Event.POWER_OFF and self.state in POWERED:
@@ -320,12 +320,12 @@ class McsAccess:
         self.keeper.close()
 
     async def _shutdown(self, _: str) -> None:
-        """End the servo; from *finalized* no transition leads back, so that the task asks to be started again."""
+        """End the servo; from *finalized* no transition leads back, so the task asks for a new start."""
         self.keeper.close()
         self.node.alarms.after(_ANSWERED_S, lambda: self.node.fail(StateError(FINALIZED_MESSAGE)))
 
     async def _with_evidence(self, client: ServoClient, error: ImError, results: dict[str, Any]) -> ImError:
-        """An error; where it has evidence, that is written and its file named in message and facts.
+        """Write the evidence of an error, if any, and name the file in message and facts.
 
         Goals that end in one tick for one reason share the evidence: it is written once.
         """
@@ -346,7 +346,7 @@ class McsAccess:
         return ImError.restored(error.code, f"{error.message}; the last seconds are in {path}", facts)
 
     async def _write_evidence(self, record: dict[str, Any], error: ImError, written: Promise) -> None:
-        """Write the evidence of an error in a thread; its path, or an empty text, is the result of a promise."""
+        """Write the evidence of an error in a thread; the path, or an empty text, is the result of a promise."""
         path = ""
         try:
             folder, joints = names.results_dir() / _EVIDENCE, tuple(self.model.names)

@@ -1,4 +1,4 @@
-"""Size before work: what a message may be at most, looked at before anything is done with it."""
+"""Size before work: the largest allowed message, checked before any work with it."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ MOST_VALUES = 64
 
 
 def check_bounds(message: Any, most_items: int) -> None:
-    """Check every text, number and list of a message, the inner ones too; lists by their length first.
+    """Check every text, number and list of a message, the inner ones too; lists by the length first.
 
     What is in a list may be NaN or infinite here: whoever knows what it stands for says so by the joint's name.
 

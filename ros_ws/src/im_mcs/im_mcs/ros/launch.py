@@ -1,4 +1,4 @@
-"""``mcs``: before it loads ROS, of which the servo must have nothing, a copy of it loads the servo."""
+"""``mcs``: load the servo in a copy of the process, before ROS is loaded: the servo must have no ROS."""
 
 import sys
 from contextlib import suppress

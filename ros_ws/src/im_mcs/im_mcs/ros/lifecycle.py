@@ -1,4 +1,4 @@
-"""Lifecycle interface of a node whose transitions take time."""
+"""Lifecycle interface of a node with slow transitions."""
 
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
@@ -18,7 +18,7 @@ Work = Callable[[str], Awaitable[None]]
 
 
 class Lifecycle:
-    """The state machine of rcl, its five services and ``transition_event``, driven by coroutines.
+    """The state machine of rcl, the five services and ``transition_event``, driven by coroutines.
 
     ``rclpy.lifecycle.LifecycleNode`` runs transitions as blocking callbacks; here a transition awaits its work, so that
     the node goes on meanwhile. Its services are made by rcl and cannot tell what they are asked; these are the node's.
@@ -51,7 +51,7 @@ class Lifecycle:
         return str(self._machine.current_state[1])
 
     async def change(self, transition: str, client: str = "") -> None:
-        """Go through a transition with its work; if that fails, the log and :attr:`failure` say why.
+        """Go through a transition with the work; after a failure, log and :attr:`failure` give the reason.
 
         Args:
             transition: ``configure``, ``cleanup``, ``activate``, ``deactivate`` or ``shutdown``.
@@ -71,7 +71,7 @@ class Lifecycle:
         self.failure = ""
 
     def follow(self, transition: str) -> None:
-        """Go through a transition whose work has happened already."""
+        """Go through a transition with the work already done."""
         self._begin(self._id_of(transition))
         self._end(TransitionCallbackReturn.SUCCESS)
         self.failure = ""
@@ -95,7 +95,7 @@ class Lifecycle:
         self._go(self._machine.trigger_transition_by_label, outcome.to_label())
 
     def _go(self, trigger: Callable[[Any, bool], None], which: int | str) -> None:
-        """Go from one state to another, and tell of it."""
+        """Go from one state to another, and publish the event."""
         taken = next(each for each in self._machine.available_transitions if which in each[:2])
         trigger(which, False)  # the machine itself tells nothing
         way = _description(taken)

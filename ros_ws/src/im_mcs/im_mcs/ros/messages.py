@@ -1,4 +1,4 @@
-"""What MCS knows, as messages."""
+"""State of MCS, as messages."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,25 +25,25 @@ _SILENCE_S = 1.0
 
 
 def time(stamp_ns: int) -> Time:
-    """A stamp from nanoseconds."""
+    """Return a stamp from nanoseconds."""
     return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
 
 
 def duration(seconds: float) -> Duration:
-    """A duration from seconds."""
+    """Return a duration from seconds."""
     nanoseconds = round(seconds * 1e9)
     return Duration(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
 def pose(placement: pin.SE3) -> Pose:
-    """A pose from a placement."""
+    """Return a pose from a placement."""
     message = Pose()
     fill_placement(message.position, message.orientation, placement)
     return message
 
 
 def group_state(state: GroupState) -> GroupStateMessage:
-    """``im_msgs/GroupState``."""
+    """Return an ``im_msgs/GroupState``."""
     message = GroupStateMessage(
         stamp=time(state.stamp_ns),
         group=state.group,
@@ -63,14 +63,14 @@ def group_state(state: GroupState) -> GroupStateMessage:
 
 
 def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
-    """``sensor_msgs/JointState`` of a sample of the servo."""
+    """Return a ``sensor_msgs/JointState`` of a sample of the servo."""
     message = JointState(name=list(names), position=sample["q"], velocity=sample["v"], effort=sample["tau"])
     message.header.stamp = time(int(sample["stamp_ns"]))
     return message
 
 
 def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> GroupPath:
-    """``im_msgs/GroupPath`` of the ``path`` of a MOVE request."""
+    """Return an ``im_msgs/GroupPath`` of the ``path`` of a MOVE request."""
     message = GroupPath(stamp=time(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
     if path["kind"] == "line":
         for values in path["poses"]:
@@ -95,7 +95,7 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
 def mcs_state(
     config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
 ) -> McsState:
-    """``im_msgs/McsState``.
+    """Return an ``im_msgs/McsState``.
 
     Args:
         config: Configuration.
@@ -139,7 +139,7 @@ def mcs_state(
 def group_status(
     config: McsConfig, row: np.void, snapshot: NDArray[np.void], stopped: bool, past: PowerReading | None
 ) -> GroupStatus:
-    """``im_msgs/GroupStatus`` of a row of the snapshot's groups.
+    """Return an ``im_msgs/GroupStatus`` of a row of the snapshot's groups.
 
     Args:
         config: Configuration.
@@ -179,19 +179,19 @@ def speeds(snapshot: NDArray[np.void]) -> dict[str, float]:
 
 
 def text(value: bytes) -> str:
-    """A text of the snapshot; one that was cut in the middle of a letter loses that."""
+    """Return a text of the snapshot, without a letter cut in the middle."""
     return bytes(value).decode(errors="ignore")
 
 
 def servo_missing(state: State, reason: str) -> DiagnosticStatus:
-    """That there is no servo process, and why."""
+    """Return the status of a missing servo process, with the reason."""
     level = DiagnosticStatus.ERROR if reason else DiagnosticStatus.STALE
     message = f"{state.value}: {reason}" if reason else state.value
     return DiagnosticStatus(name="mcs: servo", hardware_id="testbed", level=level, message=message)
 
 
 def servo_status(state: State, snapshot: NDArray[np.void], silence_s: float) -> DiagnosticStatus:
-    """How the servo loop keeps time; ``silence_s``: since its last sign of life [s]."""
+    """Return the timing of the servo loop; ``silence_s``: since the last sign of life [s]."""
     status = DiagnosticStatus(name="mcs: servo", hardware_id="testbed", message=state.value)
     linked = bool(snapshot["linked"])
     status.level = DiagnosticStatus.OK if linked and state is not State.ESTOPPED else DiagnosticStatus.ERROR
@@ -214,7 +214,7 @@ def servo_status(state: State, snapshot: NDArray[np.void], silence_s: float) -> 
 
 
 def lifecycle_status(label: str, failure: str) -> DiagnosticStatus:
-    """State of the lifecycle, and why the transition that was tried last failed."""
+    """Return the state of the lifecycle, and the reason of the last failed transition."""
     level = DiagnosticStatus.WARN if failure else DiagnosticStatus.OK
     status = DiagnosticStatus(name="mcs: lifecycle", hardware_id="testbed", level=level, message=failure or label)
     status.values.append(KeyValue(key="state", value=label))
@@ -222,7 +222,7 @@ def lifecycle_status(label: str, failure: str) -> DiagnosticStatus:
 
 
 def refusals_status(refused: Mapping[str, int]) -> DiagnosticStatus:
-    """What was refused on topics."""
+    """Return the refused messages on topics."""
     commands = DiagnosticStatus(name="mcs: refused messages", hardware_id="testbed", message=f"{sum(refused.values())}")
     commands.level = DiagnosticStatus.WARN if refused else DiagnosticStatus.OK
     commands.values = [KeyValue(key=topic, value=str(count)) for topic, count in sorted(refused.items())]
@@ -230,7 +230,7 @@ def refusals_status(refused: Mapping[str, int]) -> DiagnosticStatus:
 
 
 def take_overs_status(taken_over: Mapping[str, str]) -> DiagnosticStatus:
-    """Which groups were taken over, and from whom."""
+    """Return the takeovers of groups, with the former owners."""
     owners = DiagnosticStatus(name="mcs: groups taken over", hardware_id="testbed", message=f"{len(taken_over)}")
     owners.level = DiagnosticStatus.WARN if taken_over else DiagnosticStatus.OK
     owners.values = [KeyValue(key=group, value=sentence) for group, sentence in sorted(taken_over.items())]

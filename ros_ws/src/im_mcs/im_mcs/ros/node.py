@@ -1,4 +1,4 @@
-"""Node ``/mcs``: motion control of all joints; its servo runs in a process of its own."""
+"""Node ``/mcs``: motion control of all joints; the servo runs in a process of its own."""
 
 import sys
 from collections.abc import Callable
@@ -72,7 +72,7 @@ class McsNode(ManagedNode):
         self._publish_state()
 
     def phase_start(self) -> None:
-        """Publish what the servo reports."""
+        """Publish the reports of the servo."""
         self.create_timer(POLL_S, self._look_after, clock=self.steady_clock)
         self.create_timer(_STATE_PERIOD_S, self._publish_state, clock=self.steady_clock)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
@@ -83,7 +83,7 @@ class McsNode(ManagedNode):
         self._estop.close()
 
     def destroy_node(self) -> None:
-        """Leaves the graph, which the state machine of rcl keeps every node in that it was made for."""
+        """Leave the graph, which the state machine of rcl would keep the node in."""
         self._mcs.lifecycle.destroy()
         destroy: Callable[[], None] = super().destroy_node  # rclpy says no types
         destroy()

@@ -250,7 +250,7 @@ class KinematicsServices:
         return best_positions(self._mcs.client().snapshot())
 
     async def _ask(self, question: Callable[..., _Answer], *arguments: object) -> _Answer:
-        """Let a thread answer a question; only so many may wait at a time, for all of them slow the loop down.
+        """Answer a question in a thread; only a few may wait at a time, because all of them slow the loop down.
 
         Raises:
             ImError: There are too many already, or there is no answer.
@@ -265,7 +265,7 @@ class KinematicsServices:
 
 
 def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
-    """Offer a service whose answer says what ``work`` says, or why it could not be done.
+    """Offer a service with the outcome of ``work`` as the answer, or the reason of a failure.
 
     What is asked is looked at for its size before anything else.
 

@@ -1,4 +1,4 @@
-"""The servo process in the life of the node: start, signs of life, end, and what changes there."""
+"""The servo process in the life of the node: start, signs of life, end, and changes of the state."""
 
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -45,7 +45,7 @@ _FRESH_S = 0.1
 
 
 class ServoOwner:
-    """A running servo process and the way to talk to it.
+    """Running servo process, with the way to it.
 
     Must be made in a thread that lives as long as the node: the process dies with the thread that started it.
 
@@ -75,13 +75,13 @@ class ServoOwner:
 
     @property
     def client(self) -> ServoClient:
-        """The way to talk to the servo, once it is ready."""
+        """Way to the servo, once it is ready."""
         if self._client is None:
             raise StateError("the servo process is not ready yet")
         return self._client
 
     def ready(self) -> bool:
-        """Whether the servo runs and holds the testbed; to be asked until it does.
+        """Return whether the servo runs and holds the testbed; ask until it does.
 
         Raises:
             LinkError: It ended, or was not ready in time; the message says why.
@@ -149,7 +149,7 @@ class ServoKeeper:
 
     @property
     def reason(self) -> str:
-        """Why MCS is in its state, e.g. what caused an emergency stop; who does not answer, if so; or empty."""
+        """Reason of the state of MCS, e.g. the cause of an emergency stop; the silent process, if any; or empty."""
         if self._owner is not None and self._hang is None:
             linked = self._owner.client.snapshot()["linked"]
             here = self._reason or self._stop.cause or ("" if linked else "the testbed does not answer")
@@ -160,7 +160,7 @@ class ServoKeeper:
 
     @property
     def lost(self) -> bool:
-        """Whether MCS would be cold but for a loss: its servo died, or the testbed left it; nobody has stopped it."""
+        """Whether MCS would be cold but for a loss of the servo or testbed, without any stop."""
         if self._owner is None:
             stopped = bool(self._stop.cause) and not self._testbed_lost
             return self._servo_lost and not stopped and self._lifecycle.state == "unconfigured"
@@ -185,12 +185,12 @@ class ServoKeeper:
 
     @property
     def stop_cause(self) -> str:
-        """Why an emergency stop is latched, or empty; it outlives the servo process."""
+        """Cause of a latched emergency stop, or empty; it outlives the servo process."""
         return self._stop.cause
 
     @property
     def state(self) -> State:
-        """Present state of MCS; after an emergency stop estopped, whatever a servo that hangs has said last."""
+        """Present state of MCS; after an emergency stop estopped, against the last report of a hanging servo."""
         if self._owner is None:
             return State.UNCONFIGURED
         return State.ESTOPPED if self._stop.cause else self._owner.client.state()
@@ -268,7 +268,7 @@ class ServoKeeper:
         self._node.spawn(self._synchronise())
 
     async def reset(self, request: Callable[[Event, dict[str, Any]], Awaitable[object]]) -> None:
-        """End an emergency stop, if its cause is gone; nothing moves.
+        """End an emergency stop, if the cause is gone; nothing moves.
 
         Args:
             request: Asks the servo and awaits its answer.
@@ -307,7 +307,7 @@ class ServoKeeper:
             self._node.spawn(self._synchronise())
 
     def _take_owner(self, owner: ServoOwner) -> None:
-        """A servo process is there; it is told of an emergency stop that was latched meanwhile, or found."""
+        """Take over a servo process; tell it of an emergency stop latched meanwhile, or found."""
         self._owner = owner
         if not self._stop.cause and self._circuits.is_cut():
             self._hold("the emergency stop circuit was found cut")
@@ -315,7 +315,7 @@ class ServoKeeper:
             owner.client.send(Event.ESTOP, {"reason": self._stop.cause})
 
     def close(self) -> None:
-        """End the servo process; the testbed brakes by itself. What it told of itself is forgotten."""
+        """End the servo process; the testbed brakes by itself. Forget the reports."""
         owner, self._owner, self._hang = self._owner, None, None
         if owner is not None:
             owner.close()
@@ -349,7 +349,7 @@ class ServoKeeper:
         self._tell_again(owner.client)
 
     def _tell_again(self, client: ServoClient) -> None:
-        """Has a servo stop that has not heard of an emergency stop: it hung then, or its testbed was away."""
+        """Stop a servo without knowledge of an emergency stop: it hung then, or the testbed was away."""
         if not self._stop.cause or self._resets or self._hang is not None or client.state() is State.ESTOPPED:
             return
         if clock.monotonic() > self._told_again:
@@ -357,7 +357,7 @@ class ServoKeeper:
             client.send(Event.ESTOP, {"reason": self._stop.cause})
 
     def follow(self) -> None:
-        """Let the lifecycle and ``/mcs/state`` follow what has happened in the servo."""
+        """Let the lifecycle and ``/mcs/state`` follow the events in the servo."""
         lifecycle = self._lifecycle
         wanted = lifecycle_of(self.state)
         if lifecycle.state == "inactive" and wanted == "active":
@@ -389,7 +389,7 @@ class ServoKeeper:
             raise LinkError(f"the servo process cannot be started: {error}") from error
 
     def _listen_to(self, client: ServoClient) -> None:
-        """Refuse requests while the servo runs but gives no sign of life, or hears none; nobody waits for it."""
+        """Refuse requests while the servo runs but gives no sign of life, or hears none; no client waits for it."""
         why = ""
         if client.silence_s() > self._silence_s:
             why = f"it has given no sign of life for {self._silence_s:g} s"
@@ -409,7 +409,7 @@ class ServoKeeper:
         client.suspend(self._hang)
 
     def _take_state(self, state: State, groups: dict[str, str], reason: str, lost: bool) -> None:
-        """A change of state, told by the thread that listens to the servo."""
+        """Take a change of state, from the listening thread."""
         self._changes.append((state, groups, reason, lost))
         self._node.wake()
 

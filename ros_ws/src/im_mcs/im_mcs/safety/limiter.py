@@ -1,4 +1,4 @@
-"""Limits of position, velocity, acceleration and jerk of every setpoint, whoever made it."""
+"""Limits of position, velocity, acceleration and jerk of every setpoint, from any source."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ _ROUNDING = 1e-6
 
 
 class SetpointLimiter:
-    """Lets setpoints through that a joint may follow, and leads to the others as fast as it may.
+    """Limiter of setpoints: passes possible ones, and approaches the others as fast as allowed.
 
     A setpoint passes unchanged if velocity and acceleration are within their limits, if it goes on where the last one
     was within the limit of jerk, and if braking from it does not leave the joint's range. Else the joint goes to it by
@@ -65,7 +65,7 @@ class SetpointLimiter:
         self._release(index, free=False)
 
     def place(self, index: NDArray[np.intp], q: NDArray[np.float64]) -> None:
-        """Setpoints of joints ``index`` go on from rest at ``q``, shape (k,)."""
+        """Set the setpoints of joints ``index`` to rest at ``q``, shape (k,)."""
         self._last[:, index] = 0.0
         self._last[0, index] = q
 
@@ -116,7 +116,7 @@ class SetpointLimiter:
         return self._any_catching
 
     def _leaves_range(self, wanted: NDArray[np.float64], near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the joints ``near`` the end of their range brake further out than allowed, shape (n,)."""
+        """Return the joints ``near`` the end of the range with a braking way beyond it, shape (n,)."""
         outside = np.zeros_like(near)
         motion = self._motion
         for k in np.flatnonzero(near & ~self._free).tolist():
@@ -161,11 +161,11 @@ class SetpointLimiter:
         self._bounds = self._bounds_of_free()
 
     def _bounds_of_free(self) -> NDArray[np.float64]:
-        """Bounds of every joint under control, in the order of their rows; none for the others."""
+        """Return bounds of every joint under control, in the order of the rows; none for the others."""
         half = (self._limits.upper - self._limits.lower) / 2.0
         return np.where(self._free, np.inf, np.vstack([self._leap, self._largest, half]))
 
 
 def _step(period_s: float) -> NDArray[np.float64]:
-    """What makes the state of the next tick of this one's, without jerk, shape (3, 3)."""
+    """Return the transition matrix of one tick without jerk, shape (3, 3)."""
     return np.array([[1.0, period_s, period_s**2 / 2.0], [0.0, 1.0, period_s], [0.0, 0.0, 1.0]])

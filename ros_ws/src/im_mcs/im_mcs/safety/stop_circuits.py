@@ -32,7 +32,7 @@ class StopCircuits:
         return "; ".join(said)
 
     def restore(self) -> None:
-        """Let the servo switch power on again; hardware that is not there comes back with its circuit whole."""
+        """Let the servo switch power on again; missing hardware comes back with the circuit whole."""
         self._each(lambda circuit: circuit.restore())
 
     def is_cut(self) -> bool:

@@ -1,4 +1,4 @@
-"""Where a joint comes to rest that brakes as hard as it may."""
+"""Place of rest of a joint under the hardest allowed braking."""
 
 import math
 
@@ -57,7 +57,7 @@ def _distance(speed: float, most: float, jerk: float) -> float:
 
 
 class Reach:
-    """An upper bound of the way to rest that is much cheaper than :func:`stopping_place`: this is asked in every tick.
+    """Upper bound of the way to rest, much cheaper than :func:`stopping_place`: needed in every tick.
 
     With ``r = acceleration / jerk / 2`` and ``f = v + r a`` the way is at most ``f (f / (2 acceleration) + r) +
     (v / jerk + (2 r)^2 / 3) a``. That is convex in ``v`` and in ``a``, and grows faster with each the larger the other
@@ -81,6 +81,6 @@ class Reach:
         self._slopes = np.array([(bound(top_v) - bound(0.0)) / top_v, bound(0.0) / top_a])
 
     def way(self, motion: Array) -> Array:
-        """Bound of the way, shape (n,); magnitudes of velocities and accelerations up to their limits, shape (2, n)."""
+        """Bound of the way, shape (n,); magnitudes of velocities and accelerations up to the limits, shape (2, n)."""
         way = self._slopes * motion
         return np.asarray(way[0] + way[1])

@@ -1,4 +1,4 @@
-"""Watches: each looks, in every tick with power on, at one thing that may go wrong; the supervisor asks them all."""
+"""Watches: each checks one possible fault in every tick with power on; the supervisor asks them all."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ _ESTOP_FACTOR = 2.0
 
 
 class Reaction(Enum):
-    """What a finding leads to."""
+    """Reaction to a finding."""
 
     END = "end"
     """Decelerate on the path and hold; the goals end with the fault."""
@@ -33,7 +33,7 @@ class Reaction(Enum):
 
 @dataclass(frozen=True)
 class SafetyFinding:
-    """What a watch has found.
+    """Finding of a watch.
 
     Attributes:
         reaction: What to do.
@@ -47,21 +47,21 @@ class SafetyFinding:
 
 
 class WatchedGroup(Protocol):
-    """What watches see of a group."""
+    """Group as watches see it."""
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the group."""
         ...
 
     @property
     def engaged(self) -> bool:
-        """Whether it has setpoints and torques."""
+        """Whether the group has setpoints and torques."""
         ...
 
     @property
     def index(self) -> NDArray[np.intp]:
-        """Its joints among all, shape (n,)."""
+        """Ranks of the group's joints among all, shape (n,)."""
         ...
 
     @property
@@ -98,10 +98,10 @@ class Situation:
 
 
 class Watch(Protocol):
-    """Looks at one thing that may go wrong, in every tick with power on."""
+    """Watch over one possible fault, in every tick with power on."""
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """What is wrong, if anything."""
+        """Return the fault, if any."""
         ...
 
 
@@ -109,7 +109,7 @@ class Watch(Protocol):
 
 
 class PowerWatch:
-    """The testbed cuts the power by itself."""
+    """Watch over the power: the testbed may cut it by itself."""
 
     def check(self, now: Situation) -> SafetyFinding | None:
         """An e-stop of the hardware is one of MCS."""
@@ -119,7 +119,7 @@ class PowerWatch:
 
 
 class BrakeWatch:
-    """A brake opens, or engages, against its command.
+    """Watch over brakes that open or engage against the command.
 
     A joint whose brake opens by itself falls; one whose brake engages by itself works against its motor, and would
     leap once it is free. Both are an e-stop. A brake that has been told to move is given the time that the transition
@@ -142,7 +142,7 @@ class BrakeWatch:
         self._agreed = b""
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """The first joint whose brake has contradicted its command for too long."""
+        """Return the first joint with a brake against the command for too long."""
         told, said = now.brakes, now.measured.brakes
         if said.tobytes() == self._agreed == told.tobytes():  # comparing bytes is quick, and this is nearly every tick
             return None
@@ -188,7 +188,7 @@ class ReadingWatch:
 
 
 class AgeWatch:
-    """A reading is old: its driver falls silent.
+    """Watch over the age of readings: a driver may fall silent.
 
     Args:
         limits: Names of the joints.
@@ -234,13 +234,13 @@ class SpeedWatch:
         self._limits = limits
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """What no controller can mend is an e-stop."""
+        """Return an e-stop for a speed beyond any control."""
         fault = self._limits.overspeed(now.v)
         return None if fault is None else SafetyFinding(Reaction.ESTOP, fault)
 
 
 class FollowingWatch:
-    """A joint is too far off its setpoint: a protective stop; twice as far: an e-stop.
+    """Watch over following errors: a protective stop beyond the bound, an e-stop beyond twice the bound.
 
     Args:
         limits: Bounds of the following error.
@@ -250,7 +250,7 @@ class FollowingWatch:
         self._limits = limits
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """The joint that is furthest beyond its bound, in the first group that has one."""
+        """Return the joint furthest beyond the bound, in the first group with one."""
         for group in now.groups.values():
             if not group.engaged:
                 continue
@@ -281,7 +281,7 @@ class OverrunWatch:
         self._bound = bound
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """A single overrun is skipped and counted; several in a row are a protective stop."""
+        """Count single overruns, and return a protective stop for several in a row."""
         if now.overruns < self._bound:
             return None
         fault = ImError(f"{now.overruns} servo deadlines in a row were missed", code="overrun", missed=now.overruns)
@@ -289,7 +289,7 @@ class OverrunWatch:
 
 
 class OwnerWatch:
-    """The process that owns the servo (the ``mcs`` node) gives no sign of life.
+    """Watch over signs of life of the servo's owner (the ``mcs`` node).
 
     Args:
         bound_s: Wall time without one [s].
@@ -309,7 +309,7 @@ class OwnerWatch:
 
 
 class LeaseWatch:
-    """A client that reserved a group with a lease has not renewed it.
+    """Watch over the leases of reserved groups.
 
     Args:
         reservations: Owners and leases.
@@ -319,7 +319,7 @@ class LeaseWatch:
         self._reservations = reservations
 
     def check(self, now: Situation) -> SafetyFinding | None:
-        """The groups of the client decelerate and hold; their goals end."""
+        """Return a finding for expired leases: the groups decelerate and hold, and the goals end."""
         lapsed = self._reservations.lapse(now.measured.stamp_ns)
         if not lapsed:
             return None
@@ -336,7 +336,7 @@ class LeaseWatch:
 
 
 class Supervisor:
-    """All watches, those that lead to an e-stop first.
+    """All watches, those of e-stops first.
 
     Args:
         watches: In the order in which they are asked.
@@ -364,7 +364,7 @@ class Supervisor:
         )
 
     def check(self, now: Situation) -> list[SafetyFinding]:
-        """What is wrong in this tick; nothing after an e-stop, which takes all with it."""
+        """Return the fault of this tick; nothing after an e-stop, which includes all."""
         findings = []
         for watch in self._watches:
             finding = watch.check(now)

@@ -1,4 +1,4 @@
-"""Answers of the servo: replies, results of goals with their evidence, progress."""
+"""Answers of the servo: replies, results of goals with the evidence, progress."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ _PROGRESS_S = 0.1
 
 
 class Answers:
-    """Tells who asked how it ended.
+    """Sender of answers to the authors of requests.
 
     Args:
         emit: Takes messages.
@@ -36,11 +36,11 @@ class Answers:
         self._emit(message)
 
     def accuse(self, fault: ImError) -> None:
-        """Keep the last seconds as evidence of a fault; its facts name the record."""
+        """Keep the last seconds as evidence of a fault; the facts name the record."""
         fault.facts.setdefault("evidence", self._recorder.freeze())
 
     def end_goal(self, goal: Goal, fault: ImError | None, results: Mapping[str, Any]) -> None:
-        """Tell the result of a goal; an abort of a motion names its evidence."""
+        """Send the result of a goal; an abort of a motion names the evidence."""
         told = dict(results)
         if fault is not None and fault.code not in ("cancelled", "replaced"):
             if "evidence" not in fault.facts and told.get("duration", 0.0) > 0.0:
@@ -50,7 +50,7 @@ class Answers:
         self.reply(goal.id, fault, told)
 
     def drop_goal(self, goal: Goal, fault: ImError, tick: int) -> None:
-        """Tell that a goal ended at once."""
+        """Report the immediate end of a goal."""
         self.end_goal(goal, fault, {"duration": (tick - goal.since_tick) * self._period_s})
 
     def tell_progress(self, group: ControlledGroup, tick: int) -> None:
@@ -60,7 +60,7 @@ class Answers:
 
 
 def _plain(facts: Mapping[str, object]) -> dict[str, object]:
-    """Facts as JSON data, which has no infinities; those of drivers and laws may be anything, and are told as texts."""
+    """Return facts as JSON data, without infinities; unknown values of drivers and laws become texts."""
     return {name: value if _travels(value) else str(value) for name, value in facts.items()}
 
 

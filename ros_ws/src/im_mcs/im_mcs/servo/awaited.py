@@ -1,4 +1,4 @@
-"""Owners whose next request is awaited before simulated time goes on for the others."""
+"""Awaited owners: simulated time stands for others until the next request."""
 
 import math
 from collections.abc import Mapping, Set
@@ -8,7 +8,7 @@ from im_mcs.state import State
 
 
 class AwaitedOwners:
-    """Owners of groups that do nothing: they have been answered, and have not said yet what is next.
+    """Owners of idle groups, answered and still without a next request.
 
     What an owner does between two requests, such as planning a path, takes no simulated time at clock factor 0 while
     nobody else moves. Where another group moves it would take as much as the computer happens to simulate meanwhile:
@@ -27,7 +27,7 @@ class AwaitedOwners:
         self._until = -math.inf
 
     def update(self, states: Mapping[str, State], busy: Set[str]) -> None:
-        """Await the owners of groups that do nothing; one that does nothing anew, or in another state, from now on.
+        """Await the owners of idle groups; a group idle anew, or in another state, from now on.
 
         Args:
             states: States of the groups that are reserved; another object after every change.

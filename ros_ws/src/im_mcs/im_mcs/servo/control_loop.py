@@ -19,7 +19,7 @@ from im_mcs.testbed import Measured
 
 
 class ControlLoop:
-    """What happens between reading and writing the slots.
+    """Steps between reading and writing the slots.
 
     Attributes:
         engaged: Groups under control.
@@ -61,12 +61,12 @@ class ControlLoop:
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
 
     def moving(self, groups: Container[str]) -> str | None:
-        """One of the groups that has a goal."""
+        """Return one of the groups with a goal."""
         moving = (g.name for g in self.engaged if g.goals or self.torque_streams.goal(g.name) is not None)
         return next((name for name in moving if name in groups), None)
 
     def engage(self, groups: Iterable[ControlledGroup], q: NDArray[np.float64]) -> None:
-        """Let groups hold where they are measured to be, ``q`` of all joints."""
+        """Let groups hold the measured place, ``q`` of all joints."""
         for group in groups:
             group.engage(q[group.index])
             self._limiter.hold(group.index, q[group.index])
@@ -74,7 +74,7 @@ class ControlLoop:
                 self.engaged.append(group)
 
     def disengage(self, groups: Container[str]) -> None:
-        """No setpoints and no torques of groups any more, from this tick on."""
+        """End setpoints and torques of groups, from this tick on."""
         self.tau = self.tau.copy()
         for group in self.engaged:
             if group.name in groups:
@@ -86,7 +86,7 @@ class ControlLoop:
             self.proximity = None
 
     def run(self, m: Measured, v: NDArray[np.float64]) -> list[SafetyFinding]:
-        """One tick, up to the torques; what was found on the way.
+        """Run one tick, up to the torques; return the findings.
 
         Args:
             m: What the slots say.
@@ -104,7 +104,7 @@ class ControlLoop:
         return []
 
     def look_around(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
-        """Whether what this tick's setpoints lead to keeps its distance; it bounds the setpoints of the next tick.
+        """Check the distances along this tick's setpoints; they bound the setpoints of the next tick.
 
         The slots need not wait for it, nor for what can be prepared of these.
 

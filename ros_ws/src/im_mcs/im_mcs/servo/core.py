@@ -113,7 +113,7 @@ class Mcs:
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
-        """Positions, velocities and accelerations that are followed in this tick, shape (3, n)."""
+        """Positions, velocities and accelerations followed in this tick, shape (3, n)."""
         return self.loop.setpoint
 
     @property
@@ -154,7 +154,7 @@ class Mcs:
             self.recorder.put_row(m.tick, m.stamp_ns, (m.q, self.v, tau), setpoint, m.wrench)
 
     def go_on(self) -> None:
-        """Who was awaited has not come: time goes on without him.
+        """Resume simulated time: the awaited owner sent no request.
 
         Raises:
             LinkError: The testbed no longer listens.
@@ -164,7 +164,7 @@ class Mcs:
             self._write()
 
     def refuse(self, message: dict[str, Any], error: ImError) -> None:
-        """Answer a request that cannot be carried out; an emergency stop can always."""
+        """Answer an impossible request; an emergency stop is always possible."""
         if message.get("request") == Event.ESTOP.value:
             self._dispatch.run(message)
             self._complete_stop()
@@ -172,7 +172,7 @@ class Mcs:
             self.answers.reply(request_id(message), error)
 
     def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
-        """Let groups decelerate on their paths and hold, until they are resumed; all groups if none are named."""
+        """Decelerate groups on the paths and hold them until resumed; all groups if none are named."""
         self.end_torque_streams(self.loop.torque_streams.end_streams(fault, groups))
         for group in self.loop.engaged:
             if group.goals and group.protective is None and (groups is None or group.name in groups):
@@ -180,7 +180,7 @@ class Mcs:
                 group.protective_stop(fault)
 
     def end_torque_streams(self, ended: Iterable[Ended]) -> None:
-        """The laws of groups that a client has driven by torques take over where these are."""
+        """Let the laws of groups driven by torques take over at the present place."""
         for group, goal, fault in ended:
             self.loop.engage((group,), self.measured.q)
             self.answers.drop_goal(goal, fault, self.measured.tick)
@@ -190,7 +190,7 @@ class Mcs:
         self.manager.estop(fault.message, fault.facts)
 
     def lose_testbed(self, error: LinkError) -> None:
-        """The testbed has stopped listening; whatever was powered is estopped, and what was measured is forgotten."""
+        """Handle the loss of the testbed: powered groups are estopped, and measurements forgotten."""
         before = self.manager.state
         self._protect(error)
         if self.grippers.moving:
@@ -207,7 +207,7 @@ class Mcs:
             group.monitor.restart()
 
     def find_testbed(self) -> None:
-        """The testbed is there again, or another one in its place: what it says now counts.
+        """Take up the testbed again, or another one in the place: the readings count from now on.
 
         Raises:
             LinkError: It does not answer.
@@ -235,13 +235,13 @@ class Mcs:
         self.situation.groups = self.groups
 
     def close(self) -> None:
-        """End what the control laws have started."""
+        """End the processes of the control laws."""
         self._laws.close()
 
     # what the state manager asks for (im_mcs.state.manager.Arms)
 
     def engage(self, groups: Sequence[str]) -> None:
-        """Let groups hold where they are measured to be."""
+        """Let groups hold the measured place."""
         self.loop.engage([self.groups[name] for name in groups], self.measured.q)
 
     def disengage(self, groups: Sequence[str]) -> None:
@@ -268,7 +268,7 @@ class Mcs:
         self._kept = False
 
     def moving(self, groups: Sequence[str]) -> str | None:
-        """One of the groups that has a goal."""
+        """Return one of the groups with a goal."""
         return self.loop.moving(groups)
 
     def settled(self, groups: Sequence[str]) -> bool:
@@ -276,7 +276,7 @@ class Mcs:
         return all(self.groups[name].settled for name in groups)
 
     def broken(self) -> list[str]:
-        """What is broken now: readings that are missing or too old, and what hardware reports."""
+        """Return the present faults: missing or old readings, and reports of hardware."""
         m, names, bound_s = self.measured, self.model.names, self.config.safety.driver_age_estop_s
         missing = [names[rank] for rank in np.flatnonzero(~np.isfinite(m.q))]
         old = [names[rank] for rank in np.flatnonzero(m.age_s > bound_s)]
@@ -302,7 +302,7 @@ class Mcs:
             self.answers.drop_goal(goal, reason, self.measured.tick)
 
     def _watch(self) -> bool:
-        """Let the watches look; whether the owner gives no sign of life, so that power must go."""
+        """Run the watches; return whether the owner gives no sign of life, so power must go."""
         now = self.situation
         now.measured, now.v = self.measured, self.v
         now.power, now.brakes = self.manager.power, self.manager.brakes
@@ -314,7 +314,7 @@ class Mcs:
         return abandoned
 
     def _hold(self, busy: set[str], urgent: bool) -> bool:
-        """Whether time stands for an owner who is awaited: only motions and transitions of other groups wait."""
+        """Return whether time stands for an awaited owner: only motions and transitions of other groups wait."""
         if self._awaited is None:
             return False
         manager = self.manager
@@ -345,7 +345,7 @@ class Mcs:
             self.estop(fault)
 
     def _finish(self) -> None:
-        """Tell what has ended."""
+        """Report ended goals and transitions."""
         if self.loop.ended:
             ended, self.loop.ended = self.loop.ended, []
             for _, goal, fault in ended:
@@ -356,7 +356,7 @@ class Mcs:
         self.grippers.update(self.measured)
 
     def _follow_up(self) -> None:
-        """Tell how far goals are; watch the rest of groups whose brakes hold. No torque waits for it."""
+        """Report the progress of goals; watch the rest of braked groups. No torque waits for it."""
         m = self.measured
         for group in self.groups.values():
             self.answers.tell_progress(group, m.tick)

@@ -48,7 +48,7 @@ _STOPS = (Event.ESTOP.value, Event.PROTECTIVE_STOP.value)
 
 
 class Machine(Protocol):
-    """What requests act on: :class:`im_mcs.servo.core.Mcs`, attributes and methods as there."""
+    """Target of requests: :class:`im_mcs.servo.core.Mcs`, with the attributes and methods."""
 
     config: McsConfig
     model: CellModel
@@ -65,7 +65,7 @@ class Machine(Protocol):
         ...
 
     def protective_stop(self, fault: ImError) -> None:
-        """Let all groups decelerate on their paths and hold."""
+        """Decelerate all groups on the paths and hold them."""
         ...
 
     def estop(self, fault: ImError) -> None:
@@ -73,12 +73,12 @@ class Machine(Protocol):
         ...
 
     def end_torque_streams(self, ended: Iterable[Ended]) -> None:
-        """The laws of groups that a client has driven by torques take over."""
+        """Let the laws of groups driven by torques take over."""
         ...
 
 
 class Dispatch:
-    """What each request does.
+    """Effect of each request.
 
     Args:
         mcs: The machine.
@@ -91,7 +91,7 @@ class Dispatch:
         self._most = planning.max_points, planning.max_trajectory_points
 
     def run_all(self, messages: Iterable[Mapping[str, Any]]) -> None:
-        """Do what requests ask for that were heard together; what is cancelled already is not begun, but for stops."""
+        """Carry out requests heard together; cancelled ones are not begun, except stops."""
         heard = list(messages)
         cancelled = {_cancelled_goal(message) for message in heard} - {None}
         withdrawn: set[int] = set()
@@ -107,7 +107,7 @@ class Dispatch:
                 self.run(message)
 
     def run(self, message: Mapping[str, Any]) -> None:
-        """Do what one request asks for; refusals are answered, never raised."""
+        """Carry out one request; refusals are answered, never raised."""
         number = request_id(message)
         try:
             name, request = parse_request(message, *self._most)
@@ -119,7 +119,7 @@ class Dispatch:
                 self._mcs.answers.reply(number, None)
 
     def _do(self, number: int, event: Event, request: ServoRequest) -> bool:
-        """Do what is asked for; whether its answer comes when that has ended."""
+        """Carry out a request; return whether the answer comes at the end."""
         mcs, manager = self._mcs, self._manager
         match request:
             case TakeOverRequest():
@@ -181,7 +181,7 @@ class Dispatch:
         return False
 
     def _stream(self, number: int, request: StreamRequest) -> bool:
-        """Take streaming setpoints or torques; whether they opened a goal, which is answered at its end."""
+        """Take streaming setpoints or torques; return whether they opened a goal, answered at the end."""
         mcs = self._mcs
         self._manager.reservations.require_driver(request.group, Sender(names=[request.owner]))
         group, goal = mcs.groups[request.group], self._goal(number)
@@ -192,7 +192,7 @@ class Dispatch:
         return group.stream(goal, request)
 
     def _pause(self, groups: list[ControlledGroup]) -> None:
-        """Pause what can be; what a client drives by torques has no path to halt on, and is named once all else halts.
+        """Pause all paths; a group driven by torques has none, and is named after all others halt.
 
         Raises:
             StateError: A group is driven by torques.
@@ -244,7 +244,7 @@ class Dispatch:
         return Goal(number, self._mcs.measured.tick)
 
     def _take_over(self, number: int, request: TakeOverRequest) -> None:
-        """A group changes its owner; what the one before wanted of it ends on the path, and the answer says whose."""
+        """Change the owner of a group; the former motion ends on the path, and the answer names the former owner."""
         mcs, name = self._mcs, request.group
         before = self._manager.take_over(name, request.owner, request.lease_s, request.sender)
         fault = StateError(f"group '{name}' was taken over for '{request.owner}'", group=name, owner=request.owner)
@@ -257,13 +257,13 @@ class Dispatch:
         return self._mcs.groups[name]
 
     def _named(self, event: Event, name: str, sender: Sender | None = None) -> list[ControlledGroup]:
-        """A group, or for an empty name all of the sender's, of everybody's without one, that ``event`` may concern."""
+        """Return a group, or for an empty name all of the sender's, or everybody's, in a state for ``event``."""
         names = [name] if name else self._manager.allowed(event, sender)
         return [self._mcs.groups[each] for each in names]
 
 
 def _cancelled_goal(message: Mapping[str, Any]) -> int | None:
-    """The number of the request that a request cancels; None if it is another one, or says no number."""
+    """Return the number of the request cancelled by a request; None for any other request."""
     arguments = message.get("arguments")
     if message.get("request") != Event.CANCEL.value or not isinstance(arguments, dict):
         return None

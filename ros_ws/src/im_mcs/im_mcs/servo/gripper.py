@@ -18,7 +18,7 @@ _REACHED_M = 1e-3
 
 @dataclass
 class GripperMotion:
-    """Jaws on their way, until they stand still: at the wanted opening, or against something.
+    """Moving jaws, until they stand still: at the wanted opening, or against something.
 
     Those whose reading is not steady, or that give none, stand when they have come no further for a long while.
 
@@ -86,7 +86,7 @@ class Grippers:
 
     @property
     def moving(self) -> bool:
-        """Whether jaws are on their way."""
+        """Whether jaws are moving."""
         return bool(self._moving)
 
     def hold(self, measured: NDArray[np.float64]) -> None:
@@ -95,7 +95,7 @@ class Grippers:
         self.force = np.full(len(self._names), np.inf)
 
     def find(self, before: NDArray[np.float64], measured: NDArray[np.float64]) -> None:
-        """Jaws that were lost are there again; those that are elsewhere stay where they are now, shapes (m,) [m]."""
+        """Take up lost jaws again; moved ones stay at the present place, shapes (m,) [m]."""
         elsewhere = np.abs(measured - before) > _REACHED_M
         self.opening = np.where(elsewhere, measured, self.opening)
         self.force = np.where(elsewhere, np.inf, self.force)
@@ -135,7 +135,7 @@ class Grippers:
         self._moving[slot] = GripperMotion(number, slot, last=there, place=there)
 
     def cancel(self, number: int, fault: ImError, measured: NDArray[np.float64]) -> bool:
-        """Let jaws stop where they are; the request that moved them ends with ``fault`` once they stand.
+        """Stop jaws at the place; the request ends with ``fault`` once they stand.
 
         Args:
             number: Of the request that let them move.
@@ -154,7 +154,7 @@ class Grippers:
         return True
 
     def update(self, m: Measured) -> None:
-        """Tell of the jaws that have come to stand."""
+        """Report jaws that have come to a stand."""
         if not self._moving:
             return
         for motion in [each for each in self._moving.values() if each.update(m.gripper, self._patience_ticks)]:

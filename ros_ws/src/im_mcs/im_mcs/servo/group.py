@@ -1,4 +1,4 @@
-"""One group under control: from a goal to its result, and from setpoints to torques.
+"""One group under control: from a goal to the result, and from setpoints to torques.
 
 Motions are prepared in slices while others move, begun at a knot, and ended one by one.
 """
@@ -83,25 +83,25 @@ class ControlledGroup:
 
     @property
     def goal(self) -> Goal | None:
-        """The goal under way, or the first that is still being prepared."""
+        """The goal under way, or the first in preparation."""
         if self._current is not None:
             return self._current.goal
         return self._queue[0].goal if self._queue else None
 
     @property
     def goals(self) -> tuple[Goal, ...]:
-        """Every goal: the one under way, then those that wait."""
+        """Every goal: the one under way, then the waiting ones."""
         first = () if self._current is None else (self._current.goal,)
         return first + tuple(queued.goal for queued in self._queue)
 
     @property
     def paused(self) -> bool:
-        """Whether the client has paused it."""
+        """Whether the client has paused the group."""
         return self._rates.paused
 
     @property
     def protective(self) -> ImError | None:
-        """The fault of the protective stop that holds its goals suspended, if there is one."""
+        """Fault of the protective stop with suspended goals, if there is one."""
         return self._rates.protective
 
     @property
@@ -111,7 +111,7 @@ class ControlledGroup:
 
     @property
     def still(self) -> bool:
-        """Whether its setpoint stands still, where it was asked for."""
+        """Whether the setpoint stands still at the requested place."""
         return self.setpoint is self.planner.setpoint and self.planner.still
 
     @property
@@ -121,7 +121,7 @@ class ControlledGroup:
 
     @property
     def wants_time(self) -> bool:
-        """Whether it moves, prepares a motion or settles, or a suspended goal's patience or a sender's lease runs."""
+        """Whether the group moves, prepares or settles, or a suspended goal's patience or a sender's lease runs."""
         return self.engaged and (self.moving or not self.settled)
 
     @property
@@ -156,7 +156,7 @@ class ControlledGroup:
         self.setpoint = self.planner.setpoint
 
     def disengage(self) -> None:
-        """No setpoint, no torque; who engages it next begins without the pause of who had it before."""
+        """End setpoint and torque; the next user begins without the pause of the former one."""
         self.engaged = False
         self._rates.paused = False
         self.gate.open()
@@ -176,7 +176,7 @@ class ControlledGroup:
             self.monitor.restart()
 
     def request(self, goal: Goal, request: MoveRequest) -> None:
-        """Take up a motion; it is prepared in the ticks that follow.
+        """Take up a motion; the next ticks prepare it.
 
         Raises:
             StateError: Another motion is under way and the policy is to refuse, or a protective stop holds the group.
@@ -229,7 +229,7 @@ class ControlledGroup:
         return not opened
 
     def cancel(self, goal_id: int, fault: ImError) -> None:
-        """End a goal early: the motion under way decelerates on its path, one that waits ends at once.
+        """End a goal early: a motion under way decelerates on the path, a waiting one ends at once.
 
         Motions that wait behind it end too: they were planned from its end.
 
@@ -261,13 +261,13 @@ class ControlledGroup:
         self._rates.paused = True
 
     def resume(self) -> None:
-        """Go on along the path after a pause or a protective stop, and take streams again that were ended."""
+        """Go on along the path after a pause or a protective stop, and admit ended streams again."""
         self.gate.open()
         self._rates.paused = False
         self._rates.protective = None
 
     def set_speed(self, scale: float) -> None:
-        """Share of the planned speed, above 0 and up to 1, for this motion and those after it."""
+        """Set the share of the planned speed, above 0 and up to 1, for this motion and later ones."""
         self._rates.override = scale
 
     def set_ceiling(self, scale: float) -> None:
@@ -285,7 +285,7 @@ class ControlledGroup:
     # in every tick
 
     def plan(self) -> None:
-        """One slice of preparing the next motion; at a knot, a motion that is ready begins."""
+        """Do one slice of the preparation of the next motion; at a knot, a ready motion begins."""
         if not self._queue:
             return
         for rank, queued in enumerate(self._queue):
@@ -311,7 +311,7 @@ class ControlledGroup:
         return self.setpoint
 
     def cut(self, setpoint: Setpoint, joints: Sequence[str], tick: int) -> None:
-        """Limits have left this of the setpoint of this tick: a motion along a path cannot succeed any more.
+        """Note the setpoint left by limits in this tick: a motion along a path cannot succeed any more.
 
         Args:
             setpoint: What is followed.
@@ -342,7 +342,7 @@ class ControlledGroup:
         gravity: NDArray[np.float64],
         wanted: Setpoint,
     ) -> NDArray[np.float64]:
-        """Torques of this tick, shape (n,), for the setpoint that the planner has come to.
+        """Return torques of this tick, shape (n,), for the present setpoint of the planner.
 
         Args:
             tick: Number of the tick.
@@ -370,7 +370,7 @@ class ControlledGroup:
         return np.asarray(self.setpoint.q - q[self.index])
 
     def progress(self) -> dict[str, Any] | None:
-        """Of the goal under way: its id, the share of its time that has passed, point, desired and actual motion.
+        """Return for the goal under way the id, the passed share of time, point, desired and actual motion.
 
         ``place`` is the time at which the motion that was asked for is where this one is now [s], ``retimed`` says why
         that is not the time since it began.
@@ -391,7 +391,7 @@ class ControlledGroup:
         }
 
     def ended(self) -> list[EndedGoal]:
-        """Goals that ended since the last call: goal, fault, and results (``duration`` [s] of its motion)."""
+        """Return goals ended since the last call: goal, fault, and results (``duration`` [s] of the motion)."""
         current = self._current
         if current is not None:
             self._judge_end(current.goal.fault)
@@ -420,7 +420,7 @@ class ControlledGroup:
             self._end_queued(rank, ImError(unplanned, code="internal", group=self.name))
 
     def _stop_before(self, rank: int, queued: Queued) -> None:
-        """What a waiting motion was to take over from comes to rest first."""
+        """Stop the motion before a waiting one that was to take over from it."""
         waiting = list(self._queue)
         self._queue = deque(waiting[:rank])
         self._interrupt(self._replaced(queued.goal))
@@ -428,12 +428,12 @@ class ControlledGroup:
         self._queue = deque(waiting[rank:])
 
     def _end_known(self) -> bool:
-        """Whether it is known where the next motion begins: what is under way will come to the end of its path."""
+        """Return whether the begin of the next motion is known: the present one will reach the end of the path."""
         current = self._current
         return current is None or (current.goal.fault is None and current.stream is None)
 
     def _start(self, queued: Queued) -> Setpoint:
-        """The state with which a waiting motion begins, in its own time."""
+        """Return the first state of a waiting motion, in its own time."""
         if queued.policy is Policy.REPLACE:
             return self.planner.start_state(self._start_rate(queued))
         rank = self._queue.index(queued)
@@ -491,7 +491,7 @@ class ControlledGroup:
             )
 
     def _interrupt(self, fault: ImError) -> None:
-        """The motion under way ends early; those behind it end at once."""
+        """End the motion under way early; those behind it end at once."""
         current = self._current
         if current is not None and current.goal.fault is None:
             current.goal.fault = fault
@@ -529,7 +529,7 @@ class ControlledGroup:
             self._close_gate(fault)
 
     def _close_gate(self, fault: ImError) -> None:
-        """Whoever streams was stopped, and must not go on by sending the next setpoint."""
+        """Close the gate of a stopped stream: the next setpoint must not restart it."""
         if self._current is not None and (lease := self._current.lease) is not None:
             self.gate.close(lease.owner, lease.seconds, fault)
 
@@ -542,11 +542,11 @@ class ControlledGroup:
                 current.at_once = False
 
     def _waits(self) -> bool:
-        """Whether a stream stands at its target until the next one comes."""
+        """Return whether a stream stands at the target until the next one comes."""
         return self._current is not None and self._current.stream is not None and self.planner.still
 
     def _judge_end(self, fault: ImError | None) -> None:
-        """End the goal under way if it has come to its end, or has stopped early."""
+        """End the goal under way at the end, or after an early stop."""
         current, planner = self._current, self.planner
         assert current is not None
         if fault is not None:
@@ -567,12 +567,12 @@ class ControlledGroup:
             self._end_current(None if self.monitor.at_rest else self._not_settled())
 
     def _error(self) -> NDArray[np.float64]:
-        """What was asked for less the measured position, and the same of the velocity, shape (2, n)."""
+        """Return request minus measurement of position and velocity, shape (2, n)."""
         setpoint = self.planner.setpoint
         return np.array([setpoint.q - self._position, setpoint.v - self._velocity])
 
     def _judge(self, tick: int) -> None:
-        """Interrupt a trajectory whose path tolerance is passed."""
+        """Interrupt a trajectory beyond the path tolerance."""
         current = self._current
         if current is not None and current.tolerances is not None and current.goal.fault is None:
             fault = current.tolerances.on_path(self._error(), tick)

@@ -11,7 +11,7 @@ ResultT = TypeVar("ResultT")
 
 
 class GuardedTestbed:
-    """A testbed whose methods raise nothing but :class:`~im_core.errors.LinkError`.
+    """Testbed with no other exception than :class:`~im_core.errors.LinkError`.
 
     Attributes:
         period_s: Time between ticks [s].
@@ -38,7 +38,7 @@ class GuardedTestbed:
         self.wall_period_s = self._testbed.wall_period_s
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; whether it came.
+        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether it came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -46,7 +46,7 @@ class GuardedTestbed:
         return _guard("wait", self._testbed.wait, timeout_s)
 
     def time_asked(self) -> bool:
-        """Whether a tick must come: time passes by itself, or somebody has asked for it.
+        """Return whether a tick must come: time passes by itself, or on request.
 
         Raises:
             LinkError: It does not say.
@@ -55,7 +55,7 @@ class GuardedTestbed:
 
     @property
     def hardware_pid(self) -> int:
-        """Process of this host that ticks; 0 where none does."""
+        """Process of this host with the ticks; 0 where there is none."""
         return self._testbed.hardware_pid
 
     def read(self) -> Measured:
@@ -75,7 +75,7 @@ class GuardedTestbed:
         _guard("write", self._testbed.write, drive)
 
     def faults(self) -> list[str]:
-        """What hardware itself reports to be broken.
+        """Return the faults reported by hardware itself.
 
         Raises:
             LinkError: Some does not answer.
@@ -83,7 +83,7 @@ class GuardedTestbed:
         return _guard("faults", self._testbed.faults)
 
     def after_tick(self, tick: int) -> None:
-        """Return once the hardware has taken the answer to ``tick``, where that can be known.
+        """Return once the hardware has taken the answer to ``tick``, where known.
 
         Raises:
             LinkError: A driver failed.

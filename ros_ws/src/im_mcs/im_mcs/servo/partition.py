@@ -1,4 +1,4 @@
-"""The groups of every preset, made when they are first asked for."""
+"""The groups of every preset, made at the first use."""
 
 from collections.abc import Callable
 
@@ -17,7 +17,7 @@ from im_mcs.servo.rest_monitor import RestMonitor
 
 
 class Partitions:
-    """Makes and keeps the groups of presets, and the collision monitor that knows which joints brake together.
+    """Groups of presets, with the collision monitor for joints braking together.
 
     Args:
         config: Configuration.
@@ -40,7 +40,7 @@ class Partitions:
         self._monitors: dict[str, CollisionMonitor] = {}
 
     def enter(self, preset: str) -> tuple[dict[str, ControlledGroup], CollisionMonitor]:
-        """Groups of a preset, and its collision monitor; a group that two presets have in common is one.
+        """Return groups of a preset, and the collision monitor; a common group of two presets is one.
 
         Raises:
             ConfigError: A control law cannot be loaded.
@@ -61,7 +61,7 @@ class Partitions:
         return groups, self._monitors[preset]
 
     def _make(self, name: str, config: McsConfig) -> ControlledGroup:
-        """A group of the preset in force."""
+        """Make a group of the preset in force."""
         index = np.array([self._model.index(joint) for joint in config.groups[name].joints], dtype=np.intp)
         servo, cell, limits = config.servo, self._model.cell, self._limits
         context = PlanContext(

@@ -33,7 +33,7 @@ _CROWDED = 0.5
 
 
 class ServoProcess:
-    """Runs MCS tick by tick until it is told to end.
+    """Runner of MCS, tick by tick, until the end is requested.
 
     Args:
         instance: Which machine on this host.
@@ -97,7 +97,7 @@ class ServoProcess:
         return self._owner_runs
 
     def _orphan_moves(self) -> bool:
-        """Whether, without an owner, there is still something to stop and to switch off; it must not take long."""
+        """Return whether, without an owner, something is still to be stopped and switched off; within a time limit."""
         now = clock.monotonic()
         if math.isinf(self._orphaned):
             self._orphaned = now
@@ -110,7 +110,7 @@ class ServoProcess:
         return self._mcs.wants_time and not self._mcs.held
 
     def _turn(self) -> None:
-        """Wait for a tick and run it; without a tick, look after the link and refuse what cannot be done."""
+        """Wait for a tick and run it; without a tick, look after the link and refuse impossible requests."""
         self._channel.heartbeat.beat()
         try:
             if not self._reporter.linked:
@@ -126,7 +126,7 @@ class ServoProcess:
             self._lose(error)
 
     def _wait(self) -> bool:
-        """Wait for a tick; whether it came. At clock factor 0 none comes while nobody wants time.
+        """Wait for a tick; return whether it came. At clock factor 0 none comes while nobody wants time.
 
         The testbed is silent only while it could tick and this process listens; time in which a busy computer let
         either of them wait does not count. Nor is it silent while whoever has sent a request has not come to asking
@@ -173,7 +173,7 @@ class ServoProcess:
         self._report()
 
     def _report(self) -> None:
-        """Tell the owner what the tick brought.
+        """Report the results of the tick to the owner.
 
         An answer after which time stands still is given only when the testbed has completed the tick: what the owner
         asks for next then falls into the next tick, whoever is faster.
@@ -193,7 +193,7 @@ class ServoProcess:
         self._send_events()
 
     def _tell_state(self) -> None:
-        """A change of state, of any group, is told before the answers that came with it."""
+        """Send a change of state, of any group, before the answers that came with it."""
         manager = self._mcs.manager
         now = manager.state, manager.states
         if now != self._told:
@@ -204,7 +204,7 @@ class ServoProcess:
             self._pending.insert(self._left, told)
 
     def _send_events(self) -> None:
-        """Send what is pending; of what an owner who takes nothing leaves no room for, all but progress goes later."""
+        """Send pending events; without room, all but progress is sent later."""
         if not self._pending:
             return
         events, taken = self._channel.events, 0

@@ -4,7 +4,7 @@ from im_core import clock
 
 
 class Pacer:
-    """Keeps absolute deadlines and counts those that were missed.
+    """Keeper of absolute deadlines, with a count of missed ones.
 
     A deadline is missed if the loop comes to it more than a period late; the ticks in between are skipped, so that the
     loop does not run behind the clock for ever.

@@ -1,4 +1,4 @@
-"""What the servo shows of itself: the snapshot and the samples."""
+"""Reports of the servo on itself: the snapshot and the samples."""
 
 import numpy as np
 
@@ -35,11 +35,11 @@ class Reporter:
         self._next_sample_ns = 0
 
     def computed(self, seconds: float) -> None:
-        """A tick took so long [s]."""
+        """Note the duration of a tick [s]."""
         self._compute_s += _SMOOTHING * (seconds - self._compute_s)
 
     def sample(self) -> None:
-        """A sample, if it is time for one."""
+        """Write a sample, if it is time for one."""
         mcs, m = self._mcs, self._mcs.measured
         if self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
             return

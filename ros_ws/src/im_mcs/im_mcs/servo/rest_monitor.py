@@ -1,4 +1,4 @@
-"""When is an arm at rest, and where is it then."""
+"""Rest of an arm: the detection, and the measured place."""
 
 from collections import deque
 from enum import StrEnum
@@ -10,7 +10,7 @@ from im_mcs.limits.configuration import Servo
 
 
 class RestPhase(StrEnum):
-    """Where a group is on its way to rest."""
+    """Phase of a group on the way to rest."""
 
     MOVING = "moving"
     SETTLING = "settling"
@@ -19,7 +19,7 @@ class RestPhase(StrEnum):
 
 
 class RestMonitor:
-    """Judges rest from encoder readings alone, tick by tick, so that the same readings give the same tick.
+    """Judge of rest from encoder readings alone, tick by tick: the same readings give the same tick.
 
     *Settling* ends when, over a short window, every joint's mean error is within tolerance and the means of both halves
     agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm that
@@ -52,7 +52,7 @@ class RestMonitor:
         self.restart()
 
     def restart(self) -> None:
-        """The group is about to move, or has lost its hold: it is not at rest."""
+        """Restart the judgement: the group is about to move, or has lost the hold."""
         self.phase = RestPhase.MOVING
         self.settling_ticks = 0
         self.since_tick = 0
@@ -81,7 +81,7 @@ class RestMonitor:
         return int(np.argmax(np.abs(self.last_error)))
 
     def update(self, tick: int, q: NDArray[np.float64], target: NDArray[np.float64] | None) -> None:
-        """Take a reading of a group whose setpoint stands still.
+        """Take a reading of a group with a standing setpoint.
 
         Args:
             tick: Number of the tick.
@@ -119,7 +119,7 @@ class RestMonitor:
         self._readings = deque(maxlen=self._settle_window)
 
     def _watch(self, q: NDArray[np.float64]) -> None:
-        """Let settling begin anew when the arm is not where it rested any more; judged once a short window."""
+        """Restart settling when the arm has left the place of rest; judged once a short window."""
         self._readings.append(q)
         if len(self._readings) == self._settle_window:
             off = np.abs(_mean(np.array(self._readings)) - self.q)
@@ -144,7 +144,7 @@ def _mean(readings: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _quantisation_variance(resolution: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Variance of what quantisation leaves in the mean of many readings of an arm that stands still.
+    """Return the variance of quantisation in the mean of many readings of a standing arm.
 
     Noise before a quantiser acts as dither; of the error's Fourier series over one step the first harmonic remains,
     with amplitude ``step / pi * exp(-2 pi^2 sd^2 / step^2)`` (B. Widrow, I. Kollar, "Quantization Noise", 2008, 19);

@@ -1,4 +1,4 @@
-"""Who has been stopped does not go on by sending the next message: a stream that others ended stays ended."""
+"""Gate of streams: a stream ended by others stays ended, against the next message."""
 
 import math
 
@@ -28,7 +28,7 @@ class StreamGate:
         return self._ticks_left > 0
 
     def close(self, owner: str, lease_s: float, fault: ImError) -> None:
-        """A stream was ended.
+        """Note an ended stream.
 
         Args:
             owner: Who sent it.
@@ -48,7 +48,7 @@ class StreamGate:
             self._ticks_left -= 1
 
     def require_open(self, owner: str) -> None:
-        """Check that a message may open a stream, or renew it; another owner's always may.
+        """Check whether a message may open a stream, or renew it; another owner's always may.
 
         Raises:
             StateError: His stream was ended, and he has not been silent since; the silence is counted anew.

@@ -26,7 +26,7 @@ class _TorqueStream:
 
 
 class TorqueStreams:
-    """Groups whose torques come from a client, as long as it renews its lease and the joints can still be stopped.
+    """Groups driven by a client's torques, while the lease is renewed and the joints can still be stopped.
 
     Args:
         limits: Limits of all joints.
@@ -43,7 +43,7 @@ class TorqueStreams:
         return bool(self._streams)
 
     def torque(self, group: str) -> NDArray[np.float64] | None:
-        """Torques wanted of a group, shape (n,) [Nm or N]; None if it is not driven."""
+        """Return the wanted torques of a group, shape (n,) [Nm or N]; None if it is not driven."""
         stream = self._streams.get(group)
         return None if stream is None else stream.tau
 
@@ -53,7 +53,7 @@ class TorqueStreams:
         return None if stream is None else stream.goal
 
     def require_free(self, group: str) -> None:
-        """Check that a group is not driven.
+        """Check whether a group is free of a torque stream.
 
         Raises:
             StateError: It is.
@@ -87,7 +87,7 @@ class TorqueStreams:
         return False
 
     def cancel(self, goal_id: int) -> str | None:
-        """The group that the goal streams, if there is one."""
+        """Return the group of a streaming goal, if there is one."""
         return next((name for name, stream in self._streams.items() if stream.goal.id == goal_id), None)
 
     def end_streams(self, fault: ImError, groups: Iterable[str] | None = None) -> list[Ended]:
@@ -103,7 +103,7 @@ class TorqueStreams:
         return [(stream.group, stream.goal, fault) for stream in streams]
 
     def tick(self, q: NDArray[np.float64], v: NDArray[np.float64], tick: int) -> list[Ended]:
-        """Judge leases, and whether every driven joint could still be stopped within its range.
+        """Judge leases, and whether every driven joint could still be stopped within the range.
 
         Args:
             q: Measured positions of all joints.

@@ -1,4 +1,4 @@
-"""State manager (paper, section 4): enforces the table, and orders what a transition does over several ticks.
+"""State manager (paper, section 4): enforces the table, and orders the steps of a transition over several ticks.
 
 Transitions of different groups go on beside each other. Brakes are a group's own; power is one for all, and on while
 any group needs it.
@@ -29,10 +29,10 @@ _NO_FACTS: Mapping[str, object] = {}
 
 
 class Arms(Protocol):
-    """What the state manager asks of the layers above the slots."""
+    """Layers above the slots, as the state manager uses them."""
 
     def engage(self, groups: Sequence[str]) -> None:
-        """Let the groups hold where they are measured to be."""
+        """Let the groups hold the measured place."""
         ...
 
     def disengage(self, groups: Sequence[str]) -> None:
@@ -52,7 +52,7 @@ class Arms(Protocol):
         ...
 
     def moving(self, groups: Sequence[str]) -> str | None:
-        """One of the groups that has a goal, if there is one."""
+        """Return one of the groups with a goal, if there is one."""
         ...
 
     def settled(self, groups: Sequence[str]) -> bool:
@@ -60,7 +60,7 @@ class Arms(Protocol):
         ...
 
     def broken(self) -> Sequence[str]:
-        """What is broken now, as far as readings and hardware say; each in a few words."""
+        """Return the present faults of readings and hardware, each in a few words."""
         ...
 
 
@@ -73,7 +73,7 @@ class _Running:
 
 
 class StateManager:
-    """State and owner of every group, and what power and brakes are told.
+    """State and owner of every group, with the commands to power and brakes.
 
     Attributes:
         state: State of the machine: the highest that any group is in; estopped after an emergency stop.
@@ -119,12 +119,12 @@ class StateManager:
         self._patience = 0
 
     def state_of(self, group: str) -> State:
-        """State of a group: cold unless it is reserved; estopped after an emergency stop."""
+        """Return the state of a group: cold unless reserved; estopped after an emergency stop."""
         return State.ESTOPPED if self._stopped else self._states.get(group, State.COLD)
 
     @property
     def power(self) -> bool:
-        """Power commanded: whether any group needs it."""
+        """Commanded power: whether any group needs it."""
         return bool(self._needing)
 
     @property
@@ -158,7 +158,7 @@ class StateManager:
         return target
 
     def allowed(self, event: Event, sender: Sender | None = None) -> list[str]:
-        """Groups, in the order in which they were reserved, in whose state the table has a row for ``event``.
+        """Return groups, in the order of the reservation, in a state with a row of the table for ``event``.
 
         Args:
             event: What is asked for.
@@ -181,18 +181,18 @@ class StateManager:
         return next_state(state, event, group, self.cause)
 
     def _disposes(self, event: Event, group: str, sender: Sender) -> bool:
-        """Whether a group is the sender's to change; who is given up on cannot leave power and brakes as they are."""
+        """Return whether the sender may change a group; a lost owner cannot leave power and brakes as they are."""
         given_up = event in (Event.DISABLE_MOTION, Event.POWER_OFF) and self.reservations.has_lapsed(
             group, self.measured.stamp_ns
         )
         return given_up or self.reservations.disposes(group, sender)
 
     def under_way(self) -> set[str]:
-        """Groups of which a transition is under way."""
+        """Return groups with a transition under way."""
         return {group for running in self._running for group in running.groups}
 
     def _require_idle(self, event: Event, groups: Sequence[str]) -> None:
-        """Check that no transition of the groups is under way; without groups, that another group would allow it."""
+        """Check for no transition of the groups under way; without groups, for one that would allow it."""
         if event in ANYTIME or not self._running:
             return
         under_way = self.under_way()
@@ -208,7 +208,7 @@ class StateManager:
         )
 
     def reserve(self, group: str, owner: str = "", lease_s: float = 0.0, sender: Sender = NOBODY) -> None:
-        """Give a group its slots.
+        """Give a group the slots.
 
         Args:
             group: Name of the group.
@@ -229,7 +229,7 @@ class StateManager:
         self._judge_states()
 
     def take_over(self, group: str, owner: str, lease_s: float, sender: Sender) -> str:
-        """Reserve a group for another owner than it has; arguments as :meth:`reserve`.
+        """Reserve a group for another owner than the present one; arguments as :meth:`reserve`.
 
         Returns:
             Whose it was.
@@ -267,7 +267,7 @@ class StateManager:
         self.reservations.renew(owner, self.measured.stamp_ns)
 
     def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
-        """Check that the slots may be divided into other groups.
+        """Check whether the slots may be divided into other groups.
 
         Args:
             groups: Slots of each group.
@@ -299,7 +299,7 @@ class StateManager:
                     return
 
     def begin(self, event: Event, reply: OnEnd, group: str = "", sender: Sender = NOBODY) -> None:
-        """Start a transition that goes on in :meth:`tick`; ``reply`` is called at its end.
+        """Start a transition that goes on in :meth:`tick`; ``reply`` is called at the end.
 
         Args:
             event: Of :data:`~im_mcs.state.table.TRANSITIONS`.
@@ -351,12 +351,12 @@ class StateManager:
         self._judge_states()
 
     def _judge_states(self) -> None:
-        """Keep what is looked at several times in every tick and changes seldom."""
+        """Keep values looked at several times a tick and rarely changed."""
         self.states = dict.fromkeys(self._states, State.ESTOPPED) if self._stopped else self._states.copy()
         self.state = State.ESTOPPED if self._stopped else highest(self._states.values())
 
     def tick(self) -> None:
-        """Go on with the transitions that are under way; free what a dead client has reserved."""
+        """Go on with the transitions under way; free the reservations of a dead client."""
         if self._patience > 0:
             self._patience -= 1
         self._free_lapsed()
@@ -402,7 +402,7 @@ class StateManager:
             running.reply(error)
 
     def _require_secured(self, event: Event, joints: NDArray[np.intp] | None) -> None:
-        """Check that the brakes of ``joints`` hold; of all joints, and that power is off, if there are none given.
+        """Check whether the brakes of ``joints`` hold; without any, of all joints, with power off.
 
         Raises:
             StateError: Power is on, or a brake open; joints with an open brake are named.
@@ -417,22 +417,22 @@ class StateManager:
             raise StateError(sentence, request=event.value, joints=which)
 
     def _secure(self, event: Event, joints: NDArray[np.intp] | None) -> Generator[None, None, None]:
-        """Give brakes that are told to hold their time, then :meth:`_require_secured`."""
+        """Give brakes that are told to hold the time, then :meth:`_require_secured`."""
         looked_at = np.arange(len(self.joints)) if joints is None else joints
         with suppress(WaitTimeoutError):
             yield from self._until(lambda: bool(self.measured.brakes[looked_at].all()), str)
         self._require_secured(event, joints)
 
     def _named(self, ranks: NDArray[np.intp]) -> str:
-        """Names of the joints with these ranks."""
+        """Return names of the joints with these ranks."""
         return ", ".join(self.joints[rank] for rank in ranks)
 
     def _joints(self, groups: Sequence[str]) -> NDArray[np.intp]:
-        """Ranks of all joints of groups."""
+        """Return ranks of all joints of groups."""
         return np.concatenate([self._index[group] for group in groups])
 
     def _free_lapsed(self) -> None:
-        """Free groups that need no power and whose lease has run out."""
+        """Free groups without power and with an expired lease."""
         for group, state in self.states.items():
             lapsed = state is State.RESERVED and self.reservations.has_lapsed(group, self.measured.stamp_ns)
             if lapsed and group not in self.under_way():
@@ -441,12 +441,12 @@ class StateManager:
     # what a transition does over several ticks: each yields once a tick
 
     def _fail(self, groups: Sequence[str], reason: str) -> None:
-        """An e-stop because of the transition of these groups; its reply says what happened."""
+        """Do an e-stop for the failed transition of these groups; the reply gives the reason."""
         self._running = [running for running in self._running if running.groups is not groups]
         self.estop(reason)
 
     def _power_on(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Power on, brakes on; where another group has let it go just now, it must have gone before."""
+        """Switch power on, with brakes on; power just released by another group must have gone before."""
         yield from self._secure(Event.POWER_ON, self._joints(groups) if self.power else None)
         self.cause = ""
         secured = "the testbed to switch power off first"
@@ -460,7 +460,7 @@ class StateManager:
         enter()
 
     def _power_off(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Power off, unless another group needs it; if it stays on, an e-stop."""
+        """Switch power off, unless another group needs it; if it stays on, do an e-stop."""
         self._needing.difference_update(groups)
         try:
             yield from self._until(
@@ -489,7 +489,7 @@ class StateManager:
             yield
 
     def _disable_motion(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Brakes hold before the torque leaves; if they do not, it goes on carrying the arm."""
+        """Engage the brakes before the torque leaves; if they do not hold, the torque goes on carrying the arm."""
         joints = self._joints(groups)
         self.brakes[joints] = True
         try:
@@ -503,7 +503,7 @@ class StateManager:
     def _until_braked(
         self, groups: Sequence[str], cause: WaitTimeoutError | None = None
     ) -> Generator[None, None, None]:
-        """Brakes hold before the torque leaves.
+        """Wait for the brakes to hold, before the torque leaves.
 
         Args:
             groups: Whose.
@@ -540,7 +540,7 @@ class StateManager:
             yield
 
     def _until_moved(self, joints: NDArray[np.intp], engaged: bool) -> Generator[None, None, None]:
-        """Until the brakes of ``joints`` report to be as they are told; else the error names those that do not."""
+        """Wait until the brakes of ``joints`` report the command; else name in the error those that do not."""
 
         def not_yet() -> NDArray[np.intp]:
             moved: NDArray[np.bool_] = self.measured.brakes[joints] == engaged

@@ -9,7 +9,7 @@ from im_mcs.protocol.requests import NOBODY, Sender
 
 @dataclass
 class Reservation:
-    """A group that has its slots.
+    """Group with the slots.
 
     Attributes:
         group: Name of the group.
@@ -28,7 +28,7 @@ class Reservation:
     client: str = ""
 
     def serves(self, sender: Sender) -> bool:
-        """Whether who asks is the owner: by name, or as the process that reserved."""
+        """Return whether the sender is the owner: by name, or as the process of the reservation."""
         known = bool(self.client) and self.client == sender.client
         named = _plain(self.owner) in map(_plain, sender.names)
         return known or named or self.owner == ""
@@ -39,12 +39,12 @@ class Reservation:
         return f"group '{self.group}'" + (f" (owner '{self.owner}')" if self.owner else "")
 
     def left_s(self, now_ns: int) -> float:
-        """What is left of the lease [s]; 0 if there is none."""
+        """Return the rest of the lease [s]; 0 if there is none."""
         return max(0.0, (self.until_ns - now_ns) * 1e-9) if self.lease_s > 0.0 else 0.0
 
 
 class Reservations:
-    """Which group owns which slot, for whom, and until when.
+    """Owners of the slots: groups, clients, and the ends of the leases.
 
     Args:
         groups: Slots of every group that may be reserved.
@@ -56,11 +56,11 @@ class Reservations:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Reserved groups, in the order in which they were reserved."""
+        """Reserved groups, in the order of the reservation."""
         return tuple(self._held)
 
     def of(self, group: str) -> Reservation | None:
-        """The reservation of a group, if it has one."""
+        """Return the reservation of a group, if it has one."""
         return self._held.get(group)
 
     def reserve(
@@ -96,7 +96,7 @@ class Reservations:
         self._held[group] = wanted
 
     def take_over(self, group: str, owner: str, lease_s: float, now_ns: int, sender: Sender) -> str:
-        """Give a group that is reserved to another owner, whoever has it; arguments as :meth:`reserve`.
+        """Give a reserved group to another owner, from any owner; arguments as :meth:`reserve`.
 
         Returns:
             Whose it was.
@@ -125,11 +125,11 @@ class Reservations:
         self._held.clear()
 
     def disposes(self, group: str, sender: Sender) -> bool:
-        """Whether a group is reserved, and who asks may change it."""
+        """Return whether a group is reserved, and the sender may change it."""
         return group in self._held and self._held[group].serves(sender)
 
     def renew(self, owner: str, now_ns: int) -> None:
-        """Let every lease of an owner run anew; one that had lapsed holds again.
+        """Restart every lease of an owner; an expired one holds again.
 
         Raises:
             StateError: The owner has reserved nothing; those who have are named.
@@ -143,7 +143,7 @@ class Reservations:
             reservation.lapsed = False
 
     def lapse(self, now_ns: int) -> list[Reservation]:
-        """Reservations of one owner whose lease has run out since the last call; ask again for those of another."""
+        """Return reservations of one owner with a lease expired since the last call; ask again for those of another."""
         gone = [r for r in self._held.values() if r.lease_s > 0.0 and not r.lapsed and now_ns > r.until_ns]
         if not gone:
             return gone
@@ -153,12 +153,12 @@ class Reservations:
         return gone
 
     def has_lapsed(self, group: str, now_ns: int) -> bool:
-        """Whether the lease of a group that is reserved has run out."""
+        """Return whether the lease of a reserved group has expired."""
         reservation = self._held[group]
         return reservation.lapsed or (reservation.lease_s > 0.0 and now_ns > reservation.until_ns)
 
     def require(self, group: str) -> None:
-        """Check that ``group`` is reserved.
+        """Check whether ``group`` is reserved.
 
         Raises:
             NotFoundError: No such group.
@@ -170,7 +170,7 @@ class Reservations:
             raise StateError(f"group '{group}' is not reserved (reserved: {reserved})", group=group)
 
     def require_owner(self, group: str, sender: Sender) -> None:
-        """Check that ``group`` is reserved, and that who asks may change it.
+        """Check whether ``group`` is reserved, and the sender may change it.
 
         Raises:
             NotFoundError: No such group.
@@ -187,7 +187,7 @@ class Reservations:
             )
 
     def require_driver(self, group: str, sender: Sender) -> None:
-        """Check that ``group`` is reserved, that its lease holds, and that who asks may move it.
+        """Check whether ``group`` is reserved, the lease holds, and the sender may move it.
 
         Raises:
             NotFoundError: No such group.
@@ -203,7 +203,7 @@ class Reservations:
             )
 
     def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
-        """Check that the reserved groups have the same slots in another partition.
+        """Check whether the reserved groups have the same slots in another partition.
 
         Raises:
             StateError: One has not; all such are named.
@@ -228,5 +228,5 @@ class Reservations:
 
 
 def _plain(name: str) -> str:
-    """A name without the slash that those of nodes begin with."""
+    """Return a name without the leading slash of node names."""
     return name.removeprefix("/")

@@ -1,4 +1,4 @@
-"""The state table: which request is allowed in which state, and where it leads (paper, Figure 7).
+"""The state table: allowed requests of each state, and the next states (paper, Figure 7).
 
 Every group is in a state of its own. The machine's is the highest that any group is in, in the order of
 :data:`STATES`; unconfigured and estopped are of all groups together.
@@ -12,7 +12,7 @@ from im_core.errors import StateError
 
 
 class State(StrEnum):
-    """States of MCS and of each of its groups; all but the first are the paper's."""
+    """States of MCS and of each of the groups; all but the first are the paper's."""
 
     UNCONFIGURED = "unconfigured"
     """Nothing is loaded."""
@@ -29,7 +29,7 @@ class State(StrEnum):
 
 
 class Event(StrEnum):
-    """What may be asked of MCS, or happen to it."""
+    """Requests to MCS, and events in it."""
 
     CONFIGURE = "configure"
     CLEANUP = "cleanup"
@@ -172,12 +172,12 @@ _LIFECYCLE = {
 
 
 def lifecycle_of(state: State) -> str:
-    """Label of the ROS lifecycle state that goes with ``state``: power on is *active*."""
+    """Return the label of the ROS lifecycle state for ``state``: power on is *active*."""
     return _LIFECYCLE[state]
 
 
 def highest(states: Iterable[State]) -> State:
-    """The machine's state, given those of its groups: the highest of them; cold if there are none."""
+    """Return the machine's state, the highest of the groups' states; cold if there are none."""
     return max(states, key=STATES.index, default=State.COLD)
 
 
@@ -187,12 +187,12 @@ def allows(state: State, event: Event) -> bool:
 
 
 def allowed_in(state: State) -> tuple[Event, ...]:
-    """Requests that the table has a row for in ``state``, in the order of the table."""
+    """Return requests with a row of the table in ``state``, in the order of the table."""
     return tuple(row.event for row in TABLE if row.source is state)
 
 
 def next_state(state: State, event: Event, group: str = "", cause: str = "") -> State:
-    """State that ``event`` leads to.
+    """Return the state after ``event``.
 
     Args:
         state: State of a group, or of the machine.

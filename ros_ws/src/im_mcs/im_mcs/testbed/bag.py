@@ -1,4 +1,4 @@
-"""Channel driver that plays recorded slot data back, to see again what a controller saw."""
+"""Channel driver for the replay of recorded slot data, to see again a controller's view."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ _ROUNDING_S = 1e-9
 
 
 class BagDriver:
-    """Readings of a bag at their recorded times; what is commanded goes nowhere, and counts as obeyed.
+    """Readings of a bag at the recorded times; commands go nowhere, and count as obeyed.
 
     Args:
         bag: Folder of a rosbag2, MCAP or SQLite.
@@ -63,7 +63,7 @@ class BagDriver:
         """Nothing to reach."""
 
     def wait(self, timeout_s: float) -> bool:
-        """The next tick is there as soon as the loop has kept its pace."""
+        """Return at once: the next tick is there as soon as the loop has kept the pace."""
         return True
 
     def read(self) -> Measured:

@@ -1,4 +1,4 @@
-"""Contract of a channel driver: what MCS needs of hardware, simulated or real; and what a driver may offer besides."""
+"""Contract of a channel driver: the needs of MCS from hardware, simulated or real; and optional offers of a driver."""
 
 import inspect
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from im_mcs.limits.slots import OFFERED, check_settings, find_driver
 
 
 class Measured(NamedTuple):
-    """What the channels say at the start of a tick.
+    """Readings of the channels at the start of a tick.
 
     Attributes:
         tick: Number of the tick.
@@ -37,7 +37,7 @@ class Measured(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What the channels shall do until the next tick.
+    """Commands to the channels until the next tick.
 
     Attributes:
         tau: Torques, shape (n,) [Nm or N].
@@ -79,7 +79,7 @@ class ChannelDriver(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; whether it came.
+        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether it came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -99,7 +99,7 @@ class ChannelDriver(Protocol):
         ...
 
     def after_tick(self, tick: int) -> None:
-        """Return once the hardware has taken the answer to ``tick``, where that can be known."""
+        """Return once the hardware has taken the answer to ``tick``, where known."""
         ...
 
     def close(self) -> None:
@@ -109,7 +109,7 @@ class ChannelDriver(Protocol):
 
 @runtime_checkable
 class TimeKeeper(Protocol):
-    """A driver whose time passes only while it is asked for, and that can tell whether it is."""
+    """Driver with time on demand, able to tell whether it passes."""
 
     def time_asked(self) -> bool:
         """Whether somebody has asked for time beyond the present tick."""
@@ -118,7 +118,7 @@ class TimeKeeper(Protocol):
 
 @runtime_checkable
 class HostedHardware(Protocol):
-    """A driver whose hardware is a process of this host, which is not silent while it is kept from the processor."""
+    """Driver with the hardware in a process of this host, not silent while kept from the processor."""
 
     @property
     def hardware_pid(self) -> int:
@@ -127,7 +127,7 @@ class HostedHardware(Protocol):
 
 
 class ReportedFault(NamedTuple):
-    """Something that hardware itself reports to be broken.
+    """Fault reported by hardware itself.
 
     Attributes:
         what: In a word or two, e.g. ``brake_open``.
@@ -140,10 +140,10 @@ class ReportedFault(NamedTuple):
 
 @runtime_checkable
 class SelfReporting(Protocol):
-    """A driver whose hardware says what is broken: an emergency stop is not reset while it does."""
+    """Driver with faults reported by the hardware: they forbid the reset of an emergency stop."""
 
     def faults(self) -> Sequence[ReportedFault]:
-        """What is broken now.
+        """Return the present faults.
 
         Raises:
             LinkError: The hardware does not answer.
@@ -169,13 +169,13 @@ class PowerReading(NamedTuple):
 
 
 class StopCircuit(Protocol):
-    """A way to the power that does not lead through the servo: it works while that hangs, or is not there.
+    """Way to the power past the servo: it works for a hanging or missing servo.
 
     A driver that has one says so by a static method ``stop_circuit(instance: str) -> StopCircuit``.
     """
 
     def cut(self) -> None:
-        """Power off and brakes on, whatever the servo wants, until :meth:`restore`.
+        """Cut power and engage brakes, against any command of the servo, until :meth:`restore`.
 
         Raises:
             LinkError: There is no hardware.
@@ -191,7 +191,7 @@ class StopCircuit(Protocol):
         ...
 
     def is_cut(self) -> bool:
-        """Whether it is cut, perhaps since before this process.
+        """Return whether the circuit is cut, perhaps since before this process.
 
         Raises:
             LinkError: There is no hardware.
@@ -208,7 +208,7 @@ class StopCircuit(Protocol):
 
 
 def find_stop_circuit(name: str, instance: str) -> StopCircuit | None:
-    """The stop circuit of the driver ``module:Class``, if it has one.
+    """Return the stop circuit of the driver ``module:Class``, if it has one.
 
     Raises:
         ConfigError: There is no such module or class.
@@ -218,7 +218,7 @@ def find_stop_circuit(name: str, instance: str) -> StopCircuit | None:
 
 
 def load_driver(name: str, settings: Mapping[str, object], *, instance: str, timeout_s: float) -> ChannelDriver:
-    """Make the driver that the configuration names ``module:Class``.
+    """Make the driver named ``module:Class`` in the configuration.
 
     Args:
         name: Of the class.
@@ -238,7 +238,7 @@ def load_driver(name: str, settings: Mapping[str, object], *, instance: str, tim
 
 
 def asks_for_time(name: str) -> bool:
-    """Whether time of the driver ``module:Class`` passes only while it is asked for: it says ``time_on_demand = True``.
+    """Return whether the driver ``module:Class`` has time on demand only: ``time_on_demand = True``.
 
     Raises:
         ConfigError: There is no such module or class.

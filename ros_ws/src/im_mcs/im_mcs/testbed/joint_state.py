@@ -1,4 +1,4 @@
-"""Channel driver of a robot that speaks topics: ``sensor_msgs/JointState`` one way and the other."""
+"""Channel driver of a robot on topics: ``sensor_msgs/JointState`` one way and the other."""
 
 import json
 import re
@@ -16,7 +16,7 @@ from im_mcs.testbed.driver import Drive, Measured
 
 
 class TopicLink:
-    """Memory ``<name>_*``: what was received one way, what shall be published the other.
+    """Memory ``<name>_*``: received readings one way, commands for publication the other.
 
     Attributes:
         received: Positions and when each was received, by joint; the bridge writes.
@@ -59,12 +59,12 @@ class TopicLink:
 
 
 def received_type(n: int) -> np.dtype[Any]:
-    """Positions, the wall times at which they were received (0: never) [s], and the names the last message had."""
+    """Return positions, the wall times of the receipt (0: never) [s], and the names of the last message."""
     return np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), ("named", "S1024")], align=True)
 
 
 def command_type(n: int) -> np.dtype[Any]:
-    """Efforts, which joints are driven, and when that was written, monotonic clock [s]."""
+    """Return efforts, the driven joints, and the time of writing, monotonic clock [s]."""
     return np.dtype([("effort", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
 
 
@@ -130,7 +130,7 @@ class JointStateDriver:
             raise
 
     def connect(self) -> None:
-        """Whether the robot speaks; a process that has ended is started again.
+        """Return whether the robot speaks; an ended process is started again.
 
         Raises:
             LinkError: It does not.
@@ -140,11 +140,11 @@ class JointStateDriver:
         self._newest()
 
     def wait(self, timeout_s: float) -> bool:
-        """The next tick is there as soon as the loop has kept its pace."""
+        """Return at once: the next tick is there as soon as the loop has kept the pace."""
         return True
 
     def read(self) -> Measured:
-        """The newest positions; a joint that the robot says is not a number is NaN.
+        """Return the newest positions; NaN for a joint reported as not a number.
 
         Without positions no joint is driven: a bridge that wakes later finds no effort from before.
 
@@ -169,7 +169,7 @@ class JointStateDriver:
         self._tick += 1
 
     def after_tick(self, tick: int) -> None:
-        """A topic does not tell when it was heard."""
+        """Return at once: a topic does not tell when it was heard."""
 
     def close(self) -> None:
         """Fall silent: the robot's own time-out holds it."""
@@ -181,14 +181,14 @@ class JointStateDriver:
         self._bridge = ChildProcess.of_module(_BRIDGE, [self._settings])
 
     def _command(self, effort: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
-        """Give the bridge efforts and which joints are driven, shape (n,) each; it keeps the newest only."""
+        """Give the bridge efforts and the driven joints, shape (n,) each; it keeps the newest only."""
         record = self._link.command.record()
         record["effort"], record["driven"], record["at"] = effort, driven, clock.monotonic()
         self._link.command.write(record)
         self._link.bell.post()
 
     def _newest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions and their ages, shape (n,) each."""
+        """Return positions and the ages, shape (n,) each."""
         received = self._link.received.read()
         age_s: NDArray[np.float64] = np.maximum(clock.monotonic() - received["at"], 0.0)
         if age_s.max() > self._silence_s:

@@ -102,7 +102,7 @@ def _arrays(moments: list[tuple[int, list[tuple[int, Any]]]], n: int, g: int, w:
 
 
 def _messages(bag: Path, topic: str) -> Iterator[tuple[int, int, Readings]]:
-    """Stamp in the message [ns], when it was recorded [ns], and readings, message by message."""
+    """Yield stamp of the message [ns], time of recording [ns], and readings, message by message."""
     for found in messages_of(bag, {topic: (_JOINT_STATE, _SLOT_STATES)}):
         message = found.content
         stamp = message.header.stamp if found.type == _JOINT_STATE else message.stamp

@@ -77,7 +77,7 @@ class SimulatedDriver:
         self._link.write_command(TickCommand(*drive))
 
     def faults(self) -> list[ReportedFault]:
-        """What has been injected."""
+        """Return the injected faults."""
         faults = self._link.faults()
         kinds = ("encoder_nan", "encoder_frozen", "brake_stuck", "brake_open")
         broken = [ReportedFault(kind, int(joint)) for kind in kinds for joint in np.flatnonzero(getattr(faults, kind))]
@@ -109,7 +109,7 @@ class SimulatedDriver:
 
 
 class SimulatedStop:
-    """The emergency stop of the simulated testbed, of whichever runs when it is used.
+    """Emergency stop of the simulated testbed running at the use.
 
     Args:
         instance: Which machine on this host.
@@ -137,7 +137,7 @@ class SimulatedStop:
             end.restore()
 
     def is_cut(self) -> bool:
-        """Whether it is cut.
+        """Return whether the circuit is cut.
 
         Raises:
             LinkError: There is no testbed.

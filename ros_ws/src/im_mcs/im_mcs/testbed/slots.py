@@ -15,7 +15,7 @@ _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
 
 class TestbedInterface:
-    """Joints, grippers and wrist sensors in the order of the slots, whatever drivers and channels they are on.
+    """Joints, grippers and wrist sensors in the order of the slots, on any drivers and channels.
 
     One driver is the clock: its ticks are the servo's. The others are read and written in each of them.
 
@@ -59,7 +59,7 @@ class TestbedInterface:
 
     @property
     def wall_period_s(self) -> float:
-        """Wall time between ticks that the loop shall keep [s]; 0 if the clock sets the pace."""
+        """Wall time between ticks of the loop [s]; 0 if the clock sets the pace."""
         return self._clock.wall_period_s
 
     def connect(self) -> None:
@@ -72,7 +72,7 @@ class TestbedInterface:
             part.driver.connect()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; whether it came.
+        """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; return whether it came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -80,12 +80,12 @@ class TestbedInterface:
         return self._clock.wait(timeout_s)
 
     def time_asked(self) -> bool:
-        """Whether a tick must come: time passes by itself, or somebody has asked for it."""
+        """Return whether a tick must come: time passes by itself, or on request."""
         return not isinstance(self._clock, TimeKeeper) or self._clock.time_asked()
 
     @property
     def hardware_pid(self) -> int:
-        """Process of this host that ticks; 0 where none does."""
+        """Process of this host with the ticks; 0 where there is none."""
         return self._clock.hardware_pid if isinstance(self._clock, HostedHardware) else 0
 
     def read(self) -> Measured:
@@ -133,7 +133,7 @@ class TestbedInterface:
         self._each(lambda part: part.driver.write(part.drive(drive)))
 
     def faults(self) -> list[str]:
-        """What hardware itself reports to be broken, e.g. ``brake_open of left_j2``.
+        """Return the faults reported by hardware itself, e.g. ``brake_open of left_j2``.
 
         Raises:
             LinkError: Some does not answer.
@@ -141,7 +141,7 @@ class TestbedInterface:
         return [fault for part in self._parts for fault in part.faults()]
 
     def after_tick(self, tick: int) -> None:
-        """Return once the hardware has taken the answer to ``tick``, where that can be known."""
+        """Return once the hardware has taken the answer to ``tick``, where known."""
         for part in self._parts:
             part.driver.after_tick(tick)
 
@@ -150,7 +150,7 @@ class TestbedInterface:
         self._each(lambda part: part.driver.close())
 
     def _each(self, act: Callable[["_Part"], None]) -> None:
-        """Act on every driver, whatever another one does; the first failure is raised then."""
+        """Act on every driver, after failures of others, too; raise the first failure then."""
         failed: list[Exception] = []
         for part in self._parts:
             try:
@@ -181,14 +181,14 @@ class _Part:
         )
 
     def faults(self) -> list[str]:
-        """What its hardware reports to be broken, of joints that have a slot and of no joint."""
+        """Return the faults reported by the hardware, of joints with a slot and of no joint."""
         reported = self.driver.faults() if isinstance(self.driver, SelfReporting) else []
         of_none = [fault.what for fault in reported if fault.channel is None]
         of_joints = [(fault.what, self._channels.get(fault.channel)) for fault in reported if fault.channel is not None]
         return of_none + [f"{what} of {joint}" for what, joint in of_joints if joint is not None]
 
     def drive(self, drive: Drive) -> Drive:
-        """The part of ``drive`` that is this driver's, in the order of its channels."""
+        """Return this driver's part of ``drive``, in the order of the channels."""
         tau = np.zeros(self.driver.n_joints)
         brakes = np.ones(self.driver.n_joints, dtype=np.bool_)
         gripper, force = np.full(self.driver.n_grippers, np.nan), np.full(self.driver.n_grippers, np.nan)

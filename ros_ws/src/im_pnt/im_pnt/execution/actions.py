@@ -1,4 +1,4 @@
-"""The actions of a net: who does them, how they begin, are called off, asked about, and end."""
+"""Actions of a net: the runners, begin, cancellation, questions, and end."""
 
 import inspect
 from collections.abc import Awaitable, Callable, Container, Coroutine, Mapping
@@ -22,24 +22,24 @@ CheckObjects = Callable[[tuple[str, ...], Callable[[ImError | None], None]], Non
 
 
 class ActionOwner(Protocol):
-    """The net in execution that actions are done for, as those see it who do them."""
+    """The net in execution, as the runners of the actions see it."""
 
     @property
     def activities(self) -> Container[Activity]:
-        """The actions that run."""
+        """Running actions."""
 
     @property
     def record(self) -> Record | None:
-        """Takes what happens before it does; None: no journal."""
+        """Receiver of each entry before the effect; None: no journal."""
 
     def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
-        """Says that an action has confirmed, or failed with an error; from any thread."""
+        """Report the confirmation of an action, or the failure with an error; from any thread."""
 
     def answered(self, activity: Activity, answer: Answer) -> None:
-        """Says what became of an action that is in doubt; from any thread."""
+        """Report the outcome of an action in doubt; from any thread."""
 
     def built(self, activity: Activity) -> None:
-        """Says that what makes the arguments of a request has returned; what it has left in its job is kept.
+        """Record the notes of a request's builder in the job, after the return.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -50,31 +50,31 @@ class Requests(Protocol):
     """Carries requests to other nets."""
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
-        """Sends a request; its reply, or why there is none, ends the activity."""
+        """Send a request; the reply, or the cause of a missing one, ends the activity."""
 
     def awaits_reply(self, activity: Activity) -> bool:
-        """Whether a request has been sent for an activity, and its reply is still to come."""
+        """Return whether the request of an activity still awaits the reply."""
 
 
 class Runner(Protocol):
-    """Has actions done; calls :meth:`ActionOwner.ended` when they have confirmed or failed."""
+    """Runner of actions; calls :meth:`ActionOwner.ended` after the confirmation or failure."""
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
-        """Starts an action; must not block and not raise."""
+        """Start an action; must not block and not raise."""
 
     def direct(self, action: Action) -> ActionFunction | None:
-        """Returns the function that does an action when it is called, None where the action must be started."""
+        """Return the function of an action for a direct call, None where the action must be started."""
 
     def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
-        """Waits for what a function that was called directly has left to do."""
+        """Wait for the remaining work of a directly called function."""
 
     def waits(self, activity: Activity) -> bool:
-        """Whether a request has been sent, and its reply is still to come."""
+        """Return whether a sent request still awaits the reply."""
 
     def ask(
         self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
     ) -> None:
-        """Asks what became of an action that is in doubt; the answer may come from any thread."""
+        """Ask for the outcome of an action in doubt; the answer may come from any thread."""
 
 
 class Actions:
@@ -117,7 +117,7 @@ class Actions:
                     self.functions[index] = function
 
     def begin(self, index: int, activity: Activity) -> None:
-        """Begins the action of a ``t.start`` that has fired; a plain function is called at once."""
+        """Begin the action of a fired ``t.start``; a plain function is called at once."""
         timeout = self._rule.transitions[index].timeout
         if timeout is not None:
             activity.deadline = activity.began + timeout
@@ -144,22 +144,22 @@ class Actions:
             self.inquiry.watch(activity)
 
     def cancel(self, activity: Activity, error: ImError) -> None:
-        """Asks an action to end early, and shows it in the marking while it winds down."""
+        """Ask an action to end early, and show the winding down in the marking."""
         if activity.state is ActivityState.ACTIVE:
             self._rule.move(activity, ActivityState.CANCELLING, error)
         self.call_off(activity)
 
     def call_off(self, activity: Activity) -> None:
-        """Asks an action to end early."""
+        """Ask an action to end early."""
         for error in activity.cancel():
             self._rule.notifier.troubled(f"cancelling {activity.action} broke: {error!r}")
 
     def ask(self, activity: Activity, answered: Callable[[Answer], None]) -> None:
-        """Asks what became of an action."""
+        """Ask for the outcome of an action."""
         self._runner.ask(self._owner, activity, self._context(activity), answered)
 
     def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
-        """Ends an action; before it counts as a success, it returns and stores, and its data objects are looked at."""
+        """End an action; the returned and stored values and the data objects come before success."""
         self._rule.values.stale()
         if error is not None and error.code == "cancelled" and self.inquiry.called_off(activity):
             error = activity.doubt
@@ -181,7 +181,7 @@ class Actions:
             self._conflicts.wake_job(activity.lineage.job)
 
     def _conclude(self, activity: Activity, results: dict[str, object]) -> None:
-        """Has an action that has ended well return and store what its transition says, and ends it then."""
+        """Return and store the values of a well ended action's transition, and end the action then."""
         context, at_once = self._context(activity), True
 
         def done(error: ImError | None) -> None:
@@ -194,7 +194,7 @@ class Actions:
         at_once = False
 
     def resume(self) -> None:
-        """Goes on with the actions that ran when the process died; others are reached once the node fires."""
+        """Go on with the actions running at the death of the process; others are reached once the node fires."""
         why = ImError("the process that ran it has died and come back", code="restarted")
         for activity in list(self._rule.activities.values()):
             index = self._rule.number[f"{activity.transition}.start"]
@@ -212,7 +212,7 @@ class Actions:
                 self._begin_soon(index, activity)
 
     def when_released(self, activity: Activity, do: Callable[[], None]) -> None:
-        """Do something for an action now, or once its job is not held any more."""
+        """Do something for an action now, or once the job is not held any more."""
         if self._rule.is_paused(activity):
             self._deferred[activity.number] = do
         else:
@@ -305,7 +305,7 @@ class FunctionRunner:
         self._running: set[Activity] = set()
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
-        """Starts an action; its end is reported to the owner."""
+        """Start an action; the end is reported to the owner."""
         action = activity.action
         try:
             if isinstance(action, FunctionAction):
@@ -335,25 +335,25 @@ class FunctionRunner:
             owner.ended(activity, as_failure(activity, error))
 
     def direct(self, action: Action) -> ActionFunction | None:
-        """Returns the function that does an action when it is called."""
+        """Return the function of an action for a direct call."""
         if not isinstance(action, FunctionAction) or self._is_apart(action):
             return None
         function = self._functions.actions[action.function]
         return None if inspect.iscoroutinefunction(function) else function
 
     def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
-        """Waits for what an action has left to do."""
+        """Wait for the remaining work of an action."""
         self._running.add(activity)
         self._spawn(self._watch(owner, activity, work))
 
     def waits(self, activity: Activity) -> bool:
-        """Whether a request has been sent, and its reply is still to come."""
+        """Return whether a sent request still awaits the reply."""
         return self._requests.awaits_reply(activity)
 
     def ask(
         self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
     ) -> None:
-        """Asks what became of an action: its ask function, the net that was asked, or itself for a while."""
+        """Ask for the outcome of an action: the ask function, the asked net, or itself for a while."""
         action = activity.action
         asking: Answer | Awaitable[Answer]
         if isinstance(action, FunctionAction) and action.function in self._functions.asks:

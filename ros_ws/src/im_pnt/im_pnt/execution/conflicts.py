@@ -29,7 +29,7 @@ from im_pnt.model.net import Transition
 
 
 def probabilities(weights: Sequence[float]) -> list[float]:
-    """Returns the probabilities of a choice, equal where all weights are 0.
+    """Return the probabilities of a choice, equal where all weights are 0.
 
     Args:
         weights: Relative frequencies, >= 0.
@@ -39,7 +39,7 @@ def probabilities(weights: Sequence[float]) -> list[float]:
 
 
 def entropy(distribution: Sequence[float]) -> float:
-    """Returns the entropy of a distribution [nats]."""
+    """Return the entropy of a distribution [nats]."""
     return -math.fsum(p * math.log(p) for p in distribution if p > 0.0) + 0.0
 
 
@@ -108,31 +108,31 @@ class ConflictResolution:
         self.reseed(0)
 
     def reseed(self, sequence: int) -> None:
-        """Begins a repeatable series of choices: at the start, or after so many firings."""
+        """Begin a repeatable series of choices: at the start, or after a number of firings."""
         self.dice.seed(f"{self._seed}:{self._rule.net.name}:{sequence}")
 
     def wake(self, source: str) -> None:
-        """Has guards asked again: those that declare a source; for an empty one, all."""
+        """Ask guards again with a declared source; all for an empty one."""
         enabling = self._enabling
         enabling.consider_stalled(self._sources.get(source, ()) if source else list(enabling.stalled))
 
     def wake_undeclared(self) -> None:
-        """Has those guards asked again that do not say what wakes them."""
+        """Ask the guards without a declared source again."""
         if self._undeclared and self._enabling.stalled:
             self._enabling.consider_stalled(self._enabling.stalled & self._undeclared)
 
     def stalls(self, source: str) -> bool:
-        """Whether a guard that a source wakes holds an enabled transition back."""
+        """Return whether a guard with a source holds an enabled transition back."""
         return any(index in self._enabling.stalled for index in self._sources[source])
 
     def wake_job(self, job: Job) -> None:
-        """Has those guards asked again that were asked about a job."""
+        """Ask the guards about a job again."""
         if job.stalled:
             stalled, job.stalled = job.stalled, set()
             self._enabling.consider_stalled(stalled)
 
     def choose(self, index: int) -> int | None:
-        """Decides about an enabled transition and its rivals; each guard is evaluated at most once.
+        """Decide on an enabled transition and the rivals; each guard is evaluated at most once.
 
         Returns:
             The one that is to fire, None where guards and symbols hold all of them back.
@@ -166,7 +166,7 @@ class ConflictResolution:
         self._owners.clear()
 
     def may_fire(self, index: int) -> bool:
-        """Whether a transition could be chosen by a decision of its own: eligible, and no rival goes first."""
+        """Return whether a decision on a transition alone could choose it: eligible, and no rival goes first."""
         self._begin_decision()
         rank = self._rank
         if self._enabling.unmet[index] or not self.eligible(index):
@@ -174,12 +174,12 @@ class ConflictResolution:
         return not any(rank[i] > rank[index] and self.eligible(i) for i in self._enabling.rivals(index))
 
     def holds(self, index: int) -> bool:
-        """Whether symbol and guard of a transition let it fire, its delay aside."""
+        """Return whether symbol and guard of a transition let it fire, the delay aside."""
         self._begin_decision()
         return self._lets(index)
 
     def eligible(self, index: int) -> bool:
-        """Whether a transition that its arcs enable may take part in the present decision."""
+        """Return whether a transition enabled by the arcs may take part in the present decision."""
         if index in self.barred or (index in self.delayed and index not in self.ripe):
             return False
         return self._lets(index)
@@ -197,7 +197,7 @@ class ConflictResolution:
         return False
 
     def _finds_owner(self, index: int, guard: str | None, negated: bool) -> bool:
-        """Whether a transition can fire for somebody whom its guard lets; keeps for whom."""
+        """Return whether the guard of a transition admits a job; keep the job."""
         if guard is None and index not in self._rule.choosy and not self._rule.held:
             return True
         for owner in self._rule.owners(index):
@@ -212,13 +212,13 @@ class ConflictResolution:
         return False
 
     def _passes(self, index: int, guard: str, negated: bool, lineage: Lineage, key: tuple[str, int]) -> bool:
-        """Whether a guard, asserted or negated, lets a job pass; one that does not know yet lets neither."""
+        """Return whether a guard, asserted or negated, admits a job; an undecided guard admits neither."""
         if key not in self._verdicts:
             self._verdicts[key] = self._verdict(index, guard, lineage)
         return self._verdicts[key] is not None and self._verdicts[key] != negated
 
     def _verdict(self, index: int, guard: str, lineage: Lineage) -> bool | None:
-        """Returns what a guard says of a job; None: it does not know yet."""
+        """Return the verdict of a guard on a job; None: undecided."""
         try:
             return bool(self._guards[guard](self._context(index, lineage)))
         except ObjectPendingError:
@@ -227,11 +227,11 @@ class ConflictResolution:
             return self._guard_broke(index, lineage, error)
 
     def owner(self, index: int) -> Job | None:
-        """Returns for whom a transition is to fire that the last decision has chosen."""
+        """Return the job of the last chosen transition."""
         return self._owners[index] if index in self._owners else self._rule.first_owner(index)
 
     def draw(self, contending: Sequence[int]) -> int:
-        """Takes one of several transitions by weight and probability of success, or as :attr:`drawn` says."""
+        """Draw one of several transitions by weight and probability of success, or as :attr:`drawn` says."""
         if self.drawn is not None:
             return contending[self.drawn([self._transitions[index].name for index in contending])]
         if self._even:
@@ -282,7 +282,7 @@ class ConflictResolution:
 
 
 class Delays:
-    """The clocks of the enabled transitions that have a delay.
+    """Clocks of the enabled transitions with a delay.
 
     Args:
         transitions: The transitions of the expanded net.
@@ -305,7 +305,7 @@ class Delays:
         self._running: dict[int, Timer] = {}
 
     def waits(self, index: int) -> bool:
-        """Whether a transition that is enabled has still to wait; its clock runs while symbol and guard let it fire."""
+        """Return whether an enabled transition must still wait; the clock runs while symbol and guard let it fire."""
         if index not in self._conflicts.delayed or index in self._conflicts.ripe:
             return False
         transition = self._transitions[index]
@@ -324,7 +324,7 @@ class Delays:
         return True
 
     def settle(self, fired: int | None = None) -> None:
-        """Stops the clocks of what a firing has disabled, and of the transition that has fired."""
+        """Stop the clocks of transitions disabled by a firing, and of the fired one."""
         crossed, unmet = self._enabling.crossed, self._enabling.unmet
         for index in crossed:
             if unmet[index]:
@@ -334,7 +334,7 @@ class Delays:
             self._stop(fired)
 
     def give_up(self, index: int) -> None:
-        """Has a transition wait anew that its guard or symbol does not let fire any more."""
+        """Restart the wait of a transition blocked by the guard or symbol."""
         if index in self._conflicts.ripe:
             self._stop(index)
 

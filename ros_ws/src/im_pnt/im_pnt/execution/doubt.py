@@ -1,4 +1,4 @@
-"""Actions in doubt: those whose time is over or whose process has died, and what is answered when asked about them."""
+"""Actions in doubt, after a time-out or a death of the process, and the answers to questions about them."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -20,20 +20,20 @@ class Asker(Protocol):
     """Asks, ends and cancels actions for an :class:`Inquiry`."""
 
     def ask(self, activity: Activity, answered: Callable[[Answer], None]) -> None:
-        """Asks what became of an action; the answer may come from any thread."""
+        """Ask for the outcome of an action; the answer may come from any thread."""
 
     def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
-        """Ends an action."""
+        """End an action."""
 
     def call_off(self, activity: Activity) -> None:
-        """Asks an action to end early."""
+        """Ask an action to end early."""
 
     def when_released(self, activity: Activity, do: Callable[[], None]) -> None:
-        """Do something for an action now, or once its job is not held any more."""
+        """Do something for an action now, or once the job is not held any more."""
 
 
 class Inquiry:
-    """Watches deadlines, and asks about actions until it is known what became of them.
+    """Watch over deadlines, with questions about actions until the outcome is known.
 
     Args:
         rule: The marking, and the actions.
@@ -54,12 +54,12 @@ class Inquiry:
         self._rule, self._timers, self._clock, self._asker, self._answered = rule, timers, clock, asker, answered
 
     def watch(self, activity: Activity) -> None:
-        """Has an action come in doubt when its deadline strikes."""
+        """Bring an action in doubt at the deadline."""
         if activity.deadline is not None and self._runs(activity) and activity.state is not ActivityState.IN_DOUBT:
             activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
 
     def renew(self, activity: Activity) -> None:
-        """Give a request its whole time again: what it has asked for was held with its job."""
+        """Give a request the whole time again: what it has asked for was held with the job."""
         timeout = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].timeout
         asks = isinstance(activity.action, RequestAction) and activity.state is not ActivityState.IN_DOUBT
         if timeout is not None and asks:
@@ -68,7 +68,7 @@ class Inquiry:
             self.watch(activity)
 
     def doubt(self, activity: Activity, why: ImError) -> None:
-        """Brings an action in doubt, and asks about it as soon as time may strike: once its node fires."""
+        """Bring an action in doubt, and ask about it once the node fires."""
         if not self._runs(activity):
             return
         if activity.state is not ActivityState.IN_DOUBT:
@@ -77,7 +77,7 @@ class Inquiry:
         activity.timer = self._timers.at(self._clock(), lambda: self._ask(activity))
 
     def take_answer(self, activity: Activity, answer: Answer) -> None:
-        """Takes an answer; one that comes when the action has ended, or was answered before, changes nothing."""
+        """Take an answer; a late or second one changes nothing."""
         if not self._runs(activity) or activity.state is not ActivityState.IN_DOUBT:
             return
         match answer.outcome:
@@ -94,7 +94,7 @@ class Inquiry:
                 self._asker.finish(activity, self._unknown(activity, answer), {})
 
     def called_off(self, activity: Activity) -> bool:
-        """Whether an action was asked to end early because of its time, and by nobody: that is why it ends so."""
+        """Return whether only the time limit asked an action to end early: the limit is the cause of the end."""
         job, doubt = activity.lineage.job, activity.doubt
         late = doubt is not None and doubt.code == WaitTimeoutError.default_code
         return late and activity.state is ActivityState.IN_DOUBT and not (job is not None and job.cancelled)

@@ -46,7 +46,7 @@ _BY_ITSELF = (Mode.AUTOMATIC, False, ())
 
 
 class EventLoop:
-    """What happens in the loop of one net.
+    """Event loop of one net.
 
     Args:
         rule: The marking, and what firing does to it.
@@ -87,7 +87,7 @@ class EventLoop:
 
     @property
     def due(self) -> bool:
-        """Whether an event or a decision waits; not while they are being dealt with."""
+        """Whether an event or a decision waits; false during the handling."""
         return not self._pumping and bool(self._inbox or self.rule.enabling.agenda)
 
     @property
@@ -96,11 +96,11 @@ class EventLoop:
         return self.operator.paused or any(map(self.rule.is_held, self.rule.ledger.jobs() if self.rule.held else ()))
 
     def proposed(self) -> tuple[str, ...]:
-        """Returns the transitions that wait to be confirmed."""
+        """Return the transitions in wait of a confirmation."""
         return tuple(self.rule.transitions[index].origin for index in self.operator.proposed)
 
     def pump(self, limit: int) -> bool:
-        """Takes all events and fires until nothing is enabled, or for ``limit`` firings.
+        """Take all events and fire until nothing is enabled, or for ``limit`` firings.
 
         Returns:
             Whether there is more to do at once.
@@ -120,7 +120,7 @@ class EventLoop:
             self.rule.notifier.flush()
 
     def take(self) -> bool:
-        """Takes the next event, and decides nothing; returns whether there was one."""
+        """Take the next event, without a decision; return whether there was one."""
         if self._pumping or not self._inbox:
             return False
         self._pumping = True
@@ -133,7 +133,7 @@ class EventLoop:
         return True
 
     def fire(self, index: int, owner: Job | None) -> None:
-        """Fires a transition for a job, or for nobody, and begins its action."""
+        """Fire a transition for a job, or for none, and begin the action."""
         activity = self.rule.fire(index, owner)
         enabling = self.rule.enabling
         if enabling.crossed or enabling.clocks:
@@ -149,7 +149,7 @@ class EventLoop:
                 enabling.consider(index)
 
     def confirm(self, name: str) -> None:
-        """Fires a proposed transition, if it can still fire."""
+        """Fire a proposed transition, if it can still fire."""
         index = self.rule.number.get(f"{name}.start", self.rule.number.get(name, -1))
         if index not in self.operator.proposed:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it is not proposed")
@@ -161,7 +161,7 @@ class EventLoop:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it cannot fire any more")
 
     def resume(self) -> None:
-        """Goes on after a journal was replayed."""
+        """Go on after the replay of a journal."""
         self.conflicts.reseed(self.rule.notifier.sequence)
         self.actions.resume()
         self._watch_symbols()
@@ -205,14 +205,14 @@ class EventLoop:
             self.release()
 
     def release(self) -> None:
-        """Decides again about what was held back or proposed."""
+        """Decide again on held and proposed transitions."""
         for index in self.operator.release():
             self.rule.enabling.consider(index)
 
     # Event handlers.
 
     def apply(self, entry: NetEntry) -> None:
-        """Does what an entry of a journal tells, now and when it is replayed.
+        """Apply an entry of a journal, now and during a replay.
 
         Raises:
             ValueError: It does not fit the net, or what has happened to it.
@@ -227,7 +227,7 @@ class EventLoop:
                 apply_entry(self.rule, entry)
 
     def _dispatch(self, event: Event) -> None:
-        """Takes an event; it is recorded before anything is done."""
+        """Take an event; it is recorded before the effect."""
         rule = self.rule
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
@@ -319,7 +319,7 @@ class EventLoop:
     # Deciding.
 
     def _decide(self, index: int) -> bool:
-        """Decides about a candidate; returns whether a transition fired."""
+        """Decide on a candidate; return whether a transition fired."""
         if self.operator.free and index in self.conflicts.certain and not self.rule.held:
             self.fire(index, self.rule.first_owner(index))
             return True
@@ -339,7 +339,7 @@ class EventLoop:
         return True
 
     def _hold(self, index: int) -> None:
-        """Keeps an enabled transition for the operator: to be confirmed, or until something may fire again."""
+        """Keep an enabled transition for the operator: for a confirmation, or until firing is allowed again."""
         if self.operator.asks and index in self.operator.written and self._may_fire(index):
             self.operator.proposed[index] = None
         elif index not in self.rule.enabling.stalled:
@@ -368,7 +368,7 @@ class EventLoop:
             self.rule.notifier.operated(*told)
 
     def _watch_symbols(self) -> None:
-        """Has symbols that have come to the tape expire."""
+        """Set the expiry of symbols on the tape."""
         for job in self.rule.ledger.tape.waiting():
             seconds = self.rule.expires.get(job.symbol)
             if seconds and job.number not in self._watched:

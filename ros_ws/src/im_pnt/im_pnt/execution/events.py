@@ -1,4 +1,4 @@
-"""What happens to a net: the events of its inbox."""
+"""Events of a net: the content of the inbox."""
 
 import enum
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from im_pnt.execution.operator import Mode
 
 
 class Outcome(enum.Enum):
-    """What became of an action."""
+    """Outcome of an action, in a word."""
 
     DONE = "done"
     FAILED = "failed"
@@ -19,7 +19,7 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of an action.
+    """Outcome of an action.
 
     Attributes:
         outcome: In a word.
@@ -51,7 +51,7 @@ class CommandCancelled:
 
 @dataclass(frozen=True, slots=True)
 class CommandHeld:
-    """Nothing more is begun for a command (what runs ends), or it goes on.
+    """Event: begin nothing more for a command (running actions end), or go on.
 
     Attributes:
         command_id: Its number; None: all commands, requests and tokens of jobs that are here.
@@ -73,7 +73,7 @@ class RequestArrived:
 
 @dataclass(frozen=True, slots=True)
 class RequestCancelled:
-    """The caller of a request does not want it any more, or is gone; ``error`` says which."""
+    """Event: the caller of a request has cancelled it, or is gone; ``error`` says which."""
 
     request_id: str
     error: ImError
@@ -81,7 +81,7 @@ class RequestCancelled:
 
 @dataclass(frozen=True, slots=True)
 class RequestHeld:
-    """Nothing is begun for a request, as its caller is paused; or it goes on."""
+    """Nothing is begun for a request, as the caller is paused; or it goes on."""
 
     request_id: str
     held: bool
@@ -89,7 +89,7 @@ class RequestHeld:
 
 @dataclass(frozen=True, slots=True)
 class TokenArrived:
-    """Tokens of another net arrive; with what they carry, where they are a command's or a request's."""
+    """Event: tokens of another net arrive, with the context where they belong to a job."""
 
     place: str
     count: int
@@ -97,7 +97,7 @@ class TokenArrived:
 
 
 class JobUpdate(enum.StrEnum):
-    """What one net tells another of a job whose tokens have crossed between them."""
+    """Update of a job, told between nets after the tokens have crossed."""
 
     SETTLED = "settled"
     """The work of a token that was sent is done, there and wherever it has led to."""
@@ -115,7 +115,7 @@ class JobUpdate(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class JobUpdateArrived:
-    """A net hears from another of a job whose tokens have crossed.
+    """Event: another net tells an update of a job with tokens here.
 
     Attributes:
         key: The job, at home.
@@ -136,7 +136,7 @@ class JobUpdateArrived:
 
 @dataclass(frozen=True, slots=True)
 class NodeForgotten:
-    """A node is gone for good: tokens that were sent there are lost, and what came from there ends.
+    """Event: a node is gone for good; tokens sent there are lost, and the jobs here end.
 
     Attributes:
         node: The node.
@@ -160,14 +160,14 @@ class ActionEnded:
 
 @dataclass(frozen=True, slots=True)
 class ObjectInvalidated:
-    """A data object, by its name in the DOM, has lost its validity."""
+    """Event: a data object, by the name in the DOM, has lost the validity."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """The answer to the question what became of an action that is in doubt."""
+    """Event: answer to the question about an action in doubt."""
 
     activity: Activity
     answer: Answer
@@ -175,14 +175,14 @@ class Answered:
 
 @dataclass(frozen=True, slots=True)
 class GuardsChanged:
-    """Something that guards look at may have changed: a source as they declare it, or who knows what (empty)."""
+    """Event: an input of guards may have changed: a declared source, or an unknown one (empty)."""
 
     source: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class ModeSet:
-    """An operator sets the mode; whatever was proposed or held back is decided about again."""
+    """Event: an operator sets the mode; held and proposed transitions are decided again."""
 
     mode: Mode
 

@@ -38,7 +38,7 @@ from im_pnt.model.net import Net
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Whether a net is at rest; true where nothing keeps it from being so.
+    """Rest of a net; true where nothing keeps it busy.
 
     Attributes:
         reasons: What does.
@@ -54,7 +54,7 @@ class Rest:
 
 
 def rest_of(rule: FiringRule, waiting: int) -> Rest:
-    """Looks what keeps a net from being at rest.
+    """Return the reasons against the rest of a net.
 
     Args:
         rule: The net.
@@ -152,7 +152,7 @@ class Executor:
 
     @property
     def activities(self) -> Activities:
-        """The actions that run, in the order in which they began."""
+        """Running actions, in the order of the beginnings."""
         return Activities(self.rule.activities)
 
     @property
@@ -167,21 +167,21 @@ class Executor:
 
     @property
     def proposed(self) -> tuple[str, ...]:
-        """Transitions that wait to be confirmed."""
+        """Transitions in wait of a confirmation."""
         return self._loop.proposed()
 
     @property
     def operator(self) -> Operator:
-        """How the net is operated; only for whoever keeps the state of the net."""
+        """Operation of the net; only for the keeper of the net's state."""
         return self._loop.operator
 
     @property
     def record(self) -> Record | None:
-        """Takes what happens before it does; None: no journal."""
+        """Receiver of each entry before the effect; None: no journal."""
         return self.rule.record
 
     def count_on(self, former: "Executor") -> None:
-        """Goes on, before it does anything, with the numbers of the net whose place it takes: none is given twice.
+        """Continue the numbers of the replaced net before any event: none is given twice.
 
         Others know actions and jobs by their numbers: a server would take the goal of one for that of the other.
         """
@@ -190,7 +190,7 @@ class Executor:
     # From any thread.
 
     def command(self, command: Command, on_closed: Callable[[CommandResult], None] | None = None) -> Job:
-        """Writes a command to the input tape, with the defaults of arguments that are not given.
+        """Write a command to the input tape, with the defaults of missing arguments.
 
         Raises:
             NetError: The net never reads that symbol, or a journal cannot keep its arguments.
@@ -213,15 +213,15 @@ class Executor:
         return job
 
     def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
-        """Says that an action has confirmed, or failed with an error."""
+        """Report the confirmation or failure of an action."""
         self.post(ActionEnded(activity, error, results or {}))
 
     def answered(self, activity: Activity, answer: Answer) -> None:
-        """Says what became of an action that is in doubt."""
+        """Report the outcome of an action in doubt."""
         self.post(Answered(activity, answer))
 
     def built(self, activity: Activity) -> None:
-        """Writes what the builder of a request has left in its job: the request may outlive this process.
+        """Record the notes of a request's builder in the job: the request may outlive this process.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -229,19 +229,19 @@ class Executor:
         self.rule.keep_data(activity)
 
     def post(self, event: Event) -> None:
-        """Puts an event into the queue; like all that does so, from any thread."""
+        """Put an event into the queue; from any thread, like all the callers."""
         self._inbox.append(event)
         self._wake()
 
     def guards_changed(self, source: str = "") -> None:
-        """Has guards asked again that declare a source, or all; once, however often that is said before it is taken."""
+        """Ask guards with a declared source again, or all; once for several calls before the next turn."""
         changed = GuardsChanged(source)
         if changed not in tuple(self._inbox):
             self._inbox.append(changed)
         self._wake()
 
     def pump(self, limit: int = 1000) -> bool:
-        """Takes all events and fires until nothing is enabled; a call from inside does nothing.
+        """Take all events and fire until nothing is enabled; a nested call does nothing.
 
         Args:
             limit: Firings after which to return, so that a net without actions cannot hold the loop.
@@ -252,15 +252,15 @@ class Executor:
         return self._loop.pump(limit)
 
     def take(self) -> bool:
-        """Takes the next event, and fires nothing but what ends an action; returns whether there was one."""
+        """Take the next event, and fire nothing but ends of actions; return whether there was one."""
         return self._loop.take()
 
     def next_wakeup(self) -> float | None:
-        """Returns when :meth:`pump` is to be called though no event was posted (monotonic) [s]; None: never."""
+        """Return the time of the next call of :meth:`pump` without an event (monotonic) [s]; None: never."""
         return self._timers.next()
 
     def marking(self) -> dict[str, int]:
-        """Returns the marked places by name."""
+        """Return the marked places by name."""
         return self.rule.tokens.marking()
 
     @property
@@ -270,7 +270,7 @@ class Executor:
 
     @property
     def stretch(self) -> int:
-        """Firings since the net came to rest last, or took an event; 0 unless :meth:`pump` has reached its limit."""
+        """Firings since the last rest or event; 0 unless :meth:`pump` has reached the limit."""
         return self._loop.stretch
 
     def busy(self) -> bool:
@@ -278,19 +278,19 @@ class Executor:
         return bool(self.activities or len(self.rule.ledger))
 
     def at_rest(self) -> Rest:
-        """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on its way."""
+        """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on the way."""
         return rest_of(self.rule, len(self._inbox))
 
     def jobs(self) -> list[Job]:
-        """Returns the open jobs, in the order of their arrival."""
+        """Return the open jobs, in the order of the arrival."""
         return self.rule.ledger.jobs()
 
     def coming(self) -> list[Job]:
-        """Returns the commands that were written and that it has not taken yet: they are not among its jobs."""
+        """Return the written commands the net has not taken yet: they are not among the jobs."""
         return [event.job for event in list(self._inbox) if isinstance(event, CommandWritten)]
 
     def concerned(self, node: str, nets: Collection[str]) -> bool:
-        """Whether anything here has to do with tokens that came from a node, or went to one of its nets."""
+        """Return whether tokens of the net came from a node, or went to one of the nets."""
         came = (event.context for event in list(self._inbox) if isinstance(event, TokenArrived))
         return any(context is not None and context.node == node for context in came) or any(
             not job.away.keys().isdisjoint(nets) or (job.visit is not None and job.visit.node == node)
@@ -298,7 +298,7 @@ class Executor:
         )
 
     def activity(self, number: int) -> Activity:
-        """Returns an action that runs, by its number.
+        """Return a running action, by the number.
 
         Raises:
             NetError: None of that number runs.
@@ -309,7 +309,7 @@ class Executor:
         return found
 
     def hindrance(self, transition: str) -> str:
-        """Says what keeps a transition of the expanded net from firing now; empty: nothing that is known."""
+        """Return the present obstacle of a transition of the expanded net; empty: none is known."""
         rule = self.rule
         index = rule.number.get(transition)
         if index is None:
@@ -325,7 +325,7 @@ class Executor:
         return ""
 
     def replay(self, entry: NetEntry) -> None:
-        """Does again what an entry tells: as when it happened, but nothing is begun, sent or told.
+        """Apply an entry again: nothing is begun, sent or told.
 
         Raises:
             NetError: It does not fit the net, or what has happened to it.
@@ -344,5 +344,5 @@ class Executor:
             rule.replaying = False
 
     def resume(self) -> None:
-        """Goes on after a state was restored and entries were replayed: what ran has to be asked about."""
+        """Go on after a restored state and replayed entries: running actions must be asked about."""
         self._loop.resume()

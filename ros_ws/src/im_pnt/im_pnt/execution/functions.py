@@ -1,4 +1,4 @@
-"""Functions that nets name, by a registered name or as ``module:function``, and what they are told when called."""
+"""Functions named in nets, by a registered name or as ``module:function``, and the arguments."""
 
 import inspect
 import math
@@ -28,7 +28,7 @@ Plain = object
 
 
 class ActionContext:
-    """What an action, builder, handler or guard is told.
+    """Context of an action, builder, handler or guard.
 
     What it holds belongs to a command or request; where there is none, it is this call's own.
 
@@ -69,12 +69,12 @@ class ActionContext:
 
     @property
     def command(self) -> Command:
-        """Command of the tape it is done for; id 0 where there is none."""
+        """Command of the tape behind the action; id 0 without one."""
         job = self._lineage.job
         return job.command if job is not None else NO_COMMAND
 
     def object(self, name: str) -> str:
-        """Returns the name in the DOM of a data object of the command it is done for.
+        """Return the name in the DOM of a data object of the command.
 
         Args:
             name: Name among the objects of the command, as other nets that work for it call it, too, or as the net
@@ -87,7 +87,7 @@ class ActionContext:
 
     @property
     def failure(self) -> ImError | None:
-        """Failure that put a token on an input place of this transition, if any."""
+        """Failure on a token of an input place of this transition, if any."""
         return self._lineage.failure
 
     @property
@@ -104,13 +104,13 @@ class ActionContext:
 
     @property
     def result(self) -> JsonObject:
-        """What the caller gets in the end; write into it."""
+        """Result for the caller at the end; write into it."""
         job = self._lineage.job
         return job.results if job is not None else self._private("results")
 
     @property
     def replies(self) -> dict[str, JsonObject]:
-        """What actions done earlier for the same job were answered, by transition.
+        """Answers of earlier actions for the same job, by transition.
 
         That is the results of requests, and of other answers the fields that some expression of the net reads.
         """
@@ -119,7 +119,7 @@ class ActionContext:
 
     @property
     def memory(self) -> JsonObject:
-        """What the actions of a command or request keep for each other; plain JSON data, never sent to the caller."""
+        """Memory shared by the actions of a command or request; plain JSON data, never sent to the caller."""
         job = self._lineage.job
         return job.memory if job is not None else self._private("memory")
 
@@ -130,12 +130,12 @@ class ActionContext:
         return (job is not None and job.cancelled) or (activity is not None and activity.cancelled)
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Has a function called when this action is cancelled; at once if it already is."""
+        """Call a function at the cancellation of this action; at once if it is already cancelled."""
         if self._activity is not None:
             self._activity.when_cancelled(callback)
 
     def progress(self, text: str, fraction: float = -1.0) -> None:
-        """Tells the client how far the command is.
+        """Report the progress of the command to the client.
 
         Args:
             text: What is being done.
@@ -145,7 +145,7 @@ class ActionContext:
             self._progress(self._lineage, text, fraction)
 
     def value(self, root: str, name: str) -> Plain:
-        """Returns what an expression calls ``arguments.NAME``, ``answers.NAME``, ``failure.NAME`` or ``command.NAME``.
+        """Return the value of ``arguments.NAME``, ``answers.NAME``, ``failure.NAME`` or ``command.NAME``.
 
         Raises:
             ExpressionError: It is not there.
@@ -168,11 +168,11 @@ class ActionContext:
 
     @property
     def answer_ways(self) -> tuple[tuple[str, ...], ...]:
-        """Which fields of the answer to this transition are to be kept, as ways to them."""
+        """Fields to keep of the answer to this transition, as ways to them."""
         return () if self._values is None else self._values.ways(self.transition)
 
     async def filled(self, value: Plain) -> Plain:
-        """Returns a value of the net file with its expressions replaced by their values.
+        """Return a value of the net file with the expressions evaluated.
 
         Raises:
             ImError: One has no value.
@@ -180,11 +180,11 @@ class ActionContext:
         return value if self._values is None else await self._values.fill(value, self)
 
     def filled_now(self, value: Plain) -> Plain:
-        """Returns the same as :meth:`filled`, for a value that reads no data object."""
+        """Return the result of :meth:`filled` for a value without data objects."""
         return value if self._values is None else self._values.fill_now(value, self)
 
     def holds(self, condition: str, answer: Mapping[str, Plain]) -> bool:
-        """Whether a condition ``${...}`` of the net file holds if this transition is answered so.
+        """Return whether a condition ``${...}`` of the net file holds after this answer to the transition.
 
         Raises:
             ImError: It has no value.
@@ -192,7 +192,7 @@ class ActionContext:
         return self._values is None or self._values.fill_now(condition, self, answer) is True
 
     def apart(self, post: Post) -> "ApartContext":
-        """Returns what a function is told instead that is called in a thread of its own.
+        """Return the context for a function in a thread of its own.
 
         Args:
             post: Has in the loop what may be done there only.
@@ -204,7 +204,7 @@ class ActionContext:
 
 
 class ApartContext(ActionContext):
-    """What a function is told that is called in a thread of its own: copies, made before it begins.
+    """Context of a function in a thread of its own: copies, made before the start.
 
     Args:
         origin: What it would be told in the loop.
@@ -226,21 +226,21 @@ class ApartContext(ActionContext):
 
     @property
     def command(self) -> Command:
-        """Command of the tape it is done for."""
+        """Command of the tape behind the action."""
         return self._command
 
     def object(self, name: str) -> str:
-        """Returns the name in the DOM of a data object of the command it is done for."""
+        """Return the name in the DOM of a data object of the command."""
         return self._origin.object(name)
 
     @property
     def failure(self) -> ImError | None:
-        """Failure that put a token on an input place of this transition, if any."""
+        """Failure on a token of an input place of this transition, if any."""
         return self._failures[0]
 
     @property
     def last_failure(self) -> ImError | None:
-        """Last failure, when it began, of any action done for the same command or request."""
+        """Last failure, at the start, of any action for the same command or request."""
         return self._failures[1]
 
     @property
@@ -250,29 +250,29 @@ class ApartContext(ActionContext):
 
     @property
     def result(self) -> JsonObject:
-        """What the caller gets in the end; write into it."""
+        """Result for the caller at the end; write into it."""
         return self._own["results"]
 
     @property
     def replies(self) -> dict[str, JsonObject]:
-        """What actions that had ended when it began were answered, by transition."""
+        """Answers of actions ended before the start, by transition."""
         return self._copied[1]
 
     @property
     def memory(self) -> JsonObject:
-        """What the actions of a command or request keep for each other."""
+        """Memory shared by the actions of a command or request."""
         return self._own["memory"]
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Has a function called in the loop when this action is cancelled; soon if it already is."""
+        """Call a function in the loop at the cancellation of this action; soon if it is already cancelled."""
         self._post(lambda: self._origin.on_cancel(callback))
 
     def progress(self, text: str, fraction: float = -1.0) -> None:
-        """Tells the client how far the command is."""
+        """Report the progress of the command to the client."""
         self._post(lambda: self._origin.progress(text, fraction))
 
     def leave(self) -> None:
-        """Brings what the function has written to its job; in the loop, once it has ended."""
+        """Write the results of the function into the job; in the loop, after the end."""
         for name, kept in (("results", self._origin.result), ("memory", self._origin.memory)):
             before, now = self._before[name], self._own[name]
             for key in before.keys() - now.keys():
@@ -289,7 +289,7 @@ _WOKEN_BY = "__woken_by__"
 
 
 def woken_by(*sources: str) -> Callable[[GuardFunction], GuardFunction]:
-    """Declares what a guard depends on: it is asked again when one of these fires, and not at every event of the net.
+    """Declare the sources of a guard: only the changes, and not every event of the net, evaluate it again.
 
     Args:
         *sources: ``data:<object>``, ``topic:<name>`` or ``clock:<period in s>``.
@@ -312,7 +312,7 @@ def woken_by(*sources: str) -> Callable[[GuardFunction], GuardFunction]:
 
 
 def clock_period(source: str) -> float | None:
-    """Returns the period of a clock among the sources of a guard [s], None for other sources.
+    """Return the period of a clock among the sources of a guard [s], None for other sources.
 
     Raises:
         NetError: It is no period.
@@ -330,7 +330,7 @@ def clock_period(source: str) -> float | None:
 
 
 def idempotent(function: ActionFunction) -> AskFunction:
-    """Returns what finds out about an action that may be done twice, for its effect is the same: it is done again."""
+    """Return the question after a doubt for an action that may be done twice: do it again."""
 
     async def ask(context: ActionContext) -> Answer:
         try:
@@ -345,12 +345,12 @@ def idempotent(function: ActionFunction) -> AskFunction:
 
 
 def cancelled(ctx: ActionContext) -> bool:
-    """The guard that every net has: whether the command or request was cancelled."""
+    """Return whether the command or request was cancelled; a guard of every net."""
     return ctx.cancelled
 
 
 class Functions:
-    """The functions that nets may name.
+    """Functions for the names in nets.
 
     Args:
         actions: Actions, builders ``f(ctx) -> dict`` and handlers ``f(ctx, result)`` by name; plain or ``async``.
@@ -375,23 +375,23 @@ class Functions:
                 raise NetError(f"there is no action function '{name}' to ask about{nearest(name, self.actions)}")
 
     def sources(self, guard: str) -> frozenset[str] | None:
-        """Returns what wakes a guard, None where it does not say."""
+        """Return the sources of a guard, None without a declaration."""
         if OPENS in guard:
             return frozenset(f"data:{name}" for name in read_objects(guard))
         declared: frozenset[str] | None = getattr(self.guards[guard], _WOKEN_BY, None)
         return declared
 
     def wakes(self, net: Net) -> frozenset[str]:
-        """Returns what wakes the registered guards of a net."""
+        """Return the sources of the registered guards of a net."""
         named = (guard for guard in net.guards() if OPENS not in guard)
         return frozenset(source for guard in named for source in self.sources(guard) or ())
 
     def guards_of(self, net: Net) -> dict[str, GuardFunction]:
-        """Returns the guards that a net names, registered or expressions."""
+        """Return the guards of a net, registered or expressions."""
         return {name: self.guards.get(name) or _expression_guard(name) for name in net.guards()}
 
     def check(self, net: Net) -> None:
-        """Checks that every function a net names is registered; those named ``module:function`` are imported.
+        """Check whether every function of a net is registered; import those named ``module:function``.
 
         Raises:
             NetFileError: One is not there; names file, line and the nearest right name.
@@ -406,7 +406,7 @@ class Functions:
 def _find(
     net: Net, transition: Transition, kind: str, name: str, known: MutableMapping[str, Callable[..., Any]]
 ) -> None:
-    """Sees to it that a function is among those that are known."""
+    """Check whether a function is known."""
     if ":" not in name:
         if name in known:
             return
@@ -424,7 +424,7 @@ def _find(
 
 
 def _expression_guard(text: str) -> GuardFunction:
-    """Returns the guard that an expression is."""
+    """Return the guard of an expression."""
 
     def guard(context: ActionContext) -> bool:
         return context.filled_now(text) is True

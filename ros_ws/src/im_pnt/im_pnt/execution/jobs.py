@@ -1,4 +1,4 @@
-"""What a net works for: commands of the tape and requests of other nets; and the actions it has running for them."""
+"""Jobs of a net: commands of the tape and requests of other nets; and the running actions."""
 
 import enum
 import re
@@ -15,7 +15,7 @@ from im_pnt.model.action import Action
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command of the input tape; requests made for it carry it along.
+    """Command of the input tape, passed on with the requests.
 
     Attributes:
         id: Number of the command, 0 where there is none.
@@ -37,7 +37,7 @@ NO_COMMAND = Command()
 
 
 def scope_of(net: str, command: Command) -> str:
-    """Returns what the names of a command's data objects begin with; ``<net>/0`` for what a net does for nobody."""
+    """Return the name prefix of a command's data objects; ``<net>/0`` without a command."""
     return command.scope or f"{net}/{command.id}"
 
 
@@ -45,7 +45,7 @@ _ARGUMENT = re.compile(r"\$\{arguments\.(\w+)\}")
 
 
 def filled_name(name: str, arguments: Mapping[str, object]) -> str:
-    """Returns the name of a data object with the values of arguments that it says: ``path/${arguments.group}``."""
+    """Return the name of a data object with the values of the arguments: ``path/${arguments.group}``."""
 
     def said(match: re.Match[str]) -> str:
         return as_text(arguments[match[1]]) if match[1] in arguments else match[0]
@@ -54,7 +54,7 @@ def filled_name(name: str, arguments: Mapping[str, object]) -> str:
 
 
 def object_name(name: str, scope: str, shared: Iterable[str], arguments: Mapping[str, object]) -> str:
-    """Returns the name of a data object in the DOM.
+    """Return the name of a data object in the DOM.
 
     Args:
         name: What nets and requests call it, see :func:`filled_name`; with ``/`` before it, one of the machine:
@@ -96,7 +96,7 @@ class Request:
 
 
 class JobKey(NamedTuple):
-    """Tells a job from those of all nets and processes.
+    """Identity of a job among all nets and processes.
 
     Attributes:
         process: Name of the life of the process where it was begun, as the names of its requests begin.
@@ -111,7 +111,7 @@ class JobKey(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """Whose a token is that has crossed to another net.
+    """Owner of a token from another net.
 
     Attributes:
         key: The job, at home.
@@ -128,7 +128,7 @@ class Owner:
 
 @dataclass(frozen=True, slots=True)
 class TokenContext:
-    """What a token of a job carries to another net.
+    """Context of a job's token on the way to another net.
 
     Attributes:
         owner: Whose it is.
@@ -153,7 +153,7 @@ class TokenContext:
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """A job of another net whose tokens have come here.
+    """Foreign job with tokens here.
 
     Attributes:
         owner: The job, at home.
@@ -182,7 +182,7 @@ class CommandResult:
 
 
 class JobData(NamedTuple):
-    """What the actions of a job have left in it, as JSON data: memory, results, progress."""
+    """Data of the actions of a job, as JSON data: memory, results, progress."""
 
     memory: dict[str, object]
     results: dict[str, object]
@@ -191,7 +191,7 @@ class JobData(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Job:
-    """A command or request in work, or what one of another net has left to do here.
+    """Command or request in work, or the part here of another net's job.
 
     Attributes:
         command: The command.
@@ -240,16 +240,16 @@ class Job:
 
     @property
     def symbol(self) -> str:
-        """What it is asked for: the symbol of the command, or the service of the request."""
+        """Symbol of the command, or service of the request."""
         return self.command.symbol if self.request is None else self.request.service
 
     @property
     def is_command(self) -> bool:
-        """Whether it is a command of this net's own tape."""
+        """Whether the job is a command of this net's own tape."""
         return self.request is None and self.visit is None
 
     def close(self, error: ImError | None) -> None:
-        """Ends the job, once."""
+        """End the job, once."""
         if self.closed:
             return
         self.closed = True
@@ -258,7 +258,7 @@ class Job:
 
 
 class Lineage(NamedTuple):
-    """What a token carries unseen by the net: the job it belongs to (None: nobody), and the failure that made it."""
+    """Lineage of a token, unseen by the net: the job (None: none), and the failure behind it."""
 
     job: Job | None
     failure: ImError | None
@@ -272,7 +272,7 @@ NO_LINEAGE = Lineage(None, None)
 
 
 class ActivityState(enum.StrEnum):
-    """How far an action is: which of its places is marked."""
+    """State of an action: the marked one of the places."""
 
     ACTIVE = "active"
     CANCELLING = "cancelling"
@@ -293,7 +293,7 @@ class Reply(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class Activity:
-    """An action that runs: a token on ``t.active``, ``t.cancelling`` or ``t.in_doubt``.
+    """Running action: a token on ``t.active``, ``t.cancelling`` or ``t.in_doubt``.
 
     Attributes:
         number: Sequence number of its START, by which a journal knows it.
@@ -340,14 +340,14 @@ class Activity:
     life: str = ""
 
     def when_cancelled(self, callback: Callable[[], None]) -> None:
-        """Has something called when the action is asked to end early; at once if it already was."""
+        """Call a function at the request to end early; at once if the action has got one."""
         if self.cancelled:
             callback()
         else:
             self.on_cancel.append(callback)
 
     def cancel(self) -> list[Exception]:
-        """Asks the action to end early, once; how it ends still decides what is marked.
+        """Ask the action to end early, once; the end still decides on the outputs.
 
         Returns:
             What its callbacks raised.
@@ -365,7 +365,7 @@ class Activity:
 
 
 class Activities(Collection[Activity]):
-    """The actions that run in a net, in the order in which they began; whether one is among them is known at once.
+    """Running actions of a net, in the order of the beginnings, with a fast membership test.
 
     Args:
         by_number: The actions by their numbers.
@@ -385,7 +385,7 @@ class Activities(Collection[Activity]):
 
 
 def as_failure(activity: Activity, error: BaseException) -> ImError:
-    """Returns an exception of an action as the failure that the net will carry."""
+    """Return an exception of an action as the failure on the net's tokens."""
     if isinstance(error, ImError):
         return error
     return ImError(
@@ -397,7 +397,7 @@ def as_failure(activity: Activity, error: BaseException) -> ImError:
 
 
 class Ledger:
-    """Open jobs in the order of their arrival.
+    """Open jobs in the order of the arrival.
 
     Attributes:
         tape: The input tape.
@@ -414,19 +414,19 @@ class Ledger:
         self._open: dict[int, Job] = {}
 
     def add(self, job: Job) -> None:
-        """Enters a job and numbers it."""
+        """Enter a job and number it."""
         self.count += 1
         job.number = self.count
         self.reopen(job)
 
     def reopen(self, job: Job) -> None:
-        """Enters a job under the number that it has."""
+        """Enter a job under its own number."""
         self._open[job.number] = job
         if job.visit is not None:
             self.visits[job.visit.owner.key] = job
 
     def close(self, job: Job, error: ImError | None) -> None:
-        """Ends a job and tells whoever waits for it."""
+        """End a job and inform the client."""
         self._open.pop(job.number, None)
         self.serving.pop(job.number, None)
         if job.visit is not None:
@@ -441,32 +441,32 @@ class Ledger:
         return job.number in self._open
 
     def jobs(self) -> list[Job]:
-        """Returns the open jobs in the order of their arrival."""
+        """Return the open jobs in the order of the arrival."""
         return list(self._open.values())
 
     def job(self, number: int) -> Job | None:
-        """Returns an open job by its number."""
+        """Return an open job by the number."""
         return self._open.get(number)
 
     def of_key(self, key: JobKey, home: bool) -> Job | None:
-        """Returns an open job of this net (``home``), or of another one whose tokens are here."""
+        """Return an open job of this net (``home``), or a foreign one."""
         return self.job(key.number) if home else self.visits.get(key)
 
     def of_command(self, command_id: int | None) -> list[Job]:
-        """Returns the open jobs of a command of this net's own tape, or all jobs."""
+        """Return the open jobs of a command of this net's own tape, or all jobs."""
         jobs = self._open.values()
         return [job for job in jobs if command_id is None or (job.is_command and job.command.id == command_id)]
 
     def of_request(self, request_id: str) -> list[Job]:
-        """Returns the open jobs of a request: one or none."""
+        """Return the open jobs of a request: one or none."""
         return [job for job in self._open.values() if job.request is not None and job.request.id == request_id]
 
     def begun_commands(self) -> list[Job]:
-        """Returns the open jobs that have been read from the tape."""
+        """Return the open jobs read from the tape."""
         return [job for job in self._open.values() if job.from_tape and not job.waiting]
 
     def ended_by(self, emitted: str, own: Job | None) -> Job | None:
-        """Returns the job that an output symbol ends: that of the firing, or the oldest begun with its symbol."""
+        """Return the job ended by an output symbol: that of the firing, or the oldest of the symbol."""
         if own is not None and own.from_tape and ends(emitted, own.symbol) is not None:
             return own if self.is_open(own) else None
         return next((job for job in self.begun_commands() if ends(emitted, job.symbol) is not None), None)
@@ -477,13 +477,13 @@ FAILED_SUFFIX = "_failed"
 
 
 class InputTape:
-    """Symbols that wait to be read, with the jobs they stand for; a transition reads the oldest of its symbol."""
+    """Unread symbols with the jobs; a transition reads the oldest of the symbol."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Job]] = {}
 
     def write(self, job: Job) -> None:
-        """Puts a job at the end."""
+        """Put a job at the end."""
         job.from_tape = job.waiting = True
         self._waiting.setdefault(job.symbol, deque()).append(job)
 
@@ -492,11 +492,11 @@ class InputTape:
         return bool(self._waiting.get(symbol))
 
     def of_symbol(self, symbol: str) -> Collection[Job]:
-        """Returns the jobs of a symbol, the oldest first."""
+        """Return the jobs of a symbol, the oldest first."""
         return self._waiting.get(symbol, ())
 
     def withdraw(self, job: Job) -> bool:
-        """Takes a job from the tape, which reads it, wherever it is; returns whether it was there."""
+        """Take a job from the tape, from any position; return whether it was there."""
         if not job.waiting:
             return False
         self._waiting[job.symbol].remove(job)
@@ -504,12 +504,12 @@ class InputTape:
         return True
 
     def waiting(self) -> list[Job]:
-        """Returns the jobs on the tape, symbol by symbol."""
+        """Return the jobs on the tape, symbol by symbol."""
         return [job for jobs in self._waiting.values() for job in jobs]
 
 
 def ends(emitted: str, symbol: str) -> bool | None:
-    """Whether an output symbol says that a command is done (True), failed (False), or neither (None)."""
+    """Return whether an output symbol means a done command (True), a failed one (False), or neither (None)."""
     if emitted == symbol + DONE_SUFFIX:
         return True
     return False if emitted == symbol + FAILED_SUFFIX else None

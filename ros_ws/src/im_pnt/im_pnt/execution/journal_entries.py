@@ -1,4 +1,4 @@
-"""What a net in execution tells its journal.
+"""Entries of a net in the journal.
 
 The ``record`` of an executor (None: no journal) is called with one entry *before* what it tells is done: before tokens
 move, before an action begins, before tokens and replies leave, before a client is answered. Where it raises, nothing
@@ -100,7 +100,7 @@ class EndFired(NamedTuple):
 
 
 class MessageBuilt(NamedTuple):
-    """What makes a request, a goal or a message has left something in its job; that is sent afterwards.
+    """Entry: the builder of a request, goal or message has changed the job; the message leaves afterwards.
 
     Attributes:
         number: Number of the activity.
@@ -112,21 +112,21 @@ class MessageBuilt(NamedTuple):
 
 
 class GuardBroke(NamedTuple):
-    """A guard broke that was asked about a job, known by its number."""
+    """Entry: a guard broke on a job, known by the number."""
 
     job: int
     error: ImError
 
 
 class JobForgotten(NamedTuple):
-    """The net came to rest and left a command open, known by the number of its job."""
+    """Entry: the net came to rest and left a command open, known by the number of the job."""
 
     job: int
     error: ImError
 
 
 class VisitSettled(NamedTuple):
-    """Nothing is left here of a job of another net, known by its number here."""
+    """Entry: nothing is left here of a foreign job, known by the number here."""
 
     job: int
 
@@ -159,7 +159,7 @@ Record = Callable[[NetEntry], None]
 
 
 def plain(value: object, where: str) -> object:
-    """Returns a copy of a value as JSON data; a tuple becomes a list.
+    """Return a copy of a value as JSON data; a tuple becomes a list.
 
     Args:
         value: The value.
@@ -194,7 +194,7 @@ def _plain(value: object, where: str) -> object:
 
 
 def plain_dict(value: object, where: str) -> dict[str, object]:
-    """Returns a copy of a dictionary as JSON data.
+    """Return a copy of a dictionary as JSON data.
 
     Raises:
         NetError: It is no dictionary, or has a part that JSON cannot carry.
@@ -209,7 +209,7 @@ def plain_dict(value: object, where: str) -> dict[str, object]:
 
 
 def data_of(job: Job) -> JobData:
-    """Returns memory, results and progress of a job as JSON data.
+    """Return memory, results and progress of a job as JSON data.
 
     Raises:
         NetError: They have a part that JSON cannot carry.
@@ -220,12 +220,12 @@ def data_of(job: Job) -> JobData:
 
 
 def recorded_data(job: Job) -> JobData:
-    """Returns the data of a job that were written last."""
+    """Return the last recorded data of a job."""
     return job.recorded or JobData({}, {}, -1.0)
 
 
 def changed_data(job: Job) -> JobData | JobChange | None:
-    """Returns the data of a job when they are written first, then how they have changed, None where they have not.
+    """Return the data of a job at the first record, then the changes, None without any.
 
     Raises:
         NetError: They have a part that JSON cannot carry; the job has what was written last.
@@ -247,7 +247,7 @@ def changed_data(job: Job) -> JobData | JobChange | None:
 
 
 def add_results(job: Job, results: dict[str, object], recorded: bool) -> None:
-    """Adds what was done for a job elsewhere to its results.
+    """Add the results from another net to those of a job.
 
     Args:
         job: The job.
@@ -261,7 +261,7 @@ def add_results(job: Job, results: dict[str, object], recorded: bool) -> None:
 
 
 def take_data(job: Job, data: JobData | JobChange) -> None:
-    """Gives a job its data, or the changes of its data.
+    """Give a job the data, or the changes of the data.
 
     Raises:
         NetError: The changes are none.
@@ -276,7 +276,7 @@ def take_data(job: Job, data: JobData | JobChange) -> None:
 
 
 def _restore_data(job: Job) -> None:
-    """Gives a job the data that were written last."""
+    """Give a job the last recorded data."""
     memory, results, job.progress = recorded_data(job)
     for mine, kept in ((job.memory, memory), (job.results, results)):
         mine.clear()
@@ -284,7 +284,7 @@ def _restore_data(job: Job) -> None:
 
 
 def difference(old: object, new: object) -> list[object] | None:
-    """Returns how JSON data differ.
+    """Return the difference of JSON data.
 
     Returns:
         ``["set", value]``; ``["keys", {key: difference}, [keys that are gone]]`` of a dictionary; ``["items", {index:
@@ -309,7 +309,7 @@ def difference(old: object, new: object) -> list[object] | None:
 
 
 def renewed(old: object, change: object) -> object:
-    """Returns JSON data with a difference to others; the old ones are not used any more.
+    """Return JSON data with a difference applied; the old data are not used any more.
 
     Raises:
         NetError: The difference does not fit.

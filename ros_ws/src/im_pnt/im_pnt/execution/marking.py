@@ -1,4 +1,4 @@
-"""Which transitions are enabled, kept up to date by what a firing changes and nothing else.
+"""Enabled transitions, updated by the changes of a firing and nothing else.
 
 Each transition counts its unmet inputs; a place that crosses an arc's weight changes the counters of its neighbours
 only, so that the cost of a firing does not grow with the net. A transition that becomes enabled is put on the agenda,
@@ -14,7 +14,7 @@ from im_pnt.model.compiled import Compiled, IndexedArcs
 
 
 class Enabling:
-    """Tokens, counters of unmet inputs, and the transitions that are worth a decision.
+    """Tokens, counters of unmet inputs, and the candidate transitions.
 
     Args:
         compiled: The expanded net.
@@ -62,7 +62,7 @@ class Enabling:
         return tuple((transition, weight) for transition, weight in arcs if not self.listed[transition])
 
     def add_tokens(self, place: int, count: int) -> None:
-        """Puts tokens on a place."""
+        """Put tokens on a place."""
         before = self.tokens[place]
         after = before + count
         self.tokens[place] = after
@@ -84,7 +84,7 @@ class Enabling:
                 self.stalled.discard(transition)
 
     def take_tokens(self, place: int, count: int) -> None:
-        """Takes tokens from a place that has them."""
+        """Take tokens from a place with enough of them."""
         before = self.tokens[place]
         after = before - count
         self.tokens[place] = after
@@ -104,14 +104,14 @@ class Enabling:
                     self.consider(transition)
 
     def consider(self, transition: int) -> None:
-        """Asks for a decision about a transition."""
+        """Ask for a decision on a transition."""
         self.stalled.discard(transition)
         if not self.listed[transition]:
             self.listed[transition] = True
             self.agenda.append(transition)
 
     def consider_stalled(self, transitions: Iterable[int]) -> None:
-        """Asks for a decision about those of some transitions that their guards hold back."""
+        """Ask for a decision on the transitions held back by the guards among some."""
         for transition in transitions:
             if transition in self.stalled:
                 self.consider(transition)
@@ -121,7 +121,7 @@ class Enabling:
         return self.compiled.enabled(self.tokens, transition)
 
     def next_candidate(self) -> int | None:
-        """Takes the next enabled transition to decide about, None where there is none."""
+        """Take the next enabled candidate, None without one."""
         while self.agenda:
             transition = self.agenda.popleft()
             self.listed[transition] = False
@@ -130,7 +130,7 @@ class Enabling:
         return None
 
     def rivals(self, transition: int) -> list[int]:
-        """Returns the free transitions that share an input place with a transition, and are enabled by their arcs."""
+        """Return the free transitions with a common input place and enabled arcs."""
         contended, unmet = self.contended[transition], self.unmet
         if not contended:
             return []
@@ -175,7 +175,7 @@ class Tokens:
         self.choosy = frozenset(t for t, arcs in enumerate(self._carriers) if sum(weight for _, weight in arcs) > 1)
 
     def put_tokens(self, place: int, count: int, lineage: Lineage) -> None:
-        """Puts tokens on a place."""
+        """Put tokens on a place."""
         queue = self.queues.get(place)
         named = self._carries[place] and (lineage.job is not None or lineage.failure is not None)
         if named and queue is None:
@@ -188,11 +188,11 @@ class Tokens:
         self.enabling.add_tokens(place, count)
 
     def carries(self, place: int) -> bool:
-        """Whether tokens on a place may belong to somebody: it is none of a resource."""
+        """Return whether tokens on a place may belong to a job: it is no resource."""
         return self._carries[place]
 
     def owners(self, transition: int) -> Sequence[Job | None]:
-        """Returns for whom a transition that its arcs enable can fire, oldest token first; None: for nobody."""
+        """Return the possible jobs of a transition enabled by the arcs, oldest token first; None: no job."""
         queues = [queue for place, _ in self._carriers[transition] if (queue := self.queues.get(place)) is not None]
         if not queues:
             return _NOBODY
@@ -213,7 +213,7 @@ class Tokens:
         ]
 
     def take_inputs(self, transition: int, owner: Job | None) -> Lineage:
-        """Takes the input tokens of an enabled transition: those of a job, and where it has none, those of nobody.
+        """Take the input tokens of an enabled transition: those of a job, and free ones where it has none.
 
         The places that it empties are places of resources, whose tokens are nobody's.
 
@@ -246,7 +246,7 @@ class Tokens:
         return lineage
 
     def peek_inputs(self, transition: int, owner: Job | None) -> Lineage:
-        """Returns what a firing for a job would take along."""
+        """Return the lineage of a firing for a job."""
         lineage = NO_LINEAGE
         for place, weight in self._carriers[transition]:
             left = weight
@@ -257,7 +257,7 @@ class Tokens:
         return lineage
 
     def _pick(self, queue: deque[Lineage], count: int, owner: Job | None) -> list[Lineage]:
-        """Takes the oldest tokens of a job from a queue, and then the oldest of nobody."""
+        """Take the oldest tokens of a job from a queue, and then the oldest free ones."""
         own = [number for number, lineage in enumerate(queue) if lineage.job is owner][:count]
         if len(own) < count:
             spare = (number for number, lineage in enumerate(queue) if lineage.job is None)
@@ -268,7 +268,7 @@ class Tokens:
         return picked
 
     def disown(self, job: Job) -> None:
-        """Leaves to nobody what belongs to a job that has ended, and decides anew about what that lets happen."""
+        """Free the tokens of an ended job, and decide again on the transitions they enable."""
         for place, queue in list(self.queues.items()):
             mine = [number for number, lineage in enumerate(queue) if lineage.job is job]
             for number in mine:
@@ -280,15 +280,15 @@ class Tokens:
                 self.enabling.consider_stalled(t for t, _ in self._compiled.consumers[place])
 
     def first(self, place: int) -> Lineage:
-        """Returns what the first token of a marked place carries."""
+        """Return the lineage of the first token of a marked place."""
         queue = self.queues.get(place)
         return NO_LINEAGE if queue is None else queue[0]
 
     def give_outputs(self, transition: int, lineage: Lineage) -> None:
-        """Marks the output places of a transition."""
+        """Mark the output places of a transition."""
         for place, weight in self._compiled.outputs[transition]:
             self.put_tokens(place, weight, lineage)
 
     def marking(self) -> dict[str, int]:
-        """Returns the marked places by name."""
+        """Return the marked places by name."""
         return self._compiled.marking(tuple(self.enabling.tokens))

@@ -1,4 +1,4 @@
-"""What a net tells: its observer each firing, numbered, and other nets of tokens and replies."""
+"""Notifications of a net: numbered firings for the observer, and tokens and replies for other nets."""
 
 import enum
 import threading
@@ -52,22 +52,22 @@ class Firing(NamedTuple):
 
 
 class Observer:
-    """Is told what a net does; does nothing with it. Override what is of interest."""
+    """Observer of a net without any effect. Override the methods of interest."""
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Called with the firings of one net since the last call, in order: once a turn, and before anything leaves."""
 
     def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
-        """Called when an action reports progress; from whatever thread it does."""
+        """Take the progress of an action; from the thread of the action."""
 
     def emitted(self, net: str, symbol: str, lineage: Lineage) -> None:
         """Called for each symbol written to the output tape."""
 
     def troubled(self, net: str, text: str) -> None:
-        """Called for what should be in a log: refused tokens, late completions, guards that fail."""
+        """Take an event for the log: refused tokens, late completions, guards that fail."""
 
     def forgot(self, text: str) -> None:
-        """Called where something that happened is not remembered, here or there: a journal is gone, old or torn."""
+        """Take a loss of memory, here or there: a journal is gone, old or torn."""
         self.troubled("", text)
 
     def unreached(self, node: str, text: str) -> None:
@@ -89,11 +89,11 @@ class Observer:
         """
 
     def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
-        """Called when the mode, the pause or the transitions that wait to be confirmed have changed."""
+        """Take a change of the mode, the pause or the proposed transitions."""
 
 
 class Departure(NamedTuple):
-    """What tokens of a job take along to another net.
+    """Departure of a job's tokens to another net.
 
     Attributes:
         job: Whose they are.
@@ -112,44 +112,44 @@ class Outlet(Protocol):
     """Where tokens for other nets and replies to callers go."""
 
     def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
-        """Sends tokens to a place of another net; with what they take along, where they are of a job."""
+        """Send tokens to a place of another net; with the departure, where they belong to a job."""
 
     def send_job_update(
         self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Tells another net of a job whose tokens have crossed."""
+        """Tell another net an update of a job with tokens there."""
 
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Tells the net that has sent a token of a job that the work of that is done."""
+        """Tell the sender of a job's token: the work for it is done."""
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
         """Answers a request."""
 
 
 class Nowhere:
-    """Takes what a net sends that is brought back or run again, and sends nothing: it has been sent."""
+    """Outlet of a restored or re-run net, without an effect: the messages were sent before."""
 
     def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
-        """Sends nothing."""
+        """Send nothing."""
 
     def send_job_update(
         self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Sends nothing."""
+        """Send nothing."""
 
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Sends nothing."""
+        """Send nothing."""
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
-        """Sends nothing."""
+        """Send nothing."""
 
 
 class Notifier:
-    """Numbers the firings of a net, and tells of them in batches.
+    """Numbering of the firings of a net, and the report in batches.
 
     Args:
         net: Name of the net.
@@ -167,7 +167,7 @@ class Notifier:
 
     @property
     def observer(self) -> Observer:
-        """Whom it tells; who takes the place of another is told of what fires from then on."""
+        """Observer of the net; a successor gets the firings from then on."""
         return self._observer
 
     @observer.setter
@@ -176,11 +176,11 @@ class Notifier:
         self._observer = observer
 
     def begin(self) -> None:
-        """Notes that the loop of the net runs in this thread now."""
+        """Note the start of the net's loop in this thread."""
         self._thread = threading.get_ident()
 
     def flush(self) -> None:
-        """Tells of what has fired since the last time."""
+        """Report the firings since the last call."""
         if self._fired:
             firings, self._fired = self._fired, []
             self._observer.fired(firings)
@@ -195,7 +195,7 @@ class Notifier:
         duration: float = 0.0,
         message: str = "",
     ) -> None:
-        """Counts a firing.
+        """Count a firing.
 
         Args:
             transition: Transition as written, or the one of a coordination structure.
@@ -213,7 +213,7 @@ class Notifier:
         )
 
     def progressed(self, lineage: Lineage, text: str, fraction: float) -> None:
-        """Takes a report of progress."""
+        """Take a report of progress."""
         if lineage.job is not None and fraction >= 0.0:
             lineage.job.progress = fraction
         if threading.get_ident() == self._thread:
@@ -221,7 +221,7 @@ class Notifier:
         self.observer.progressed(self._net, lineage.job, text, fraction)
 
     def emitted(self, symbol: str, lineage: Lineage) -> None:
-        """Tells of a symbol on the output tape."""
+        """Report a symbol on the output tape."""
         self.flush()
         self.observer.emitted(self._net, symbol, lineage)
 
@@ -231,18 +231,18 @@ class Notifier:
         self.observer.troubled(self._net, text)
 
     def chose(self, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
-        """Tells of a choice among strategies; the entropy is in nats."""
+        """Report a choice among strategies; the entropy is in nats."""
         self.flush()
         self.observer.chose(self._net, places, probabilities, entropy, taken)
 
     def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
-        """Tells how the net is operated now."""
+        """Report the present operation of the net."""
         self.flush()
         self.observer.operated(self._net, mode, paused, proposed)
 
 
 def failure_of(job: Job | None, transition: Transition, failure: ImError | None = None) -> ImError:
-    """Why a job failed: the failure at hand, the last one of the job, its ``message``, or only where it ended."""
+    """Return the reason of a failed job: the present failure, the last one, the ``message``, or the place of end."""
     if failure is not None:
         return failure
     if job is not None and job.last_failure is not None:

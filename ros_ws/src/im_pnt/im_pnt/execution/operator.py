@@ -1,4 +1,4 @@
-"""How an operator lets a net run: by itself, each firing confirmed, step by step; and whether it may start anything."""
+"""Modes of operation: automatic, confirmed firings, single steps; and the pause."""
 
 import enum
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ class Mode(enum.StrEnum):
 
 
 class Operator:
-    """What the operator of a net allows. Numbers are those of transitions of the expanded net.
+    """Permissions of the operator of a net. Numbers are those of transitions of the expanded net.
 
     Args:
         written: Transitions as their author wrote them: with an action their ``t.start``.
@@ -39,7 +39,7 @@ class Operator:
 
     @property
     def barred(self) -> frozenset[int]:
-        """The transitions that may not fire now of themselves."""
+        """Transitions barred from firing by themselves now."""
         if self.paused:
             return self._new
         free = self.mode is Mode.AUTOMATIC or (self.mode is Mode.STEP and self._credit)
@@ -51,7 +51,7 @@ class Operator:
         return self.mode is Mode.SUPERVISED and not self.paused
 
     def set_mode(self, mode: Mode) -> None:
-        """Sets the mode."""
+        """Set the mode."""
         self.mode = mode
         self.free = mode is Mode.AUTOMATIC and not self.paused
         self._credit = False
@@ -62,7 +62,7 @@ class Operator:
         self.free = self.mode is Mode.AUTOMATIC and not paused
 
     def hold(self, transition: int) -> None:
-        """Keeps an enabled transition until something is allowed again."""
+        """Keep an enabled transition until firing is allowed again."""
         self._held[transition] = None
 
     @property
@@ -71,16 +71,16 @@ class Operator:
         return bool(self._held) and self.mode is Mode.STEP and not self.paused
 
     def step(self) -> bool:
-        """Allows one firing, if one is held back for it; returns whether."""
+        """Allow one firing, if a transition waits for it; return whether one does."""
         self._credit = self.may_step
         return self._credit
 
     def spent(self) -> None:
-        """A transition as written has fired, or nothing is left to decide about: a step is over."""
+        """End a step: the transition has fired, or nothing is left to decide."""
         self._credit = False
 
     def release(self) -> list[int]:
-        """Takes out what was held back or proposed, to decide about it again."""
+        """Take out held and proposed transitions, for a new decision."""
         released = [*self.proposed, *self._held]
         self.proposed.clear()
         self._held.clear()

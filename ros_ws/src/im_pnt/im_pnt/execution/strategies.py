@@ -1,4 +1,4 @@
-"""What was learned about strategies: ways to do a thing, chosen by a probability of success (paper, section 2).
+"""Experience with strategies: alternatives chosen by a learned probability of success (paper, section 2).
 
 Each outcome of a transition with a strategy is counted in a Beta distribution whose counts decay, so that old outcomes
 weigh less than new ones.
@@ -20,7 +20,7 @@ from im_pnt.model.net import Strategy
 
 
 class StrategyBook:
-    """What was learned about strategies, by net and transition; kept in a file from run to run.
+    """Experience with strategies, by net and transition; kept in a file from run to run.
 
     Several machines may learn in one file: each adds its outcomes to what is there.
 
@@ -39,16 +39,16 @@ class StrategyBook:
             self._counts = _load(path)
 
     def counts(self, net: str, transition: str, strategy: Strategy) -> tuple[float, float]:
-        """Returns the successes and failures counted so far, those before the first run included."""
+        """Return the successes and failures counted so far, those before the first run included."""
         return self._counts.get(f"{net}.{transition}", (strategy.successes, strategy.failures))
 
     def mean_success(self, net: str, transition: str, strategy: Strategy) -> float:
-        """Returns the expected probability of success, 0.5 where nothing was counted."""
+        """Return the expected probability of success, 0.5 without any count."""
         successes, failures = self.counts(net, transition, strategy)
         return successes / (successes + failures) if successes + failures > 0.0 else 0.5
 
     def outcome(self, net: str, transition: str, strategy: Strategy, success: bool) -> None:
-        """Counts an outcome, and saves the book.
+        """Count an outcome, and save the book.
 
         Raises:
             OSError: It cannot be saved; the outcome is counted all the same, and saved with the next one.
@@ -66,7 +66,7 @@ class StrategyBook:
         self._counts[name] = (successes + success, failures + (not success))
 
     def _save(self, path: Path) -> None:
-        """Writes the book, with what others have learned meanwhile; the file is replaced whole or not at all."""
+        """Write the book, with the counts of other machines; the file is replaced whole or not at all."""
         with _alone(path):
             if path.exists():
                 self._counts = _load(path)
@@ -79,7 +79,7 @@ class StrategyBook:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Keeps other machines from changing a file meanwhile.
+    """Keep other machines from changing a file meanwhile.
 
     Raises:
         StoreError: One of them does.

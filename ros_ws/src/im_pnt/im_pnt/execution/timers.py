@@ -1,4 +1,4 @@
-"""What is to happen at a time, in order: deadlines of actions, delays of transitions, questions, clocks of guards."""
+"""Timers in order: deadlines of actions, delays of transitions, questions, clocks of guards."""
 
 import heapq
 from collections.abc import Callable
@@ -9,7 +9,7 @@ _FEW = 64
 
 @dataclass(slots=True, eq=False)
 class Timer:
-    """Something that is to happen once; ``act`` is None when it has happened, or is not wanted any more.
+    """Timer for one strike; ``act`` is None after the strike or the cancellation.
 
     Attributes:
         time: When [s].
@@ -21,7 +21,7 @@ class Timer:
 
 
 class Timers:
-    """Timers by their time. What is cancelled costs nothing but its place, until it is swept out."""
+    """Timers by the time. A cancelled timer costs nothing but the place, until it is swept out."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, Timer]] = []
@@ -36,7 +36,7 @@ class Timers:
         return timer
 
     def cancel(self, timer: Timer | None) -> None:
-        """Takes a timer back, if it has not struck."""
+        """Cancel a timer, if it has not struck."""
         if timer is None or timer.act is None:
             return
         timer.act = None
@@ -47,7 +47,7 @@ class Timers:
             self._cancelled = 0
 
     def strike(self, now: float) -> bool:
-        """Does what is due at a time, in order [s]; returns whether there was anything."""
+        """Strike the timers due at a time, in order [s]; return whether there was one."""
         struck = False
         while (due := self.next()) is not None and due <= now:
             timer = heapq.heappop(self._heap)[2]
@@ -58,7 +58,7 @@ class Timers:
         return struck
 
     def next(self) -> float | None:
-        """Returns when :meth:`strike` is next to be called [s], None: never."""
+        """Return the time of the next :meth:`strike` [s], None: never."""
         while self._heap and self._heap[0][2].act is None:
             heapq.heappop(self._heap)
             self._cancelled -= 1

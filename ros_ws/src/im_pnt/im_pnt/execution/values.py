@@ -1,4 +1,4 @@
-"""Values that nets write as expressions, while they run: what is sent, returned, stored, and asked by guards."""
+"""Values of nets written as expressions, at run time: in requests, results, objects, and guards."""
 
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Protocol
@@ -14,7 +14,7 @@ Done = Callable[[ImError | None], None]
 
 
 class ObjectPendingError(ImError):
-    """A data object that a guard looks at is being read; the guard is asked again when it is known."""
+    """Error: a data object of a guard is being read; the guard is asked again afterwards."""
 
     default_code = "pending"
 
@@ -23,7 +23,7 @@ class Objects(Protocol):
     """Data objects, as expressions see them; names are those of the Data Object Manager."""
 
     async def read(self, name: str, kind: str, ways: Sequence[Way]) -> object:
-        """Returns fields of a data object as JSON data.
+        """Return fields of a data object as JSON data.
 
         Args:
             name: Its name.
@@ -35,7 +35,7 @@ class Objects(Protocol):
         """
 
     def latest(self, name: str, kind: str, ways: Sequence[Way]) -> object:
-        """Returns the same at once, as it has been read since :meth:`stale` was called.
+        """Return fields of a data object at once, read since the last call of :meth:`stale`.
 
         Raises:
             ObjectPendingError: It is being read; guards are woken when it has been.
@@ -43,10 +43,10 @@ class Objects(Protocol):
         """
 
     def stale(self) -> None:
-        """Has :meth:`latest` read objects anew: they may have changed with what has just happened."""
+        """Make :meth:`latest` read objects anew: the last events may have changed them."""
 
     async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
-        """Stores a data object.
+        """Store a data object.
 
         Args:
             name: Its name.
@@ -59,11 +59,11 @@ class Objects(Protocol):
         """
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
-        """Has something done, and calls back with why it failed, if it has."""
+        """Run a coroutine, and call back with the reason of the failure, if it fails."""
 
 
 class Told(Protocol):
-    """What an action or guard is told, as far as expressions may look at it."""
+    """Context of an action or guard, as far as expressions may read it."""
 
     @property
     def net(self) -> str:
@@ -74,14 +74,14 @@ class Told(Protocol):
         """Name of the transition."""
 
     def value(self, root: str, name: str) -> object:
-        """Returns an argument, an answer, or what is known of the failure or the command.
+        """Return an argument, an answer, or a fact of the failure or the command.
 
         Raises:
             ExpressionError: It is not there.
         """
 
     def object(self, name: str) -> str:
-        """Returns the name in the Data Object Manager of a data object."""
+        """Return the name in the Data Object Manager of a data object."""
 
 
 class NetValues:
@@ -105,11 +105,11 @@ class NetValues:
         self._places = {place.data_object: f"{net.name}.{place.name}" for place in reversed(places)}
 
     def ways(self, transition: str) -> tuple[Way, ...]:
-        """Returns which fields of the answer to a transition are read, as ways to them; an empty way: all of it."""
+        """Return the needed fields of the answer to a transition, as ways to them; an empty way: all of it."""
         return self._ways.get(self._answering(transition), ())
 
     def fill_now(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
-        """Returns a value with its expressions replaced; of data objects they see what :meth:`Objects.latest` has.
+        """Return a value with the expressions evaluated; data objects are those of :meth:`Objects.latest`.
 
         Args:
             value: Plain data.
@@ -126,12 +126,12 @@ class NetValues:
         return self._filled(value, told, objects, own)
 
     def stale(self) -> None:
-        """Has guards read their data objects anew."""
+        """Make guards read the data objects anew."""
         if self._guarded and self._objects is not None:
             self._objects.stale()
 
     async def fill(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
-        """Returns a value with its expressions replaced; arguments and errors as of :meth:`fill_now`.
+        """Return a value with the expressions evaluated; arguments and errors as of :meth:`fill_now`.
 
         Raises:
             ImError: An expression has no value, or a data object is not there.
@@ -142,7 +142,7 @@ class NetValues:
         return self._filled(value, told, objects, own)
 
     def conclude(self, told: Told, result: dict[str, object], own: Mapping[str, object], done: Done) -> None:
-        """Returns and stores what a transition says for when its action has ended well.
+        """Return and store the values of a transition after the good end of the action.
 
         Args:
             told: What it is told.
@@ -186,7 +186,7 @@ class NetValues:
             raise ImError(text, code="expression", net=told.net, transition=told.transition) from error
 
     def _answering(self, transition: str) -> str:
-        """Returns the transition as whose answer that to another one counts: of a further try, the first one."""
+        """Return the transition credited with another one's answer: of a further try, the first one."""
         return self._net.transitions[transition].retry_of or transition
 
     def _known_objects(self) -> Objects:

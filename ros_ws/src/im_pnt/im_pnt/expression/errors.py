@@ -1,5 +1,5 @@
-"""What can go wrong with expressions."""
+"""Errors of expressions."""
 
 
 class ExpressionError(ValueError):
-    """An expression that cannot be read, has no type, or cannot be evaluated; the message says why."""
+    """Unreadable, untyped or undefined expression; the message gives the reason."""

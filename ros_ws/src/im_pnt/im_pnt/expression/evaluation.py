@@ -16,7 +16,7 @@ Lookup = Callable[[str, str], object]
 
 
 def evaluate(node: Node, lookup: Lookup) -> object:
-    """Returns the value of an expression, as JSON data.
+    """Return the value of an expression, as JSON data.
 
     Args:
         node: The expression.
@@ -53,7 +53,7 @@ def evaluate(node: Node, lookup: Lookup) -> object:
 
 
 def as_text(value: object) -> str:
-    """Returns a value as it stands within a text."""
+    """Return a value in the form within a text."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool) or value is None:

@@ -1,4 +1,4 @@
-"""Types of expressions, from what names mean where they stand; all mistakes that types show are found at load."""
+"""Types of expressions, from the meanings of names at the place; type errors are found at load."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ _COMMAND = {"id": INTEGER, "symbol": TEXT}
 
 @dataclass(frozen=True)
 class Meanings:
-    """What names mean where an expression stands.
+    """Meanings of names at the place of an expression.
 
     Attributes:
         arguments: Type of an argument; raises ExpressionError where there is none.
@@ -30,7 +30,7 @@ class Meanings:
 
 
 def infer(node: Node, meanings: Meanings) -> ValueType:
-    """Returns the type of an expression.
+    """Return the type of an expression.
 
     Raises:
         ExpressionError: A name is not known, or an operator cannot have what stands beside it.
@@ -170,7 +170,7 @@ def _call(function: str, nodes: tuple[Node, ...], kinds: list[ValueType]) -> Val
 
 
 def _common(kinds: list[ValueType]) -> ValueType:
-    """Returns the type of elements of a list."""
+    """Return the type of elements of a list."""
     if not kinds:
         return ANY
     for kind in kinds:

@@ -1,4 +1,4 @@
-"""What names mean at the transitions of a net, what of answers is read, and whether all of a net's values fit.
+"""Meanings of names at the transitions of a net, the needed fields of answers, and the check of all values.
 
 ``arguments`` are those of the command or request whose tokens a transition may take; which these are follows from the
 arcs. ``answers`` are what earlier actions of the same command were answered.
@@ -32,7 +32,7 @@ _ANSWERED = {ServiceAction: "_Response", GoalAction: "_Result", AwaitAction: ""}
 
 
 def check_net(net: Net, types: MessageTypes) -> None:
-    """Checks all values that a net sends, stores, returns and looks at.
+    """Check all values in requests, objects, results and guards of a net.
 
     Args:
         net: The net as written.
@@ -66,7 +66,7 @@ def _complaint(net: Net, transition: Transition, location: Location, sentence: s
 
 
 def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object, ValueType]]:
-    """Yields where a transition has values, these, and the types that they must have."""
+    """Yield the places of a transition's values, the values, and the wanted types."""
     action = transition.action
     if isinstance(action, ServiceAction | GoalAction | TopicAction):
         yield _FIELDS[type(action)], dict(action.fields), message_type(f"{action.type}{_SENT[type(action)]}")
@@ -85,7 +85,7 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
 
 
 def _object_type(net: Net, name: str) -> ValueType:
-    """Returns the type of a data object.
+    """Return the type of a data object.
 
     Raises:
         PlacedError: No place says it.
@@ -101,7 +101,7 @@ def _object_type(net: Net, name: str) -> ValueType:
 
 
 class NetScope:
-    """What names mean in a net.
+    """Meanings of names in a net.
 
     Args:
         net: The net as written.
@@ -116,11 +116,11 @@ class NetScope:
         self._works: Mapping[str, frozenset[str]] | None = None
 
     def meanings(self, transition: Transition) -> Meanings:
-        """Returns what names mean at a transition."""
+        """Return the meanings of names at a transition."""
         return Meanings(partial(self._argument, transition), partial(self._answer, transition), self._data, self._types)
 
     def works_for(self, transition: Transition) -> frozenset[str]:
-        """Returns the commands and services for which a transition may work, by symbol and name."""
+        """Return the possible commands and services of a transition, by symbol and name."""
         if self._works is None:
             self._works = _works(self.net)
         return self._works[transition.name]
@@ -171,13 +171,13 @@ class NetScope:
 
 
 def answering(net: Net) -> list[str]:
-    """Returns the transitions whose actions are answered."""
+    """Return the transitions with answered actions."""
     kinds = (ServiceAction, GoalAction, AwaitAction, RequestAction)
     return [name for name, transition in net.transitions.items() if isinstance(transition.action, kinds)]
 
 
 def _works(net: Net) -> dict[str, frozenset[str]]:
-    """Returns for each transition the commands and services whose tokens may come to it along the arcs."""
+    """Return for each transition the commands and services whose tokens may reach it along the arcs."""
     resources = resource_places(net)
     carried: dict[str, set[str]] = {name: set() for name in net.places}
     for service in net.services.values():
@@ -213,7 +213,7 @@ Way = tuple[str, ...]
 
 
 def read_answers(net: Net) -> dict[str, tuple[Way, ...]]:
-    """Returns what is read of answers, by transition: the ways to fields, none of which is within another."""
+    """Return the needed fields of answers, by transition: ways to fields, none within another."""
     values: list[object] = []
     for transition in net.transitions.values():
         guard = transition.guard.name if transition.guard is not None else ""
@@ -223,7 +223,7 @@ def read_answers(net: Net) -> dict[str, tuple[Way, ...]]:
 
 
 def read_objects(value: object) -> dict[str, tuple[Way, ...]]:
-    """Returns what expressions of a value read of data objects, likewise, by object."""
+    """Return the needed fields of data objects in expressions of a value, by object."""
     return _ways(value, "data")
 
 

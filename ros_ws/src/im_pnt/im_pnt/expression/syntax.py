@@ -1,4 +1,4 @@
-"""What stands in ``${...}``: numbers, texts, names of values, operators and a few functions; read to a tree.
+"""Syntax of ``${...}``: numbers, texts, names of values, operators and a few functions; parsed to a tree.
 
 There are no loops and no calls of foreign code, and texts and nesting are bounded: whatever is read comes to an end.
 From weak to strong: ``or``, ``and``, ``not``, comparisons and ``in``, ``mod`` (the remainder of the whole sum, as in
@@ -91,7 +91,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """A list that is written out."""
+    """Written list."""
 
     elements: tuple["Node", ...]
 
@@ -101,7 +101,7 @@ Node = Literal | Name | Field | Item | Unary | Binary | Call | Listing
 
 @lru_cache(maxsize=4096)
 def parse(text: str, parameters: tuple[str, ...] | None = None) -> Node:
-    """Reads an expression.
+    """Parse an expression.
 
     Args:
         text: The expression.
@@ -116,7 +116,7 @@ def parse(text: str, parameters: tuple[str, ...] | None = None) -> Node:
 
 
 def shown(node: Node) -> str:
-    """Returns a tree as an author would write it."""
+    """Return a tree as an author would write it."""
     match node:
         case Literal(value):
             if isinstance(value, bool | str):

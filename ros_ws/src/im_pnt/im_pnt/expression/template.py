@@ -1,4 +1,4 @@
-"""Values of a net file with expressions in them: ``${...}`` alone keeps the type of its value, in a text it is text."""
+"""Values of a net file with expressions: ``${...}`` alone keeps the type of the value, in a text it is text."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -16,7 +16,7 @@ OPENS = "${"
 
 
 class PlacedError(ExpressionError):
-    """What is wrong with a value, and where.
+    """Fault of a value, and the place.
 
     Args:
         location: Where, below the value that was looked at.
@@ -30,7 +30,7 @@ class PlacedError(ExpressionError):
 
 @lru_cache(maxsize=4096)
 def pieces(text: str) -> tuple[str | Node, ...]:
-    """Returns the parts of a text: expressions, and what stands between them.
+    """Return the parts of a text: expressions, and the text between them.
 
     Raises:
         ExpressionError: An expression is not closed, or is none.
@@ -61,7 +61,7 @@ def has_expressions(value: object) -> bool:
 
 
 def nodes(value: object) -> Iterator[Node]:
-    """Yields the expressions in a value.
+    """Yield the expressions in a value.
 
     Raises:
         ExpressionError: One cannot be read.
@@ -77,7 +77,7 @@ def nodes(value: object) -> Iterator[Node]:
 
 
 def references(node: Node) -> Iterator[tuple[str, ...]]:
-    """Yields the names in an expression: root, and the names behind it as far as they are known; no indices."""
+    """Yield the names in an expression: root, and the known names behind it; no indices."""
     match node:
         case Field() | Item():
             path: list[str] = []
@@ -103,7 +103,7 @@ def references(node: Node) -> Iterator[tuple[str, ...]]:
 
 
 def filled(value: object, lookup: Lookup) -> object:
-    """Returns a value with its expressions replaced by their values.
+    """Return a value with the expressions evaluated.
 
     Raises:
         ExpressionError: One has no value.
@@ -119,7 +119,7 @@ def filled(value: object, lookup: Lookup) -> object:
 
 
 def check_value(value: object, wanted: ValueType, meanings: Meanings, location: Location = ()) -> None:
-    """Checks a value against the type that is wanted, field by field.
+    """Check a value against a wanted type, field by field.
 
     Args:
         value: Plain data, with expressions in it.

@@ -1,4 +1,4 @@
-"""Types of values: those of JSON, and those of messages, whose fields somebody else looks up."""
+"""Types of values: those of JSON, and those of messages, with the fields from a lookup."""
 
 import enum
 import re
@@ -10,7 +10,7 @@ from im_pnt.model.arguments import Argument, ArgumentType
 
 
 class ValueKind(enum.Enum):
-    """What a value is."""
+    """Kind of a value."""
 
     ANY = "anything"
     BOOLEAN = "true or false"
@@ -64,18 +64,18 @@ class ValueType:
         return str(self.kind.value)
 
     def of(self) -> str:
-        """Says what the elements of a list are."""
+        """Return the type of a list's elements."""
         if self.element is None or self.element.kind is ValueKind.ANY:
             return "values"
         return _MANY.get(self.element.kind, str(self.element))
 
     @property
     def is_number(self) -> bool:
-        """Whether it is a number, or may be one."""
+        """Whether the value is a number, or may be one."""
         return self.kind in (ValueKind.NUMBER, ValueKind.INTEGER, ValueKind.ANY)
 
     def fits(self, wanted: "ValueType") -> bool:
-        """Whether a value of this type may stand where another is wanted, as far as types tell."""
+        """Return whether a value of this type may stand for another, as far as types tell."""
         if ValueKind.ANY in (self.kind, wanted.kind):
             return True
         if wanted.kind is ValueKind.NUMBER:
@@ -98,12 +98,12 @@ TEXT = ValueType(ValueKind.TEXT)
 
 
 def list_of(element: ValueType, length: int | None = None, longest: int | None = None) -> ValueType:
-    """Returns the type of lists."""
+    """Return the type of lists."""
     return ValueType(ValueKind.LIST, element, length=length, longest=longest)
 
 
 def message_type(name: str) -> ValueType:
-    """Returns the type of messages of a type, ``package/msg/Type``."""
+    """Return the type of messages of a type, ``package/msg/Type``."""
     return ValueType(ValueKind.MESSAGE, message=name)
 
 
@@ -111,7 +111,7 @@ class MessageTypes(Protocol):
     """Looks up the fields of messages."""
 
     def fields(self, message: str) -> Mapping[str, ValueType] | None:
-        """Returns the types of the fields of a message.
+        """Return the types of the fields of a message.
 
         Args:
             message: ``package/msg/Type``, or ``package/srv/Type_Request``, ``package/action/Type_Result`` and so on.
@@ -125,16 +125,16 @@ class MessageTypes(Protocol):
 
 
 class NoTypes:
-    """Knows no types of messages: whatever a field is, it may be that."""
+    """Lookup without any type of a message: every field may have any type."""
 
     def fields(self, message: str) -> Mapping[str, ValueType] | None:
-        """Knows none."""
+        """Return no types."""
         del message
         return None
 
 
 def argument_type(argument: Argument) -> ValueType:
-    """Returns the type of an argument's values."""
+    """Return the type of an argument's values."""
     one = {
         ArgumentType.BOOLEAN: BOOLEAN,
         ArgumentType.INTEGER: INTEGER,

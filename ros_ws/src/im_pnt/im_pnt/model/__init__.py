@@ -1,1 +1,1 @@
-"""Petri nets as their authors wrote them, and what execution and analysis count with."""
+"""Petri nets in the written form, and in the form of execution and analysis."""

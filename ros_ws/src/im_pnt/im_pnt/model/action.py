@@ -1,4 +1,4 @@
-"""What a transition does between taking its tokens and giving new ones."""
+"""Actions of transitions, between the input and output tokens."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,12 +12,12 @@ class FunctionAction:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls."""
+        """Names of the called functions."""
         return (self.function,)
 
     @property
     def is_imported(self) -> bool:
-        """Whether it is one of a user's module, ``module:function``."""
+        """Whether the function is one of a user's module, ``module:function``."""
         return ":" in self.function
 
     def __str__(self) -> str:
@@ -42,13 +42,13 @@ class _Message:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls."""
+        """Names of the called functions."""
         return _named(self.build)
 
 
 @dataclass(frozen=True, slots=True)
 class _Call(_Message):
-    """A message that is answered.
+    """Message with an answer.
 
     Attributes:
         handle: Registered function that reads the answer.
@@ -60,7 +60,7 @@ class _Call(_Message):
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls."""
+        """Names of the called functions."""
         return _named(self.build, self.handle)
 
 
@@ -82,7 +82,7 @@ class GoalAction(_Call):
 
 @dataclass(frozen=True, slots=True)
 class TopicAction(_Message):
-    """Publishes one message; confirms when it has been handed to the middleware."""
+    """Publication of one message; confirmed once the middleware has taken it."""
 
     def __str__(self) -> str:
         return f"topic {self.name}"
@@ -108,7 +108,7 @@ class AwaitAction:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls."""
+        """Names of the called functions."""
         return _named(self.handle)
 
     def __str__(self) -> str:
@@ -117,7 +117,7 @@ class AwaitAction:
 
 @dataclass(frozen=True, slots=True)
 class RequestAction:
-    """Asks another net for one of its services through its coordination structure (paper, Figure 11)."""
+    """Request for a service of another net through the coordination structure (paper, Figure 11)."""
 
     net: str
     service: str
@@ -126,7 +126,7 @@ class RequestAction:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls."""
+        """Names of the called functions."""
         return _named(self.build)
 
     def __str__(self) -> str:
@@ -139,7 +139,7 @@ class ValuesAction:
 
     @property
     def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it calls: none."""
+        """Names of the called functions: none."""
         return ()
 
     def __str__(self) -> str:

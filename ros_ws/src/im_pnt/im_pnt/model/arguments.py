@@ -1,4 +1,4 @@
-"""What a command or a service takes: names with types, units, limits and defaults, checked in one way for all."""
+"""Arguments of a command or a service: names with types, units, limits and defaults, with one check for all."""
 
 import enum
 import math
@@ -10,7 +10,7 @@ from im_core.yamltext import quoted_text
 
 
 class ArgumentType(enum.StrEnum):
-    """What a value may be; those in the plural are lists."""
+    """Type of a value; plurals are lists."""
 
     BOOLEAN = "boolean"
     INTEGER = "integer"
@@ -24,17 +24,17 @@ class ArgumentType(enum.StrEnum):
 
     @property
     def is_list(self) -> bool:
-        """Whether its values are lists."""
+        """Whether the values are lists."""
         return self is not ArgumentType.OBJECT and self.endswith("s")
 
     @property
     def element(self) -> "ArgumentType":
-        """The type of an element of a list; the type itself where it is none."""
+        """Type of an element of a list; the type itself without a list."""
         return ArgumentType(self[:-1]) if self.is_list else self
 
     @property
     def is_numeric(self) -> bool:
-        """Whether its values, or their elements, are numbers."""
+        """Whether the values, or the elements, are numbers."""
         return self.element in (ArgumentType.INTEGER, ArgumentType.NUMBER)
 
 
@@ -77,7 +77,7 @@ class Argument:
     help: str = ""
 
     def allowed(self) -> str:
-        """Says what is allowed: ``a number from 0 to 0.1 [m]``."""
+        """Return the allowed values in words: ``a number from 0 to 0.1 [m]``."""
         one, many = _NOUNS[self.type.element]
         words = one
         if self.length is not None and not self.type.is_list:
@@ -96,7 +96,7 @@ class Argument:
         return f"{words} [{self.unit}]" if self.unit else words
 
     def check(self, value: object) -> object:
-        """Checks a value; a tuple becomes a list.
+        """Check a value; a tuple becomes a list.
 
         Raises:
             ArgumentError: It is not what is allowed; says what it is, and what is allowed.
@@ -116,12 +116,12 @@ class Argument:
         return list(value)
 
     def limits(self) -> dict[str, float]:
-        """Returns its minimum and maximum, where it has them, by these names."""
+        """Return the minimum and maximum, where declared, by these names."""
         limits = {"minimum": self.minimum, "maximum": self.maximum}
         return {key: limit for key, limit in limits.items() if limit is not None}
 
     def json_schema(self) -> dict[str, object]:
-        """Returns the JSON schema of its value, with ``unit`` beside the keys of the standard."""
+        """Return the JSON schema of the value, with ``unit`` beside the keys of the standard."""
         one: dict[str, object] = {} if self.type is ArgumentType.OBJECT else {"type": self.type.element.value}
         one |= self.limits()
         if self.choices:
@@ -182,7 +182,7 @@ class ArgumentSchema:
     arguments: Mapping[str, Argument] = field(default_factory=dict)
 
     def check(self, given: Mapping[str, object], what: str) -> dict[str, object]:
-        """Checks arguments, and fills in those that are not given.
+        """Check arguments, and fill in the missing ones.
 
         Args:
             given: Values by name.
@@ -211,7 +211,7 @@ class ArgumentSchema:
         return values
 
     def require_known(self, names: Iterable[str], what: str) -> None:
-        """Checks that there are arguments of some names.
+        """Check whether arguments of some names are declared.
 
         Raises:
             ArgumentError: There is none of one of them.
@@ -222,7 +222,7 @@ class ArgumentSchema:
                 raise ArgumentError(f"{what} has no argument {quoted_text(name)}{hint}", argument=name)
 
     def require_given(self, names: Container[str], what: str) -> None:
-        """Checks that all arguments are given that have no default.
+        """Check whether all arguments without a default are given.
 
         Raises:
             ArgumentError: One is not.
@@ -234,7 +234,7 @@ class ArgumentSchema:
                 raise ArgumentError(text, argument=name, allowed=argument.allowed())
 
     def json_schema(self) -> dict[str, object]:
-        """Returns the JSON schema of the arguments as one object."""
+        """Return the JSON schema of the arguments as one object."""
         return {
             "type": "object",
             "properties": {name: argument.json_schema() for name, argument in self.arguments.items()},
@@ -244,7 +244,7 @@ class ArgumentSchema:
 
 
 class Busy(enum.StrEnum):
-    """What becomes of a command that needs what others hold."""
+    """Rule for a command in need of occupied resources."""
 
     WAIT = "wait"
     REFUSE = "refuse"
@@ -252,7 +252,7 @@ class Busy(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommandDeclaration:
-    """What a net says of a command: of a symbol that begins one.
+    """Declaration of a command in a net: of a symbol that begins one.
 
     Attributes:
         description: One line for people.

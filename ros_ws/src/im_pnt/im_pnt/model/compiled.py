@@ -1,4 +1,4 @@
-"""A net as arrays: what execution and analysis count with."""
+"""Net as arrays, for execution and analysis."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ class Compiled:
     inhibited: tuple[IndexedArcs, ...]
 
     def marking_vector(self, marking: Marking) -> tuple[int, ...]:
-        """Returns the tokens of each place in order.
+        """Return the tokens of each place in order.
 
         Raises:
             NetError: The marking names a place that the net does not have.
@@ -52,17 +52,17 @@ class Compiled:
         return tuple(marking.get(name, 0) for name in self.places)
 
     def marking(self, vector: tuple[int, ...]) -> dict[str, int]:
-        """Returns the marked places by name."""
+        """Return the marked places by name."""
         return {name: count for name, count in zip(self.places, vector, strict=True) if count}
 
     def enabled(self, vector: Sequence[int], transition: int) -> bool:
-        """Whether a transition may fire by its arcs alone; guards and symbols are not looked at."""
+        """Return whether a transition may fire by the arcs alone, without guards and symbols."""
         return all(vector[place] >= weight for place, weight in self.inputs[transition]) and all(
             vector[place] < weight for place, weight in self.inhibitors[transition]
         )
 
     def fire(self, vector: tuple[int, ...], transition: int) -> tuple[int, ...]:
-        """Returns the marking after an enabled transition has fired."""
+        """Return the marking after the firing of an enabled transition."""
         after = list(vector)
         for place, change in self.change[transition]:
             after[place] += change
@@ -74,7 +74,7 @@ class Compiled:
 
 
 def compile_net(net: Net) -> Compiled:
-    """Numbers the places and transitions of a net.
+    """Number the places and transitions of a net.
 
     Args:
         net: The net; expand it first where the phases matter.

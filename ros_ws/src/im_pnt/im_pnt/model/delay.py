@@ -1,4 +1,4 @@
-"""Times of transitions: constant, exponential, or any distribution that the standard library can sample.
+"""Times of transitions: constant, exponential, or any distribution of the standard library.
 
 Analysis of timed nets is exact for exponential times (generalised stochastic Petri nets, Ajmone Marsan et al., 1984);
 simulation takes them all.
@@ -94,11 +94,11 @@ class Delay:
         return _KINDS[self.kind].mean(*self.values)
 
     def sample(self, dice: Random) -> float:
-        """Draws a time [s]."""
+        """Draw a time [s]."""
         return _KINDS[self.kind].sample(dice, *self.values)
 
     def parameters(self) -> dict[str, float]:
-        """Returns the parameters by name."""
+        """Return the parameters by name."""
         return dict(zip(_KINDS[self.kind].parameters, self.values, strict=True))
 
     def __str__(self) -> str:
@@ -106,7 +106,7 @@ class Delay:
 
 
 def exponential(rate: float) -> Delay:
-    """Makes an exponential distribution.
+    """Make an exponential distribution.
 
     Args:
         rate: Its rate [1/s].

@@ -24,32 +24,32 @@ OUTPUT_SEMAPHORE = "SO"
 
 
 def active_place(transition: str) -> str:
-    """Returns the name of the place that is marked while the action of a transition runs."""
+    """Return the name of the place marked during the action of a transition."""
     return f"{transition}.active"
 
 
 def cancelling_place(transition: str) -> str:
-    """Returns the name of the place that is marked while a cancelled action winds down."""
+    """Return the name of the place marked during the winding down of a cancelled action."""
     return f"{transition}.cancelling"
 
 
 def doubt_place(transition: str) -> str:
-    """Returns the name of the place that is marked while nobody knows what became of an action."""
+    """Return the name of the place marked during the doubt about an action."""
     return f"{transition}.in_doubt"
 
 
 def input_place(service: str) -> str:
-    """Returns the name of place I of a service."""
+    """Return the name of place I of a service."""
     return f"I.{service}"
 
 
 def output_place(service: str) -> str:
-    """Returns the name of place O of a service."""
+    """Return the name of place O of a service."""
     return f"O.{service}"
 
 
 def expand(net: Net) -> Net:
-    """Makes the phases of timed transitions and the coordination structures explicit.
+    """Make the phases of timed transitions and the coordination structures explicit.
 
     Args:
         net: A net as written.
@@ -94,7 +94,7 @@ def expand(net: Net) -> Net:
 
 
 def failure_arcs(net: Net, transition: Transition) -> Arcs:
-    """Returns where the tokens of a failed action go.
+    """Return the targets of a failed action's tokens.
 
     Raises:
         NetError: Nothing says where.

@@ -15,7 +15,7 @@ ACTION = "count"
 
 
 def ring(places: int, action: bool = False) -> Net:
-    """One token that goes round.
+    """Make a ring: one token goes round.
 
     Args:
         places: Number of places and of transitions.
@@ -27,7 +27,7 @@ def ring(places: int, action: bool = False) -> Net:
 
 
 def philosophers(places: int, action: bool = False) -> Net:
-    """Dining philosophers who take both forks at once and put both back: think, eat and fork, take and put.
+    """Make dining philosophers with both forks at once: think, eat and fork, take and put.
 
     Args:
         places: Number of places, rounded up to three for each philosopher.
@@ -45,7 +45,7 @@ def philosophers(places: int, action: bool = False) -> Net:
 
 
 def catching_philosophers(seats: int) -> Net:
-    """Philosophers who take the forks one after the other, in either order: 3^n markings, two of them deadlocks.
+    """Make philosophers with one fork after the other, in either order: 3^n markings, two of them deadlocks.
 
     The model "Philosophers" of the Model Checking Contest.
 
@@ -67,7 +67,7 @@ def catching_philosophers(seats: int) -> Net:
 
 
 def kanban(cards: int) -> Net:
-    """Four cells that make, inspect and repair parts, with as many cards each.
+    """Make four cells for making, inspecting and repairing parts, with as many cards each.
 
     Ciardo and Tilgner, "On the use of Kronecker operators for the solution of generalized stochastic Petri nets"
     (ICASE report 96-35, 1996).
@@ -99,7 +99,7 @@ FAMILIES: Mapping[str, Callable[[int], Net]] = {
 
 
 def by_name(name: str) -> Net:
-    """Returns a net of a family, e.g. ``kanban:5``.
+    """Return a net of a family, e.g. ``kanban:5``.
 
     Raises:
         NetError: There is no such family, or the size is no number, too small or too large.
@@ -123,7 +123,7 @@ def _net(
     arcs: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]],
     action: bool = False,
 ) -> Net:
-    """Makes a net; every marking counts as rest, so that only a marking in which nothing can fire is stuck."""
+    """Make a net; every marking counts as rest, so only a marking without a possible firing is stuck."""
     function = FunctionAction(ACTION) if action else None
     transitions = {
         transition: Transition(

@@ -1,4 +1,4 @@
-"""Which nets are verified together: those that talk to each other, over requests or remote places.
+"""Groups of nets for a common verification: communicating nets, over requests or remote places.
 
 They may do so by any number of others in between. What nets of different groups do cannot matter to each other.
 """
@@ -10,7 +10,7 @@ from im_pnt.model.net import Net
 
 
 def groups(nets: Sequence[Net]) -> list[list[Net]]:
-    """Divides nets into groups that do not talk to each other, in the order in which they are given.
+    """Divide nets into groups without communication between them, in the given order.
 
     Args:
         nets: Nets of different names.
@@ -27,7 +27,7 @@ def groups(nets: Sequence[Net]) -> list[list[Net]]:
 
 
 def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
-    """Returns a net with those of others that it talks to, directly or through others; it takes the place of its name.
+    """Return a net with the direct and indirect partners among others; it takes the place of the name.
 
     Args:
         net: The net; the first of its group.
@@ -37,7 +37,7 @@ def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
 
 
 def nets_by_name(nets: Iterable[Net]) -> dict[str, Net]:
-    """Returns nets by their names.
+    """Return nets by the names.
 
     Raises:
         NetError: Two have the same.
@@ -52,7 +52,7 @@ def nets_by_name(nets: Iterable[Net]) -> dict[str, Net]:
 
 
 def require_one_reader(nets: Iterable[Net]) -> None:
-    """Makes sure that each symbol begins a command of one net only: else nobody could tell which does it.
+    """Check whether each symbol begins a command of one net only: otherwise the executing net is undefined.
 
     Raises:
         NetError: Two nets of a node read one.

@@ -1,4 +1,4 @@
-"""Places, transitions and what hangs on them: the net as its author wrote it.
+"""Places, transitions and the attributes: the net as the author wrote it.
 
 The terms are those of Murata, "Petri Nets: Properties, Analysis and Applications" (Proc. IEEE 77(4), 1989), and of the
 paper, section 6: tapes, enabling functions, actions, remote places, coordination structures.
@@ -24,7 +24,7 @@ Marking = Mapping[str, int]
 
 
 class Mark(NamedTuple):
-    """Where a value stands in a file; ``note`` is what a complaint says besides."""
+    """Place of a value in a file; ``note`` is added to complaints."""
 
     file: str
     line: int
@@ -43,7 +43,7 @@ class RemotePlace(NamedTuple):
 
 
 class ObjectScope(enum.StrEnum):
-    """Whose a data object is: each command's own, or the machine's."""
+    """Scope of a data object: each command's own, or the machine's."""
 
     COMMAND = "command"
     GLOBAL = "global"
@@ -79,7 +79,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """An enabling function by its registered name, or an expression ``${...}``; or the negation of either."""
+    """Enabling function by the registered name, or an expression ``${...}``; or the negation of either."""
 
     name: str
     negated: bool = False
@@ -90,7 +90,7 @@ class Guard:
 
 @dataclass(frozen=True, slots=True)
 class Strategy:
-    """Probability of success that is learned from outcomes, as Beta counts (paper, section 2).
+    """Learned probability of success, as Beta counts (paper, section 2).
 
     Attributes:
         successes: Successes counted before the first run (alpha).
@@ -104,14 +104,14 @@ class Strategy:
 
 
 class ReadFor(enum.StrEnum):
-    """For whom a symbol is read."""
+    """Owner of a symbol's reading."""
 
     COMMAND = "command"
     NOBODY = "nobody"
 
 
 class Role(enum.Enum):
-    """What a transition of an expanded net is."""
+    """Role of a transition of an expanded net."""
 
     PLAIN = "plain"
     START = "start"
@@ -196,7 +196,7 @@ class Transition:
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """A service that a net offers through a coordination structure.
+    """Service of a net through a coordination structure.
 
     Attributes:
         name: Name by which callers ask for it.
@@ -218,7 +218,7 @@ class Service:
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """What a net takes for granted of other nets, at one of its places or services; one of the two is said.
+    """Assumption of a net on other nets, at a place or a service, one of both.
 
     Attributes:
         at_most: Most tokens that are under way to the place or in it, or most requests of the service, at once.
@@ -231,7 +231,7 @@ class Assumption:
 
 @dataclass(frozen=True, slots=True)
 class Net:
-    """A net; as written, or as :func:`im_pnt.model.expand.expand` made it.
+    """Net; as written, or expanded by :func:`im_pnt.model.expand.expand`.
 
     Attributes:
         name: Name by which other nets refer to it.
@@ -260,40 +260,40 @@ class Net:
     at_once: int = 1
 
     def initial_marking(self) -> dict[str, int]:
-        """Returns the tokens of the marked places."""
+        """Return the tokens of the marked places."""
         return {place.name: place.tokens for place in self.places.values() if place.tokens}
 
     def rest_places(self) -> frozenset[str]:
-        """Returns the places that may hold tokens while the net is at rest."""
+        """Return the places with tokens allowed at rest."""
         if self.rest is not None:
             return frozenset(self.rest)
         return frozenset(place.name for place in self.places.values() if place.tokens)
 
     def symbols(self) -> tuple[str, ...]:
-        """Returns the symbols that the net reads from its input tape, in order of first use."""
+        """Return the input symbols of the net, in order of first use."""
         return tuple(dict.fromkeys(t.symbol for t in self.transitions.values() if t.symbol))
 
     def begun_symbols(self) -> tuple[str, ...]:
-        """Returns those of them that begin something; others are words to commands under way, or of nobody."""
+        """Return the input symbols that begin a command; others are words to open commands, or free."""
         transitions = self.transitions.values()
         return tuple(dict.fromkeys(t.symbol for t in transitions if t.symbol and t.symbol_of is None))
 
     def arguments_of(self, asked: str) -> ArgumentSchema | None:
-        """Returns what a service, or a symbol that begins a command, takes; None: anything."""
+        """Return the arguments of a service, or of a command's symbol; None: anything."""
         if asked in self.services:
             return self.services[asked].arguments
         return self.commands[asked].arguments if asked in self.commands else None
 
     def guards(self) -> frozenset[str]:
-        """Returns the names of the enabling functions used."""
+        """Return the names of the enabling functions used."""
         return frozenset(t.guard.name for t in self.transitions.values() if t.guard)
 
     def functions(self) -> frozenset[str]:
-        """Returns the names of the registered functions that its actions call, builders and handlers included."""
+        """Return the names of the registered functions of actions, builders and handlers included."""
         return frozenset(name for t in self.transitions.values() if t.action for name in t.action.functions)
 
     def partners(self) -> frozenset[str]:
-        """Returns the other nets it sends tokens or requests to."""
+        """Return the receivers of the net's tokens and requests."""
         nets = {remote.net for t in self.transitions.values() for remote in t.remote_outputs}
         nets.update(t.action.net for t in self.transitions.values() if isinstance(t.action, RequestAction))
         return frozenset(nets)

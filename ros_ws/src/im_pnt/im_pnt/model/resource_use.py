@@ -1,4 +1,4 @@
-"""What of the cell somebody acts on, as far as a net file tells: names of resources, with arguments in them.
+"""Use of resources of the cell, as a net file declares it: names of resources, with arguments in them.
 
 Where it is not told which of several values an argument has, it may have each of them.
 """
@@ -21,22 +21,22 @@ _MOST = 1000
 
 
 def named_arguments(texts: Sequence[str]) -> list[str]:
-    """Returns the arguments that stand in texts, each once."""
+    """Return the arguments in texts, each once."""
     return list(dict.fromkeys(name for text in texts for name in _REFERENCE.findall(text)))
 
 
 def shown(value: object) -> str:
-    """Returns a value as it stands within the name of a resource."""
+    """Return a value in the form within the name of a resource."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def filled(text: str, choice: Mapping[str, object]) -> str:
-    """Returns a text with the values of its arguments."""
+    """Return a text with the values of the arguments."""
     return _REFERENCE.sub(lambda match: shown(choice[match[1]]), text)
 
 
 def possible(value: object, values: Values) -> frozenset[str] | None:
-    """Returns the texts that a value, or each of its elements, may stand for.
+    """Return the possible texts of a value, or of each of the elements.
 
     Args:
         value: A value of a net file, perhaps with ``${arguments.NAME}`` in it.
@@ -64,7 +64,7 @@ def possible(value: object, values: Values) -> frozenset[str] | None:
 
 
 def values_of(schema: ArgumentSchema | None) -> dict[str, frozenset[str] | None]:
-    """Returns what arguments may be, by what is declared of them."""
+    """Return the possible values of arguments, by the declarations."""
     if schema is None:
         return {}
     values: dict[str, frozenset[str] | None] = {}
@@ -76,7 +76,7 @@ def values_of(schema: ArgumentSchema | None) -> dict[str, frozenset[str] | None]
 
 
 def choices_of(schema: ArgumentSchema | None, names: Sequence[str]) -> Iterator[dict[str, object]]:
-    """Yields the choices of some arguments, each with each; of one that has no choices nothing is said.
+    """Yield the combinations of the choices of some arguments; an argument without choices is left out.
 
     Args:
         schema: What is declared of the arguments.
@@ -89,7 +89,7 @@ def choices_of(schema: ArgumentSchema | None, names: Sequence[str]) -> Iterator[
 
 
 def speaks_of_resources(net: Net) -> bool:
-    """Whether a net says of anything what it needs or acts on."""
+    """Return whether a net declares a need or use of any resource."""
     needs = (command.needs for command in net.commands.values())
     served = (service.acts_on for service in net.services.values())
     done = (transition.acts_on for transition in net.transitions.values())
@@ -97,7 +97,7 @@ def speaks_of_resources(net: Net) -> bool:
 
 
 def untold(net: Net) -> Iterator[str]:
-    """Yields, for each transition that tells something to the world and not what that acts on, one sentence.
+    """Yield one sentence for each transition with an outside effect and no declared use of resources.
 
     A function, or a request to another net, is looked at from where it is written; who calls a service, sends a goal
     or publishes a message is the only one to know what that moves.
@@ -115,7 +115,7 @@ def untold(net: Net) -> Iterator[str]:
 
 
 def require_told(net: Net) -> None:
-    """Checks that a net says what it acts on.
+    """Check whether a net declares the use of resources.
 
     Raises:
         NetError: A transition does not; the first that does not is named.

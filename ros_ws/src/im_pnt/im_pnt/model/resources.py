@@ -1,4 +1,4 @@
-"""Which places hold what belongs to nobody: tools, slots and semaphores, which commands take and give back.
+"""Places of resources: tools, slots and semaphores, taken and given back by commands.
 
 A place of a resource is declared (``resource: true``) or derived. Derived is one that is marked initially, whose tokens
 a P-invariant brings back (a weighting of places that no firing changes, with no other place in it that is marked
@@ -21,7 +21,7 @@ _Row = tuple[dict[int, int], frozenset[str]]
 
 
 def resource_places(net: Net) -> frozenset[str]:
-    """Returns the places of resources.
+    """Return the places of resources.
 
     Args:
         net: A net as written.
@@ -49,7 +49,7 @@ def resource_places(net: Net) -> frozenset[str]:
 
 
 def _outcomes(net: Net) -> Iterator[Mapping[str, int]]:
-    """Yields how each way to fire, and whatever comes from outside, changes the tokens of the places."""
+    """Yield the change of the tokens of places by each way to fire, and by each outside event."""
     for transition in net.transitions.values():
         for outputs in _ends(net, transition):
             change = Counter(outputs)
@@ -76,7 +76,7 @@ def _ends(net: Net, transition: Transition) -> Iterator[Mapping[str, int]]:
 
 
 def _comes_back(name: str, outcomes: Sequence[Mapping[str, int]], others: frozenset[str]) -> bool:
-    """Whether a P-invariant has a place in it, and none of some others (Farkas' algorithm on what is connected)."""
+    """Return whether a P-invariant has one place, and none of some others (Farkas' algorithm on the connected part)."""
     touching: dict[str, list[int]] = {}
     for number, change in enumerate(outcomes):
         for place in change.keys() - others:
@@ -111,7 +111,7 @@ def _joined(gain: _Row, loss: _Row, column: int) -> _Row:
 
 
 def _minimal(rows: list[_Row]) -> list[_Row]:
-    """Drops weightings whose places are more than those of another."""
+    """Drop weightings with a superset of another's places."""
     found: list[_Row] = []
     for row in sorted(rows, key=lambda row: len(row[1])):
         if not any(support <= row[1] for _, support in found):

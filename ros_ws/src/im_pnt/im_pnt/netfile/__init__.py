@@ -1,4 +1,4 @@
-"""Net files: YAML or PNML to nets, with complaints that name file, line, column and the nearest right name.
+"""Net files: YAML or PNML to nets, with file, line, column and the nearest right name in complaints.
 
 A file is read to values with positions (:mod:`im_core.yamltext`), put together (:mod:`~im_pnt.netfile.templates`),
 checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`~im_pnt.netfile.reader`;
@@ -21,7 +21,7 @@ PNML_SUFFIXES = (".pnml", ".xml")
 
 
 def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
-    """Reads a net file.
+    """Read a net file.
 
     Args:
         path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML. ``FILE#net`` is one of several.
@@ -43,7 +43,7 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
 
 
 def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:
-    """Reads a net from YAML text, as :func:`load_net` does from a file.
+    """Read a net from YAML text, as :func:`load_net` does from a file.
 
     Args:
         text: The text.

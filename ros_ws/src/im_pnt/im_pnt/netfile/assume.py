@@ -1,4 +1,4 @@
-"""What an assumption about other nets must be, so that it says something."""
+"""Check of assumptions on other nets: each must have a meaning."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ from im_pnt.netfile.schema.names import shown_name
 
 
 def faults(net: Net) -> Iterator[tuple[Location, str]]:
-    """Yields what is wrong with the assumptions of a net, and where in its file.
+    """Yield the faults of the assumptions of a net, and the places in the file.
 
     Args:
         net: The net.
@@ -44,7 +44,7 @@ def _faults(net: Net, name: str, assumption: Assumption) -> Iterator[tuple[str, 
 
 
 def _marked_by(net: Net, name: str) -> Iterator[str]:
-    """What in a net itself marks one of its places."""
+    """Return the marking transition of a place within a net itself."""
     for transition in net.transitions.values():
         if name in {**transition.outputs, **transition.on_failure, **transition.on_doubt}:
             yield f"transition '{transition.name}'"

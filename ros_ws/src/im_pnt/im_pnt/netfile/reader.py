@@ -1,4 +1,4 @@
-"""What a file says as a :class:`~im_pnt.model.net.Net`: rules over several parts, and names that must exist."""
+"""Content of a file as a :class:`~im_pnt.model.net.Net`: rules over several parts, and existing names."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -50,7 +50,7 @@ MOST_WAYS = 256
 
 
 def read_net(root: Value, *, foreign: bool = False) -> Net:
-    """Reads a net.
+    """Read a net.
 
     Args:
         root: The file, without includes and templates.
@@ -65,7 +65,7 @@ def read_net(root: Value, *, foreign: bool = False) -> Net:
 
 
 class _Reader:
-    """Makes the net of a file whose parts are sound, and knows where each stands."""
+    """Reader of a file with sound parts, and with the place of each."""
 
     def __init__(self, root: Value, file: NetFile, *, foreign: bool) -> None:
         self._root, self._file, self._foreign = root, file, foreign
@@ -73,7 +73,7 @@ class _Reader:
         self._lines = {key.text: key.line for key in keys}
 
     def net(self) -> Net:
-        """Makes the net."""
+        """Make the net."""
         file = self._file
         for key in ("places", "transitions"):
             if key not in file.model_fields_set:
@@ -120,7 +120,7 @@ class _Reader:
         return net
 
     def _add_tries(self, places: dict[str, Place], transitions: dict[str, Transition]) -> None:
-        """Writes out the tries of transitions that have several, each behind its first one."""
+        """Write out the tries of transitions with several ones, each behind the first one."""
         written = dict(transitions)
         transitions.clear()
         for name, transition in written.items():
@@ -141,7 +141,7 @@ class _Reader:
         return name
 
     def _require_one_reading(self, transitions: Mapping[str, Transition]) -> None:
-        """Checks that all that read a symbol say the same of it."""
+        """Check whether all readers of a symbol agree on it."""
         first: dict[str, Transition] = {}
         for name, transition in transitions.items():
             if transition.symbol is not None:
@@ -152,7 +152,7 @@ class _Reader:
                     raise self._error(("transitions", name, "symbol"), sentence)
 
     def _require_arguments(self, places: Mapping[str, Place]) -> None:
-        """Checks that the arguments in the names of data objects are declared."""
+        """Check whether the arguments in the names of data objects are declared."""
         declared = [each.arguments for each in self._file.commands.values()]
         declared += [each.arguments for each in self._file.services.values() if each.arguments is not None]
         known = dict.fromkeys(name for arguments in declared for name in arguments)
@@ -262,7 +262,7 @@ class _Reader:
         )
 
     def _resets(self, location: Location, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Checks what a transition empties: places whose tokens are nobody's, and which have a bound."""
+        """Check the emptied places of a transition: free tokens, and a bound."""
         ways = 1
         for rank, name in enumerate(names):
             at: Location = (*location, rank)
@@ -283,7 +283,7 @@ class _Reader:
         return names
 
     def _arcs(self, location: Location, arcs: Mapping[str, int]) -> tuple[dict[str, int], dict[RemotePlace, int]]:
-        """Tells places here from those of other nets, whose names have a dot."""
+        """Tell places here from those of other nets, whose names have a dot."""
         local: dict[str, int] = {}
         remote: dict[RemotePlace, int] = {}
         for name, weight in arcs.items():
@@ -323,7 +323,7 @@ class _Reader:
         return f"there is no place '{shown_name(name)}'{nearest(name, self._file.places)}"
 
     def _require_names(self, net: Net) -> None:
-        """Sees to it that no name of another tool is one that expansion makes."""
+        """Check whether a name of another tool collides with a name of the expansion."""
         ours = net.services or any(place.on_invalid or place.remote for place in net.places.values())
         if not ours and not any(t.action or t.remote_outputs for t in net.transitions.values()):
             return
@@ -375,7 +375,7 @@ _VALUES = ("guard", "service", "goal", "topic", "await", "request", "result", "s
 
 
 def _marks(written: Value) -> dict[Location, Mark]:
-    """Returns where the values of a transition stand."""
+    """Return the places of the values of a transition."""
     marks: dict[Location, Mark] = {}
 
     def enter(location: Location, key: Value, value: Value) -> None:

@@ -1,4 +1,4 @@
-"""A net file put together: included files read, templates copied where they are used."""
+"""Assembly of a net file: included files read, templates copied in the places."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ _SECTIONS = (*_MAPPINGS, "rest")
 
 
 def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Value:
-    """Reads what a net file includes, and copies the templates that it uses.
+    """Read the included files of a net file, and copy the used templates.
 
     Args:
         root: The file as written.
@@ -57,7 +57,7 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
 
 @dataclass(frozen=True, slots=True)
 class _Template:
-    """A template and the file that it stands in."""
+    """Template and the file."""
 
     file: TemplateFile
     root: Value
@@ -77,7 +77,7 @@ class _Assembly:
         self._values = 0
 
     def add(self, root: Value, data: Mapping[str, object], chain: tuple[Path, ...]) -> None:
-        """Adds a file, those that it includes first."""
+        """Add a file, after the included ones."""
         fragment = checked(root, data, FragmentFile, FragmentFile.model_validate)
         for rank, name in enumerate(fragment.include):
             self._include(root, ("include", rank), name, chain)
@@ -94,7 +94,7 @@ class _Assembly:
         self._add_sections({key.text: value for key, value in root.pairs if key.text in _SECTIONS}, root, ())
 
     def copy(self) -> None:
-        """Makes the copies of templates; all of them are known now."""
+        """Make the copies of templates; all of them are known now."""
         for root, location, use in self._uses:
             if use.template not in self._templates:
                 sentence = f"there is no template {quoted_text(use.template)}{nearest(use.template, self._templates)}"
@@ -160,7 +160,7 @@ class _Assembly:
 
 
 def _copies(root: Value, location: Location, use: UseFile, template: _Template) -> Iterator[dict[str, Value]]:
-    """Makes the copies that an entry of ``use`` asks for: for each its sections."""
+    """Make the copies for an entry of ``use``: the sections of each."""
     name, parameters = use.template, dict.fromkeys(template.file.parameters)
     for key in use.given:
         if key not in parameters:
@@ -192,7 +192,7 @@ def _copies(root: Value, location: Location, use: UseFile, template: _Template) 
 
 
 def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
-    """Evaluates what a use gives: a whole expression to a number, one within a text to a text."""
+    """Evaluate a given value: a whole expression to a number, one within a text to a text."""
     if not isinstance(given, str) or "$(" not in given:
         return given
     whole = given.startswith("$(") and given.endswith(")") and given.count("$(") == 1
@@ -200,7 +200,7 @@ def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
 
 
 def substitute(text: str, values: Mapping[str, Parameter]) -> str:
-    """Replace every ``$(...)`` of a text by its value.
+    """Replace every ``$(...)`` of a text by the value.
 
     Raises:
         ExpressionError: One is not closed, or has no value.
@@ -238,7 +238,7 @@ def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
 
 
 def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
-    """Copies a value with its expressions replaced; as deep as the file nests."""
+    """Copy a value with the expressions evaluated; as deep as the file nests."""
     if value.kind is Kind.SCALAR:
         if "$(" not in value.text:
             return replace(value, note=note)
@@ -253,7 +253,7 @@ def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], no
 
 
 def _loops(path: Path) -> bool:
-    """Whether links lead back to themselves."""
+    """Return whether links lead back to themselves."""
     try:
         path.resolve(strict=True)
     except (OSError, RuntimeError):

@@ -1,4 +1,4 @@
-"""Text of net files, whatever the path leads to, and complaints that name file, line and column."""
+"""Text of net files at any path, and complaints with file, line and column."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ ResultT = TypeVar("ResultT")
 
 
 def read_text(path: Path) -> str:
-    """Reads a YAML file.
+    """Read a YAML file.
 
     Raises:
         NetFileError: No such file, not a file, too large, or not UTF-8.
@@ -33,7 +33,7 @@ def read_text(path: Path) -> str:
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """Reads a file.
+    """Read a file.
 
     Args:
         path: The file.
@@ -53,7 +53,7 @@ def _unread(error: files.FileError) -> NetFileError:
 
 
 def read_values(text: str, file: str) -> Value:
-    """Reads YAML text.
+    """Read YAML text.
 
     Raises:
         NetFileError: It is not YAML, or more than a net can need.
@@ -65,7 +65,7 @@ def read_values(text: str, file: str) -> Value:
 
 
 def read_data(root: Value) -> dict[str, object]:
-    """Returns a mapping of a file as the models of net files take it.
+    """Return a mapping of a file in the form of the models of net files.
 
     Raises:
         NetFileError: It is no mapping, or has a key twice, or one that is not a text.
@@ -80,13 +80,13 @@ def read_data(root: Value) -> dict[str, object]:
 
 
 def complaint(place: Value, sentence: str, location: Location = ()) -> NetFileError:
-    """Makes the error that names a place of a file."""
+    """Make the error for a place of a file."""
     where = f"{field_name(location)}: " if location else ""
     return NetFileError(place.file, place.line, f"{where}{sentence}{place.note}", place.column)
 
 
 def complaint_at(root: Value, location: Location, sentence: str, *, key: bool = False) -> NetFileError:
-    """Makes the error about what stands at a location.
+    """Make the error for the content of a location.
 
     Args:
         root: The file.
@@ -107,7 +107,7 @@ def checked(
     validate: Callable[[object], ResultT],
     location: Location = (),
 ) -> ResultT:
-    """Checks data of a file.
+    """Check data of a file.
 
     Args:
         root: The file.
@@ -127,7 +127,7 @@ def checked(
 
 
 def _told(root: Value, fault: Fault, base: Location) -> NetFileError:
-    """Says a fault in the sentences of net files."""
+    """Return a fault in the sentences of net files."""
     at, limits = (*base, *fault.location), fault.limits
     match fault.kind:
         case "missing":

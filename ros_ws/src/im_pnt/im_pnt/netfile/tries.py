@@ -1,4 +1,4 @@
-"""An action that is tried several times, as places and transitions that are verified like all others."""
+"""Several tries of an action, as places and transitions for the usual verification."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from im_pnt.model.net import Guard, Place, Transition
 
 
 def written_out(transition: Transition, tries: int, escalate: str | None) -> tuple[list[Place], list[Transition]]:
-    """Writes out the tries of a transition ``t``.
+    """Write out the tries of a transition ``t``.
 
     The first try fails to ``t_failed_1``, from where ``t_2`` takes the token, and so on; the last one fails to where
     ``t`` would. A command that was cancelled is not tried again: ``t_cancelled_1`` takes the token there at once.

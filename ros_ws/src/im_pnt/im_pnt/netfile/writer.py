@@ -25,7 +25,7 @@ _OTHERWISE = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", 
 
 
 def yaml_text(net: Net) -> str:
-    """Returns a net as the text of a YAML file.
+    """Return a net as the text of a YAML file.
 
     Raises:
         NetError: An expanded net.
@@ -34,7 +34,7 @@ def yaml_text(net: Net) -> str:
 
 
 def describe(net: Net) -> dict[str, object]:
-    """Returns a net as plain data under the keys of net files, in the order in which an author writes them.
+    """Return a net as plain data under the keys of net files, in the order of an author.
 
     Raises:
         NetError: An expanded net, which no file can hold.
@@ -62,7 +62,7 @@ def describe(net: Net) -> dict[str, object]:
 
 
 def place_data(place: Place) -> dict[str, object]:
-    """Returns what is written about a place."""
+    """Return the written form of a place."""
     data: dict[str, object] = {}
     if place.tokens:
         data["tokens"] = place.tokens
@@ -114,7 +114,7 @@ def _assumption_data(assumption: Assumption) -> dict[str, object]:
 
 
 def schema_data(schema: ArgumentSchema) -> dict[str, object]:
-    """Returns what is written about arguments."""
+    """Return the written form of an argument schema."""
     return {name: _argument_data(argument) for name, argument in schema.arguments.items()}
 
 
@@ -131,7 +131,7 @@ def _argument_data(argument: Argument) -> dict[str, object]:
 
 
 def transition_data(transition: Transition) -> dict[str, object]:
-    """Returns what is written about a transition."""
+    """Return the written form of a transition."""
     t, data = transition, dict[str, object]()
     if t.symbol is not None:
         data["symbol"] = _symbol_data(t)
@@ -173,7 +173,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
 
 
 def arcs_data(arcs: Arcs) -> list[str] | dict[str, int]:
-    """Returns arcs as a list where every weight is 1, else as a mapping."""
+    """Return arcs as a list where every weight is 1, else as a mapping."""
     return list(arcs) if all(weight == 1 for weight in arcs.values()) else dict(arcs)
 
 
@@ -240,7 +240,7 @@ def _place(name: str, data: Mapping[str, object]) -> str:
 
 
 def _flow(value: object) -> str:
-    """Writes a value in one line; texts that could be taken for something else in quotes."""
+    """Write a value in one line; ambiguous texts in quotes."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_flow(key)}: {_flow(entry)}" for key, entry in value.items()) + "}"
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""XML to elements that remember their line; without document types and entities, in bounded time and memory.
+"""XML to elements with the line; without document types and entities, in bounded time and memory.
 
 The labels of elements are read as the standard and as tools write them.
 """
@@ -40,22 +40,22 @@ class Element:
     text: str = ""
 
     def all(self, *tags: str) -> Iterator["Element"]:
-        """Iterates over the children of some names."""
+        """Iterate over the children of some names."""
         return (child for child in self.children if child.tag in tags)
 
     def first(self, tag: str) -> "Element | None":
-        """Returns the first child of a name."""
+        """Return the first child of a name."""
         return next(self.all(tag), None)
 
     def error(self, message: str) -> NetFileError:
-        """Makes the error that names this element, its file and line."""
+        """Make an error with this element, the file and line."""
         identity = f" '{self.attributes['id'][:60]}'" if "id" in self.attributes else ""
         place = self.place
         return NetFileError(place.file, place.line, f"{shortened(self.tag)}{identity}: {message}", place.column)
 
 
 def parse_xml(data: bytes, file: str) -> Element:
-    """Parses an XML document.
+    """Parse an XML document.
 
     Args:
         data: The document.
@@ -84,7 +84,7 @@ def parse_xml(data: bytes, file: str) -> Element:
 
 
 def label_text(element: Element, label: str) -> str | None:
-    """Returns the text of a label: of ``<text>``, of ``<value>``, of itself, or of an attribute; None without one."""
+    """Return the text of a label: of ``<text>``, of ``<value>``, of itself, or of an attribute; None without one."""
     child = element.first(label)
     if child is None:
         return element.attributes.get(label)
@@ -93,7 +93,7 @@ def label_text(element: Element, label: str) -> str | None:
 
 
 def label_integer(element: Element, label: str, default: int, minimum: int) -> int:
-    """Returns the whole number of a label.
+    """Return the whole number of a label.
 
     Raises:
         NetFileError: It is none, or too small or too large.
@@ -110,7 +110,7 @@ def label_integer(element: Element, label: str, default: int, minimum: int) -> i
 
 
 def check_children(element: Element, namespace: str, known: frozenset[str]) -> None:
-    """Sees to it that an element holds nothing that could change what the net means.
+    """Refuse children of an element with an unknown effect on the net.
 
     Raises:
         NetFileError: It does; names the element and what is allowed.

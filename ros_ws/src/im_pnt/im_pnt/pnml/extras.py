@@ -1,4 +1,4 @@
-"""What is ours in a PNML file: ``toolspecific`` with an element for each key of our net files, its value in JSON."""
+"""Own parts of a PNML file: ``toolspecific`` with an element for each key of our net files, the value in JSON."""
 
 import json
 import re
@@ -19,7 +19,7 @@ REMOTE = "remote_place"
 
 
 def read_extras(element: Element) -> dict[str, tuple[Element, Value]]:
-    """Returns what is ours at a net, place or transition, by key.
+    """Return the own parts of a net, place or transition, by key.
 
     Raises:
         NetFileError: Of a version that is not known, or not JSON.
@@ -41,7 +41,7 @@ def read_extras(element: Element) -> dict[str, tuple[Element, Value]]:
 
 
 def extras_text(data: Mapping[str, object], indent: str) -> str:
-    """Returns the ``toolspecific`` element that holds some keys; nothing where there are none."""
+    """Return the ``toolspecific`` element of some keys; nothing where there are none."""
     if not data:
         return ""
     lines = [f'{indent}<toolspecific tool="{TOOL}" version="{VERSION}" xmlns:im="{NAMESPACE}">\n']
@@ -50,13 +50,13 @@ def extras_text(data: Mapping[str, object], indent: str) -> str:
 
 
 def escape(text: str) -> str:
-    """Returns a text as the content of an XML element; characters that XML cannot hold become U+FFFD."""
+    """Return a text as the content of an XML element; characters without an XML form become U+FFFD."""
     text = _ILLEGAL.sub("\ufffd", text)
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\r", "&#13;")
 
 
 def plain_value(data: object, near: Value, depth: int = 0) -> Value:
-    """Makes the value that a file would have for plain data.
+    """Return plain data as the value of a file.
 
     Raises:
         ValueError: The data nest deeper than a file may.

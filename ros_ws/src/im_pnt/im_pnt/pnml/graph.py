@@ -25,7 +25,7 @@ _TEST = frozenset({"test", "read"})
 
 @dataclass(slots=True)
 class PlaceElement:
-    """A place: name, tokens, capacity that blocks (0: none), and what is ours."""
+    """Place: name, tokens, blocking capacity (0: none), and own keys."""
 
     element: Element
     name: str
@@ -36,7 +36,7 @@ class PlaceElement:
 
 @dataclass(slots=True)
 class TransitionElement:
-    """A transition with its arcs, by place names."""
+    """Transition with the arcs, by place names."""
 
     element: Element
     name: str
@@ -56,7 +56,7 @@ class PnmlGraph:
 
 
 def read_graph(net: Element, namespace: str, *, ours: bool) -> PnmlGraph:
-    """Reads what a net consists of.
+    """Read the parts of a net.
 
     Args:
         net: The net.
@@ -91,7 +91,7 @@ def read_graph(net: Element, namespace: str, *, ours: bool) -> PnmlGraph:
 
 
 def _objects(net: Element, namespace: str) -> Iterator[Element]:
-    """Nodes and arcs of all pages, in the order of the file."""
+    """Return nodes and arcs of all pages, in the order of the file."""
     waiting = [net]
     while waiting:
         element = waiting.pop()
@@ -183,7 +183,7 @@ def _inscription(arc: Element) -> int:
 
 
 def _block(transition: TransitionElement, limited: list[PlaceElement]) -> None:
-    """Says with inhibitor arcs that a transition may not bring a place beyond a capacity that blocks."""
+    """Add inhibitor arcs for a blocking capacity of a place."""
     for place in limited:
         gain = transition.outputs.get(place.name, 0) - transition.inputs.get(place.name, 0)
         full = place.capacity - gain + 1

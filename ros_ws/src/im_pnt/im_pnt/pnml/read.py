@@ -1,4 +1,4 @@
-"""PNML files to nets: as the standard says, and as tools write them.
+"""PNML files to nets: of the standard, and of tools.
 
 Read leniently: no namespace, no page, ``<value>`` for ``<text>``, labels as attributes, no initial marking, inhibitor
 and test arcs by type, graphics and other tools' things passed over. What would change the meaning is refused by name.
@@ -29,7 +29,7 @@ _TYPES = "place/transition nets are read: http://www.pnml.org/version-2009/gramm
 
 
 def load_pnml(path: Path) -> Net:
-    """Reads a net from a PNML file.
+    """Read a net from a PNML file.
 
     Args:
         path: The file; ``FILE#net`` for one net of several, by id or name.
@@ -114,7 +114,7 @@ def _inhibitors(element: Element, extras: Mapping[str, tuple[Element, Value]]) -
 
 
 def _mapping(element: Element, extras: Mapping[str, tuple[Element, Value]], **given: object) -> Value:
-    """The keys that PNML itself says, and those that are ours."""
+    """Return the keys of PNML itself, and our own keys."""
     place = element.place
     pairs = [(scalar(key, place), plain_value(data, place)) for key, data in given.items() if data]
     for key, (entry, value) in extras.items():

@@ -1,4 +1,4 @@
-"""Nets to PNML: what the standard has, in its own elements, and the rest in ``toolspecific``.
+"""Nets to PNML: standard parts in standard elements, and the rest in ``toolspecific``.
 
 Places of other nets stand on a page of their own, and arcs lead to them through reference places.
 """
@@ -18,7 +18,7 @@ _OWN = re.compile(r"(arc|ref|remote|page)_?[0-9]*|remote_places")
 
 
 class _Ids:
-    """Ids of one file: a name where it can be one, else the name with other letters."""
+    """Ids of one file: a name where valid, else the name with other letters."""
 
     def __init__(self) -> None:
         self._taken: set[str] = set()
@@ -37,7 +37,7 @@ class _Ids:
 
 
 def pnml_text(net: Net, *, plain: bool = False) -> str:
-    """Returns a net as the text of a PNML file.
+    """Return a net as the text of a PNML file.
 
     Args:
         net: The net as written.

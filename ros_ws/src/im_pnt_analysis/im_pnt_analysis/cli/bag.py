@@ -1,4 +1,4 @@
-"""``pnt bag``: what a recording tells: its contents, the time line of the mission, gaps, and how long actions took."""
+"""``pnt bag``: report on a recording: the contents, the time line of the mission, gaps, and durations of actions."""
 
 import argparse
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ each action beside the mean of its 'delay'. --picture FILE (.svg or .png) draws 
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Reports on a bag."""
+    """Report on a bag."""
     topics, mission = contents_of(options.bag), mission_of(options.bag)
     for lines in (_contents(topics), _time_line(mission.firings), _gaps(mission), _actions(mission.actions())):
         print("\n".join(lines), end="\n\n")

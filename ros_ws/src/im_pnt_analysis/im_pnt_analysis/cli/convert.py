@@ -30,7 +30,7 @@ nothing holds back) is refused. Comments, includes and templates are not kept.""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("file", metavar="IN", help="net file; FILE.pnml#NET for one net of several")
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Converts a net file."""
+    """Convert a net file."""
     output = Path(options.output)
     suffix = output.suffix.lower()
     if suffix not in (*_YAML_SUFFIXES, *PNML_SUFFIXES):
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _unseen(net: Net) -> Iterator[str]:
-    """What other tools will not see of a net, a line each."""
+    """Return the parts of a net invisible to other tools, a line each."""
     transitions = net.transitions.values()
     kept = {
         "inhibitor arcs of transitions": [t.name for t in transitions if t.inhibitors],
@@ -89,7 +89,7 @@ def _unseen(net: Net) -> Iterator[str]:
 
 
 def _with_our_names(net: Net) -> tuple[Net, tuple[str, ...]]:
-    """Gives a net names that YAML nets can have; only nets of other tools have others, and no actions."""
+    """Rename a net to names of YAML nets; only nets of other tools have others, and no actions."""
     places = _renamed(net.places, (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE))
     transitions = _renamed(net.transitions, ())
     changed = [(old, new) for names in (places, transitions) for old, new in names.items() if old != new]
@@ -119,7 +119,7 @@ def _with_our_names(net: Net) -> tuple[Net, tuple[str, ...]]:
 
 
 def _renamed(names: Mapping[str, object], reserved: tuple[str, ...]) -> dict[str, str]:
-    """Maps each name to one that is allowed and not taken."""
+    """Map each name to an allowed and free one."""
     taken = {name for name in names if is_name(name) and name not in reserved} | set(reserved)
     result: dict[str, str] = {}
     for name in names:

@@ -1,11 +1,11 @@
-"""Additions of other packages to ``pnt``: packages above this one name their commands as entry points."""
+"""Additions of other packages to ``pnt``: packages above this one name the commands as entry points."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
 
 
 def extensions(group: str, name: str | None = None) -> Iterator[Callable[..., Any]]:
-    """Yield the entry points of a group, in the order of their names.
+    """Yield the entry points of a group, in the order of the names.
 
     Args:
         group: ``im_pnt.commands``: functions that add a command to the parser; ``im_pnt.counterexamples``: functions

@@ -30,7 +30,7 @@ what the bags hold beside it; --against BAG names a bag that was not used for th
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("bags", type=Path, nargs="+", metavar="BAG", help="folders of bags, or their files")
@@ -41,7 +41,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Estimates, and writes where it is asked to."""
+    """Estimate, and write the files if asked to."""
     if options.write and not options.nets:
         raise ImError("--write needs the files that it is to change: --nets FILE...", code="input")
     if options.against is not None and options.symbol is None:
@@ -75,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def measured(mission: Mission) -> list[MeasuredFiring]:
-    """The ends of the firings of a mission, in testbed time, but for those cut short or begun before the recording."""
+    """Return the ends of the firings of a mission, in testbed time, without interrupted or earlier ones."""
     return [
         MeasuredFiring(f"{each.net}.{each.transition}", max(each.end_s - each.begin_s, 0.0), each.failed)
         for each in mission.firings
@@ -84,7 +84,7 @@ def measured(mission: Mission) -> list[MeasuredFiring]:
 
 
 def command_times(mission: Mission, symbol: str) -> list[float]:
-    """How long each run of a command took in a mission, from reading its symbol to its answer [s]."""
+    """Return the duration of each run of a command in a mission, from the symbol to the answer [s]."""
     times, begun = [], dict[tuple[str, int], float]()
     for each in mission.firings:
         net = mission.nets.get(each.net)
@@ -105,7 +105,7 @@ class _Change:
     after: Rewritten
 
     def diff(self) -> Iterable[str]:
-        """What changes, as ``diff -u`` tells it; and what cannot be written there."""
+        """Return the changes, in the form of ``diff -u``, and the unwritable ones."""
         before, after = (text.splitlines(keepends=True) for text in (self.before, self.after.text))
         yield from difflib.unified_diff(before, after, str(self.path), f"{self.path} (fitted)")
         if self.after.elsewhere:
@@ -121,7 +121,7 @@ def _change(path: Path, net: Net, found: Mapping[str, TransitionEstimate]) -> _C
 
 
 def _fitting(files: Mapping[Path, Net], nets: Mapping[str, Net], seen: Sequence[MeasuredFiring]) -> dict[Path, Net]:
-    """Returns the files whose nets have fired; of those of other nets in the bags it says that they stay.
+    """Return the files with fired nets; report the other nets of the bags as unchanged.
 
     Raises:
         DataError: One cannot be changed, or is of no net in the bags, or of another version of one.
@@ -172,7 +172,7 @@ def _span(span: Interval) -> str:
 
 
 def _prediction(nets: Mapping[str, Net], symbol: str, missions: Mapping[Path, Mission]) -> list[str]:
-    """How long a command takes by the fitted nets, and how long it took."""
+    """Return the predicted duration of a command by the fitted nets, and the measured one."""
     expected = expected_command(_needed(nets, symbol), symbol)
     low, median, high = expected.quantiles
     lines = [f"{symbol}: {expected.mean:.4g} s expected; 9 of 10 between {low:.4g} and {high:.4g} s, half {median:.4g}"]
@@ -184,7 +184,7 @@ def _prediction(nets: Mapping[str, Net], symbol: str, missions: Mapping[Path, Mi
 
 
 def _needed(nets: Mapping[str, Net], symbol: str) -> list[Net]:
-    """The net that reads a symbol, and those whose services it needs, and so on."""
+    """Return the net of a symbol, with the nets of the services, and theirs, and so on."""
     readers = [net for net in nets.values() if any(t.symbol == symbol for t in net.transitions.values())]
     if not readers:
         raise DataError(f"no net in the bags reads the symbol {symbol}")

@@ -1,4 +1,4 @@
-"""``pnt``: verify, prove, simulate, time and convert net files, look into journals, and what other packages add."""
+"""``pnt``: verify, prove, simulate, time and convert net files, look into journals, and commands of other packages."""
 
 import argparse
 import sys
@@ -61,7 +61,7 @@ _PROGRAMS = {"run": "run nets", "mission": "does a recorded mission run as it di
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs ``pnt``.
+    """Run ``pnt``.
 
     Args:
         arguments: Command line without the program's name; None: that of the process.
@@ -118,7 +118,7 @@ def _not_installed(command: str) -> int:
 
 
 def _give_up_output() -> None:
-    """Have the interpreter say nothing more at its end: there is no room for what was to be said."""
+    """Silence the interpreter at the end: the output has no room."""
     if sys.__stdout__ is not None and sys.stdout is sys.__stdout__:
         with suppress(OSError):
             sys.stdout.close()

@@ -1,4 +1,4 @@
-"""``pnt prove``: what a machine asks for before it starts, with the proofs of the user's cache."""
+"""``pnt prove``: proof for the start of a machine, with the user's cache of proofs."""
 
 import argparse
 
@@ -20,7 +20,7 @@ Exit code: 0 verified, 1 refused, 2 a file or an option is wrong, 3 not refused,
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="all net files of the machine")
@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Verifies net files; the last line that is printed is the verdict."""
+    """Verify net files; the last printed line is the verdict."""
     began = cpu()
     more = max(1.0, options.timeout / LOAD_LIMITS.seconds)
     limits = SearchLimits(states=int(more * LOAD_LIMITS.states), seconds=options.timeout)

@@ -12,12 +12,12 @@ Put it beside your nets, and this line on top of each:
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
 
 
 def run(_options: argparse.Namespace) -> int:
-    """Prints the schema."""
+    """Print the schema."""
     print(schema_text(), end="")
     return OK

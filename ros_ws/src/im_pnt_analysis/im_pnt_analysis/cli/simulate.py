@@ -23,7 +23,7 @@ _SUMMARY_STEPS = 100_000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
@@ -40,7 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Plays net files."""
+    """Play net files."""
     nets = [load_net(file) for file in options.files]
     if options.replay is not None:
         refuse_without_effect(options, ("--seed", "--steps", "--until", "--failures"), "with --replay")

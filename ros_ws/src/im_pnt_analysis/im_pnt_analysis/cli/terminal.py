@@ -1,4 +1,4 @@
-"""What the commands of ``pnt`` share: exit codes, numbers that make sense, files to write, and Ctrl-C."""
+"""Shared parts of the commands of ``pnt``: exit codes, sensible numbers, output files, and Ctrl-C."""
 
 import argparse
 import os
@@ -18,7 +18,7 @@ OK, REFUSED, BAD_INPUT, UNPROVED = 0, 1, 2, 3
 
 
 def refuse_without_effect(options: argparse.Namespace, names: Iterable[str], why: str) -> None:
-    """Makes sure that options were not given.
+    """Refuse options without an effect.
 
     Args:
         options: All options; those that were not given are None or False.
@@ -35,7 +35,7 @@ def refuse_without_effect(options: argparse.Namespace, names: Iterable[str], why
 
 
 def write_output(path: Path, text: str, *, overwrite: bool) -> None:
-    """Writes a text file in one step: whoever reads it sees the old one or the new one.
+    """Write a text file in one step: a reader sees the old one or the new one.
 
     Args:
         path: The file.
@@ -58,14 +58,14 @@ _QUIET_S, _EVERY_S = 2.0, 0.5
 
 
 class ProgressLine:
-    """While this context lasts, shows what goes on in a line of the terminal that it removes; nothing in a file."""
+    """Context with a line of progress on the terminal, removed at the end; nothing in a file."""
 
     def __init__(self) -> None:
         self._begin = self._last = monotonic()
         self._terminal, self._shown = sys.stderr.isatty(), False
 
     def __call__(self, text: str) -> None:
-        """Shows a text, once it takes long, and if the last one was shown long enough."""
+        """Show a text after a quiet time, if the last one was shown long enough."""
         now = monotonic()
         if self._terminal and now - self._begin >= _QUIET_S and now - self._last >= _EVERY_S:
             print(f"\r\033[K{now - self._begin:4.0f} s  {text}", end="", file=sys.stderr, flush=True)
@@ -84,7 +84,7 @@ INTERRUPTED = 130
 
 
 class EndOnInterrupt:
-    """While this context lasts, Ctrl-C says a word and ends the process; nothing must be half written in it.
+    """Context in which Ctrl-C prints a word and ends the process; nothing may be half written in it.
 
     Args:
         word: What to say on stderr.

@@ -30,7 +30,7 @@ _DIGITS_WRITTEN = 80
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Computes times of net files."""
+    """Compute times of net files."""
     output = None if options.output is None else Path(options.output)
     if output is not None and output.suffix not in (".svg", ".png"):
         raise ImError(f"cannot draw into '{output}': the name must end in .svg or .png", code="input")
@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_fits(file: str, measured: Measurement, nets: list[Net]) -> None:
-    """Makes sure that times were measured of these nets.
+    """Check whether measured times belong to these nets.
 
     Raises:
         ImError: None is of them, or one is of a transition that its net does not have.
@@ -155,7 +155,7 @@ def _plain(state: SteadyState) -> dict[str, object]:
 
 
 def _fraction(value: Number, digits: int) -> str | None:
-    """Returns a fraction as text, None if it is none or has more digits than anybody reads."""
+    """Return a fraction as text, None for no fraction or one with too many digits."""
     if not isinstance(value, Fraction) or value.denominator.bit_length() > 4 * digits:
         return None
     text = str(value)

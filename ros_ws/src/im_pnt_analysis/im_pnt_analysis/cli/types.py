@@ -1,4 +1,4 @@
-"""Values of nets against the types of ROS messages, where there is ROS: checked as a node does when it loads nets."""
+"""Values of nets against the types of ROS messages, where ROS is installed: the check of a node at load time."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from im_pnt_analysis.cli.extensions import extensions
 
 
 def checked_types(nets: Sequence[Net]) -> str:
-    """Checks the values that nets send, store and look at.
+    """Check the values in requests, objects and guards of nets.
 
     Args:
         nets: The nets as written.

@@ -33,7 +33,7 @@ Values are checked against the types of the messages that they go into, where RO
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Gives the command its options."""
+    """Add the options of the command."""
     parser.description = _DESCRIPTION
     parser.set_defaults(run=run)
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Verifies net files."""
+    """Verify net files."""
     if options.counterexample and any(is_same(options.counterexample, file) for file in options.files):
         raise NetError(f"--counterexample {options.counterexample} is one of the nets", file=options.counterexample)
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"), ProgressLine() as progress:

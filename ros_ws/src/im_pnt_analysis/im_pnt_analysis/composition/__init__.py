@@ -1,1 +1,1 @@
-"""Several nets as one, with what surrounds them."""
+"""Several nets as one, with the environment."""

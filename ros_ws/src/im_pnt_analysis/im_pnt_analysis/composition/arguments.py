@@ -1,4 +1,4 @@
-"""Whether requests of nets to each other bring the arguments that are asked for, as far as their files say it."""
+"""Check of requests between nets: do they bring the needed arguments, as far as the files say?"""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from im_pnt.model.net import Net, Transition
 
 
 def check_arguments(nets: Sequence[Net]) -> None:
-    """Checks the requests of nets to each other.
+    """Check the requests of nets to each other.
 
     Args:
         nets: Nets as written or expanded.
@@ -60,7 +60,7 @@ def _check_request(scope: NetScope, transition: Transition, action: RequestActio
 
 
 def _check_passed_on(scope: NetScope, transition: Transition, schema: ArgumentSchema, what: str) -> None:
-    """Checks a request that says no arguments: it passes on those of the command or request that it is made for."""
+    """Check a request without arguments: it passes on those of its own command or request."""
     for kind in sorted(scope.works_for(transition)):
         given = scope.net.arguments_of(kind)
         if given is None:

@@ -1,4 +1,4 @@
-"""What nets assume of each other: how partners that are left out behave, and what those that are given must keep.
+"""Assumptions of nets on each other: behaviour of absent partners, and duties of present ones.
 
 Alone, a net whose file says ``assume: {p: {at_most: n}}`` has partners who mark ``p`` at any time, as long as no more
 than n tokens are there: the others wait in ``p.partner``. With ``assume: {p: {returns: b.q}}`` a token that it sends to
@@ -18,7 +18,7 @@ from im_pnt_analysis.composition.flat_net import FlatNet
 
 @dataclass(frozen=True, slots=True)
 class _Count:
-    """A place that counts: what raises it and what lowers it, by weight.
+    """Counting place: the raising and lowering transitions, by weight.
 
     Attributes:
         name: Its qualified name.
@@ -33,7 +33,7 @@ class _Count:
 
 @dataclass(frozen=True, slots=True)
 class _Debt:
-    """What is sent to a place of another net, and comes back.
+    """Tokens sent to a place of another net, and returned from there.
 
     Attributes:
         net: Who sends it.
@@ -53,7 +53,7 @@ class _Debt:
 
 
 class Assumptions:
-    """Adds to a composition what its nets assume of each other.
+    """Additions to a composition for the assumptions of the nets.
 
     Args:
         flat: The net that grows.
@@ -86,7 +86,7 @@ class Assumptions:
                     self._limit(net, net.places[name], assumption.at_most)
 
     def kept(self, net: Net, written: Transition, part: Transition) -> Iterator[Transition]:
-        """Returns a transition with what counts the promises, in all the ways in which it keeps or breaks them.
+        """Return a transition with the counters of the promises, in all ways to keep or break them.
 
         Args:
             net: Its net.
@@ -108,7 +108,7 @@ class Assumptions:
         yield from parts
 
     def _returning(self, part: Transition, debt: _Debt, weight: int) -> Iterator[Transition]:
-        """Returns a transition that gives tokens back: where they were sent, and where they were not."""
+        """Return a transition with returned tokens: from the place of sending, and without one."""
         yield replace(part, inputs={**part.inputs, debt.owed: weight})
         outputs = {place: tokens for place, tokens in part.outputs.items() if place != debt.back}
         unasked = f"{part.name} unasked"

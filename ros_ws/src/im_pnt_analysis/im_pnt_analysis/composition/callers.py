@@ -1,4 +1,4 @@
-"""Nets that stand for those who write to the tapes of others, where these are verified without them.
+"""Stand-in nets for the writers to tapes of others, where these are verified without them.
 
 A free tape asks for no reply. Who writes a command for another net waits for one: a net that reads it and never ends it
 is found only with somebody who waits.
@@ -19,7 +19,7 @@ from im_pnt_analysis.structure.semiflows import p_semiflows
 
 
 def callers(part: Sequence[Net], nets: Sequence[Net]) -> list[Net] | None:
-    """Returns nets that write to the tapes of a part what the others write: at any time, as often at once as they can.
+    """Return nets with the writes of the absent nets to the tapes of a part: at any time, as often as possible.
 
     Args:
         part: Some of the nets, as written.
@@ -41,7 +41,7 @@ def callers(part: Sequence[Net], nets: Sequence[Net]) -> list[Net] | None:
 
 
 def _tape_requests(net: Net, asked: dict[str, Net]) -> list[Transition]:
-    """The transitions of a net that write to tapes."""
+    """Return the transitions of a net with writes to tapes."""
     found = []
     for transition in net.transitions.values():
         match transition.action:
@@ -51,7 +51,7 @@ def _tape_requests(net: Net, asked: dict[str, Net]) -> list[Transition]:
 
 
 def _standing_for(net: Net, asking: Sequence[Transition]) -> Net | None:
-    """One transition for all that write the same and wait as long: which of them has its answer does not matter."""
+    """Return one transition for all with the same write and wait: the answers are exchangeable."""
     alike: dict[tuple[str, float | None], list[Transition]] = {}
     for each in asking:
         alike.setdefault((str(each.action), each.timeout), []).append(each)
@@ -78,7 +78,7 @@ def _standing_for(net: Net, asking: Sequence[Transition]) -> Net | None:
 
 
 class _Flows:
-    """What the P-semiflows of a net, alone, tell of several places together."""
+    """Statements of the P-semiflows of a net, alone, on several places together."""
 
     def __init__(self, net: Net) -> None:
         compiled = compile_net(compose([net]).net)
@@ -92,7 +92,7 @@ class _Flows:
         self._sums = [sum(weight * initial.get(place, 0) for place, weight in flow.items()) for flow in flows]
 
     def most(self, places: Iterable[str]) -> int | None:
-        """Returns a bound on the tokens of places together, by linear programming; None: there is none."""
+        """Return a bound on the tokens of places together, by linear programming; None: there is none."""
         wanted = np.zeros(len(self._rank))
         wanted[[self._rank[place] for place in places]] = -1.0
         if not self._sums:

@@ -1,4 +1,4 @@
-"""Several nets as one, with what surrounds them.
+"""Several nets as one, with the environment.
 
 Nets are joined over remote places (paper, Figure 9) and coordination structures (Figure 11). What lies outside the
 given nets is modelled, each by its most general behaviour:
@@ -70,7 +70,7 @@ class Composition:
 
 
 def compose(nets: Sequence[Net]) -> Composition:
-    """Joins nets and closes them with an environment.
+    """Join nets and close them with an environment.
 
     Args:
         nets: Nets as written or expanded, with different names.
@@ -118,7 +118,7 @@ class _Composer:
         self.ways: dict[str, str] = {}
 
     def add(self, net: Net) -> None:
-        """Adds the places and transitions of a net."""
+        """Add the places and transitions of a net."""
         flat = self.flat
         certain = self.calls.certain_places(net)
         for place in net.places.values():
@@ -179,7 +179,7 @@ class _Composer:
         return self.flat.underway(other, place)
 
     def close(self) -> None:
-        """Adds what marks the remote places that no given net marks, and says what is taken for granted."""
+        """Add sources for remote places without a given net, and the assumptions behind them."""
         flat = self.flat
         arrivals = []
         for net in flat.nets.values():
@@ -202,7 +202,7 @@ class _Composer:
 
 
 def assumptions(nets: Sequence[Net]) -> Iterator[str]:
-    """Says what is taken for granted.
+    """Return the assumptions.
 
     Args:
         nets: The nets, expanded.
@@ -230,7 +230,7 @@ def _names(nets: Iterable[Net]) -> str:
 
 
 def open_guards(net: Net) -> Iterator[str]:
-    """Names the guards that have no counterpart, and might keep a net waiting for ever."""
+    """Return the guards without a counterpart: they might keep a net waiting for ever."""
     guarded = [t for t in net.transitions.values() if t.guard]
     for transition in guarded:
         assert transition.guard is not None

@@ -1,4 +1,4 @@
-"""The net into which several nets are flattened, while it grows."""
+"""The growing net of several flattened nets."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,7 +8,7 @@ from im_pnt.model.net import Arcs, Net, Place, Role, Transition
 
 
 class FlatNet:
-    """Places and transitions of several nets and of what surrounds them.
+    """Places and transitions of several nets and the environment.
 
     Args:
         nets: The expanded nets by name.
@@ -34,15 +34,15 @@ class FlatNet:
         self._underway: set[str] = set()
 
     def qualified(self, net: str, name: str) -> str:
-        """Qualifies a name where there are several nets."""
+        """Qualify a name where there are several nets."""
         return f"{net}.{name}" if len(self.nets) > 1 else name
 
     def arcs(self, net: str, arcs: Arcs) -> dict[str, int]:
-        """Qualifies the places of arcs."""
+        """Qualify the places of arcs."""
         return {self.qualified(net, place): weight for place, weight in arcs.items()}
 
     def add_place(self, net: str, place: Place) -> None:
-        """Adds a place by its qualified name.
+        """Add a place by the qualified name.
 
         Raises:
             NetError: There is one of that name.
@@ -57,7 +57,7 @@ class FlatNet:
         self.net_of[place.name] = net
 
     def add_transition(self, transition: Transition) -> None:
-        """Adds a transition by its qualified name.
+        """Add a transition by the qualified name.
 
         Raises:
             NetError: There is one of that name.
@@ -70,12 +70,12 @@ class FlatNet:
         self.transitions[transition.name] = transition
 
     def add_environment(self, transition: Transition) -> None:
-        """Adds a transition that fires when something outside happens."""
+        """Add a transition for an event outside."""
         self.add_transition(replace(transition, role=Role.ENVIRONMENT))
         self.external.add(transition.name)
 
     def underway(self, net: str, place: str) -> str:
-        """Returns the place where tokens for a place of another net are on their way to it."""
+        """Return the place of tokens under way to a place of another net."""
         target, name = self.qualified(net, place), self.underway_name(net, place)
         if name not in self._underway:
             self._underway.add(name)
@@ -87,9 +87,9 @@ class FlatNet:
         return name
 
     def underway_name(self, net: str, place: str) -> str:
-        """Returns the name of the place where tokens for a place are on their way, whether there are any or not."""
+        """Return the name of the place of tokens under way to a place, with or without any."""
         return f"{self.qualified(net, place)}.underway"
 
     def assume(self, text: str) -> None:
-        """Notes what is taken for granted."""
+        """Note an assumption."""
         self.assumptions[text] = None

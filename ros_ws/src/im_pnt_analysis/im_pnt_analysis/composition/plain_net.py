@@ -1,4 +1,4 @@
-"""Nets that any tool understands: no inhibitor arcs, no phases left unsaid, nothing in ``toolspecific``.
+"""Nets for any tool: no inhibitor arcs, no implied phases, nothing in ``toolspecific``.
 
 An inhibitor arc from a place with bound B asks for less than w tokens; its complement place, which always holds the B
 tokens that the place lacks, then holds at least B - w + 1 of them (Murata, 1989, section V).
@@ -14,7 +14,7 @@ from im_pnt_analysis.structure.state_equation import place_bounds
 
 
 def plain_net(net: Net, deadline: float | None = None) -> tuple[Net, tuple[str, ...]]:
-    """Returns the net that analysis sees, in places, transitions and arcs alone, and what was replaced.
+    """Return the net of the analysis, in places, transitions and arcs alone, and the replacements.
 
     Args:
         net: The net as written; its phases, coordination structures and surroundings become part of it.

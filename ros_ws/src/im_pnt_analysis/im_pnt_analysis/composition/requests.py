@@ -1,4 +1,4 @@
-"""Requests between composed nets and their replies: services (paper, Figure 11), and commands on tapes (section 6).
+"""Requests between composed nets and the replies: services (paper, Figure 11), and commands on tapes (section 6).
 
 A caller that waits for a given net has a token on ``t.pending`` from its request to its reply, which is a token on
 ``t.reply``. If it has a time-out and gives up, the token moves to ``t.abandoned``, where the late reply ends; until it
@@ -23,20 +23,20 @@ from im_pnt_analysis.composition.flat_net import FlatNet
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """A transition that asks another net: its qualified name, and whether a time-out lets it give up."""
+    """Transition with a request to another net: the qualified name, and whether a time-out may end the wait."""
 
     name: str
     gives_up: bool
 
     def endings(self) -> Iterator[tuple[str, str, str]]:
-        """Yields for each way in which it waits a suffix, the place where it waits, and the one that a reply marks."""
+        """Yield for each way of waiting a suffix, the place of the wait, and the place marked by a reply."""
         yield "", f"{self.name}.pending", f"{self.name}.reply"
         if self.gives_up:
             yield " given up", f"{self.name}.abandoned", f"{self.name}.patience"
 
 
 class TapeCommands:
-    """Connects transitions that write commands with those that read and acknowledge them.
+    """Connections between writers of commands, and the readers and acknowledgers.
 
     Args:
         flat: The net that grows.
@@ -47,11 +47,11 @@ class TapeCommands:
         self._callers: dict[str, list[tuple[str, Caller]]] = {}
 
     def expect(self, net: str, symbol: str, caller: Caller) -> None:
-        """Notes that a caller writes a symbol to the tape of a net."""
+        """Note a caller of a symbol on the tape of a net."""
         self._callers.setdefault(net, []).append((symbol, caller))
 
     def write(self, net: str, caller: Caller) -> str:
-        """Adds the places of a command; returns the one that stands for its being on the tape."""
+        """Add the places of a command; return the place on the tape."""
         flat, on_tape = self._flat, f"{caller.name}.on_tape"
         flat.add_place(net, Place(on_tape))
         flat.add_place(net, Place(f"{caller.name}.read"))
@@ -70,7 +70,7 @@ class TapeCommands:
         return on_tape
 
     def served(self, net: Net, flat: Transition) -> Iterator[Transition]:
-        """Returns a transition in all the ways in which it reads and acknowledges commands of callers.
+        """Return a transition in all ways to read and acknowledge commands of callers.
 
         Args:
             net: Its net.
@@ -119,7 +119,7 @@ _IN_DOUBT = ".in_doubt"
 
 
 class ServiceCalls:
-    """Connects the transitions that ask with the services that answer.
+    """Connections between asking transitions and answering services.
 
     Args:
         flat: The net that grows.
@@ -157,13 +157,13 @@ class ServiceCalls:
         return True
 
     def certain_places(self, net: Net) -> frozenset[str]:
-        """Returns the places in_doubt that stay empty: requests to given nets are waited for without a time-out."""
+        """Return the places in_doubt without tokens: requests to given nets have no time-out."""
         starts = (t for t in net.transitions.values() if t.role is Role.START and t.timeout is None)
         asking = (t for t in starts if (action := _request_of(t)) is not None and action.net in self._flat.nets)
         return frozenset(doubt_place(t.origin) for t in asking)
 
     def connected(self, net: Net, flat: Transition) -> Iterator[Transition]:
-        """Returns a transition, connected with what it asks or answers.
+        """Return a transition, connected with the requests or answers.
 
         Args:
             net: Its net, expanded.
@@ -180,7 +180,7 @@ class ServiceCalls:
                 yield from self._commands.served(net, phase)
 
     def _returns(self, net: Net, flat: Transition) -> Iterator[Transition]:
-        """Sends a reply to whoever waits for it, or to where nobody waits any more."""
+        """Send a reply to the waiting caller, or to the place without one."""
         callers = self._callers.get((net.name, flat.origin), [])
         for caller in callers:
             for suffix, waiting, answered in caller.endings():
@@ -207,7 +207,7 @@ class ServiceCalls:
         return idle
 
     def _at_once(self, net: str, service: str) -> dict[str, int]:
-        """Returns the place that counts the requests of a service, if its net assumes something of them, as an arc."""
+        """Return the place that counts the requests of a service, as an arc, where the net assumes a bound."""
         flat = self._flat
         most = _most_requests(flat.nets[net], service)
         if most is None:
@@ -269,6 +269,6 @@ def _request_of(transition: Transition) -> RequestAction | None:
 
 
 def _given_up(flat: Transition, caller: Caller) -> Transition:
-    """Returns how a caller goes on without the reply, which is still to come."""
+    """Return the way of a caller without a reply, while the reply is still to come."""
     inputs = {**flat.inputs, f"{caller.name}.pending": 1, f"{caller.name}.patience": 1}
     return replace(flat, inputs=inputs, outputs={**flat.outputs, f"{caller.name}.abandoned": 1})

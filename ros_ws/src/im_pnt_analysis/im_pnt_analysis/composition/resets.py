@@ -1,4 +1,4 @@
-"""Reset arcs without reset arcs: a transition for each number of tokens that the places which it empties may hold.
+"""Replacement of reset arcs: a transition for each possible number of tokens in the emptied places.
 
 Reachability, and whether a place is bounded, are undecidable of nets with reset arcs (C. Dufourd, A. Finkel and
 Ph. Schnoebelen, "Reset nets between decidability and undecidability", 1998). Up to a bound they are no more than a
@@ -15,7 +15,7 @@ from im_pnt_analysis.composition.flat_net import FlatNet
 
 
 def ways_to_empty(transition: Transition, places: Mapping[str, Place]) -> Iterator[Transition]:
-    """Yields a transition in all the ways in which it can find the places that it empties; itself if there are none.
+    """Yield a transition in all ways to find the emptied places; itself without any.
 
     Args:
         transition: The transition.
@@ -40,7 +40,7 @@ def ways_to_empty(transition: Transition, places: Mapping[str, Place]) -> Iterat
 
 
 def stop_above_capacity(flat: FlatNet, emptied: Collection[str]) -> None:
-    """Has nothing fire where a place that is emptied holds more than its capacity.
+    """Block all firings where an emptied place holds more than the capacity.
 
     Args:
         flat: The net.

@@ -1,4 +1,4 @@
-"""Whether what a net acts on is held while it does: for each command and request, over all ways that its tokens can go.
+"""Proof of held resources: for each command and request, over all ways of the tokens.
 
 A token belongs to one command or request, or to nobody (docs/nets.md), and a firing takes tokens of one of them and of
 nobody. So it is enough to follow the tokens of one at a time, while places that may hold tokens of nobody (resources,
@@ -33,11 +33,11 @@ _Way = tuple[str, ...]
 
 
 class UndecidedError(Exception):
-    """It takes too long."""
+    """Error: the proof takes too long."""
 
 
 def unheld(nets: Sequence[Net], deadline: float) -> list[Counterexample] | None:
-    """Finds where nets act on what is not held.
+    """Find uses of resources without a hold.
 
     Args:
         nets: Nets as written, those that talk to each other.
@@ -68,7 +68,7 @@ def unheld(nets: Sequence[Net], deadline: float) -> list[Counterexample] | None:
 
 
 def _shortened(part: Transition) -> Transition | None:
-    """Returns a transition of an expanded net where whoever acts is active, also while he is cancelled or in doubt."""
+    """Return a transition of an expanded net whose user is active, also during cancellation or doubt."""
     active = {active_place(part.origin): 1}
     if part.role is Role.GIVEN_UP:
         return replace(part, inputs=active)
@@ -105,7 +105,7 @@ class _Holding:
         self._kept: Mapping[str, frozenset[str]] | None = None
 
     def cases(self, works: Sequence[Work]) -> list[Counterexample]:
-        """Returns what is wrong."""
+        """Return the faults."""
         before = None
         while before != (len(self.free), len(self.foreign)):
             before = len(self.free), len(self.foreign)
@@ -127,7 +127,7 @@ class _Holding:
     # Nobody's tokens.
 
     def _fire_for_nobody(self) -> None:
-        """Lets all fire that needs tokens of nobody only, and adds where it gives some."""
+        """Fire all transitions on tokens of no command only, and add the places they mark."""
         changed = True
         while changed:
             changed = False
@@ -154,7 +154,7 @@ class _Holding:
         return (*itertools.chain.from_iterable(dict.fromkeys(parts)), t.name)
 
     def _end_others(self, t: Transition, work: Work | None, way: _Way) -> None:
-        """Notes which commands a firing ends that it is not made for."""
+        """Note the other commands ended by a firing."""
         own = None if work is None or work.is_request else work.kind
         for symbol in self.net.symbols():
             if symbol != own and any(ends(emitted, symbol) is not None for emitted in t.emit):
@@ -222,7 +222,7 @@ class _Holding:
                 yield self._given(t, {}), (t.name,), self._is_end(t, work)
 
     def _taken(self, t: Transition, here: Mapping[str, int]) -> Iterator[dict[str, int]]:
-        """Yields what a firing leaves of a work's tokens; it takes these before those of nobody."""
+        """Yield the remaining tokens of a work after a firing; it takes these before free ones."""
         options: list[list[tuple[str, int]]] = []
         for place, weight in t.inputs.items():
             if place in self.resources:
@@ -252,7 +252,7 @@ class _Holding:
         return offered.done in self.free or offered.failed in self.free
 
     def _end(self, work: Work, tokens: Mapping[str, int], way: _Way) -> None:
-        """A work ends; what it has left is nobody's, and nothing that it does may go on."""
+        """End a work; the remaining tokens are free, and none of the actions may go on."""
         for t in self.begins.values():
             if tokens.get(active_place(t.origin)):
                 self._require(t, work, way, tokens, f"when {work} has ended, which held it", held=frozenset())
@@ -271,7 +271,7 @@ class _Holding:
         when: str = "",
         held: frozenset[str] | None = None,
     ) -> None:
-        """Notes a case, if what a transition acts on is not held."""
+        """Note a case, if a transition uses an unheld resource."""
         if t.origin in self.found:
             return
         has = work.held if held is None else held
@@ -293,7 +293,7 @@ class _Holding:
         self.found[t.origin] = Counterexample("unheld", reason, names, marking)
 
     def _kept_by(self, transition: str) -> frozenset[str]:
-        """Returns the resources whose only token is taken while a transition acts: invariants of the net say so."""
+        """Return the resources whose only token is taken during the action, by invariants of the net."""
         if self._kept is None:
             self._kept = self._find_kept()
         return self._kept.get(transition, frozenset())
@@ -314,7 +314,7 @@ class _Holding:
 
 
 def _losing(net: Net) -> Net:
-    """Returns a net in which places that transitions empty may lose their tokens at any time, and no arc resets."""
+    """Return a net in which emptied places may lose the tokens at any time, without reset arcs."""
     emptied = dict.fromkeys(place for t in net.transitions.values() for place in t.resets)
     lost = {f"{place} loses": Transition(f"{place} loses", {place: 1}) for place in emptied}
     kept = {name: replace(t, resets=()) for name, t in net.transitions.items()}

@@ -1,4 +1,4 @@
-"""What transitions act on, for whom, and what he holds: read from net files, for each choice of deciding arguments.
+"""Resources used by transitions, and the holders: read from net files, for each choice of deciding arguments.
 
 A command holds what it ``needs``, and a request what its service says that it ``acts_on``: who asks is to hold that,
 and so on, up to the net that has the places of these resources and takes their tokens.
@@ -18,7 +18,7 @@ from im_pnt.model.resource_use import Values, choices_of, filled, named_argument
 
 @dataclass(frozen=True)
 class Work:
-    """A command or a request that a net works for, with a choice of the arguments that decide what it holds.
+    """Command or request of a net, with a choice of the arguments that decide on the resources.
 
     Attributes:
         kind: Symbol of the command, or name of the service.
@@ -42,7 +42,7 @@ class Work:
         return f"{name} with {chosen}" if chosen else name
 
     def may_pass(self, guard: Guard | None) -> bool:
-        """Whether an enabling function may let this work pass."""
+        """Return whether an enabling function may let this work pass."""
         if guard is None or OPENS not in guard.name:
             return True
 
@@ -58,7 +58,7 @@ class Work:
 
 
 def works_of(net: Net) -> Iterator[Work]:
-    """Yields what a net can be at work for, each choice by itself."""
+    """Yield the possible commands and requests of a net, one for each choice."""
     for service in net.services.values():
         yield from _works(service.name, True, service.arguments, service.acts_on or ())
     for symbol in net.symbols():
@@ -86,11 +86,11 @@ VISIT = Work("", False, {}, {}, frozenset())
 
 
 class UntoldError(Exception):
-    """It cannot be told what somebody acts on; says why."""
+    """Error: the resources of an action are undecided; gives the reason."""
 
 
 class Acting:
-    """What the transitions of some nets act on.
+    """Resources used by the transitions of some nets.
 
     Args:
         nets: The nets.
@@ -100,7 +100,7 @@ class Acting:
         self._nets = {net.name: net for net in nets}
 
     def acts_on(self, transition: Transition, work: Work) -> frozenset[str]:
-        """Returns the resources that the action of a transition may act on.
+        """Return the possible resources of a transition's action.
 
         Args:
             transition: A transition that begins an action.
@@ -135,7 +135,7 @@ class Acting:
         return self._said({text: _as_given(text, action) for text in texts}, work, values, f"of {what}{made}")
 
     def _offered(self, action: RequestAction) -> tuple[Sequence[str], ArgumentSchema | None]:
-        """Returns what a service, or a command of another net, acts on, and its arguments."""
+        """Return the resources of a service, or of a command of another net, and the arguments."""
         net = self._nets.get(action.net)
         if net is not None and action.service in net.services:
             service = net.services[action.service]
@@ -146,7 +146,7 @@ class Acting:
         return (), None
 
     def _said(self, texts: Mapping[str, str | None], work: Work, values: Values, of: str) -> frozenset[str]:
-        """Returns what texts stand for.
+        """Return the meaning of texts.
 
         Args:
             texts: Each with what it is in the arguments of the work, where that is known.
@@ -167,7 +167,7 @@ class Acting:
 
 
 def _as_given(text: str, action: RequestAction) -> str | None:
-    """Returns a text of who is asked in the arguments of who asks; None where these do not tell it."""
+    """Return a text of the callee in the arguments of the caller; None where undecided."""
     names = named_arguments([text])
     if action.build is None and not action.fields:
         return text

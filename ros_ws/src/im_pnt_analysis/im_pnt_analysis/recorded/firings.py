@@ -1,4 +1,4 @@
-"""A mission out of a bag: which transition fired when, after what, for how long, beside what its net expects."""
+"""Firings of a mission in a bag: the times, causes and durations, beside the expected ones."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -24,7 +24,7 @@ _START, _END, _FAILED, _CANCEL = 0, 1, 2, 3
 
 @dataclass(frozen=True)
 class Topic:
-    """What a bag holds of a topic.
+    """Content of a topic in a bag.
 
     Attributes:
         name: Its name.
@@ -41,7 +41,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class RecordedFiring:
-    """One firing, from the start of its action to its end.
+    """Firing, from the start of the action to the end.
 
     Attributes:
         net: Its net.
@@ -67,7 +67,7 @@ class RecordedFiring:
 
     @property
     def on_time_line(self) -> bool:
-        """Whether there is something to see of it in time: it lasted, it has not ended, or it failed, if at once."""
+        """Whether the time line shows the firing: it lasted, has not ended, or failed."""
         return self.failed or self.end_s is None or self.end_s > self.begin_s
 
 
@@ -98,7 +98,7 @@ class ActionTimes:
 
 @dataclass(frozen=True)
 class Mission:
-    """What a bag tells of its nets.
+    """Statements of a bag on the nets.
 
     Attributes:
         firings: In the order of their starts.
@@ -111,7 +111,7 @@ class Mission:
     nets: Mapping[str, Net]
 
     def actions(self) -> list[ActionTimes]:
-        """Statistics of the transitions that have an action, the longest in all first."""
+        """Return statistics of the transitions with an action, the longest total first."""
         taken: dict[tuple[str, str], list[RecordedFiring]] = {}
         for firing in self.firings:
             if firing.end_s is not None and firing.begun and self._acts(firing):
@@ -183,7 +183,7 @@ def mission_of(bag: Path) -> Mission:
 
 
 def mission_from(events: Sequence[Any], nets: Mapping[str, Net]) -> Mission:
-    """What firings tell.
+    """Return the mission of some firings.
 
     Args:
         events: Messages of ``/pnt/firings`` in the order in which they came, at least one.
@@ -193,7 +193,7 @@ def mission_from(events: Sequence[Any], nets: Mapping[str, Net]) -> Mission:
 
 
 class MissionTime:
-    """Testbed time since the first firing; where a testbed begins anew, it goes on from what was told before.
+    """Testbed time since the first firing; after a restart of the testbed it goes on from the last value.
 
     Args:
         first: The first firing.
@@ -207,7 +207,7 @@ class MissionTime:
         self._of_net: dict[str, float] = {}
 
     def of(self, firing: Any) -> float:
-        """Time of a firing, the next one in the order in which they came [s].
+        """Return the time of a firing, the next one in the order of arrival [s].
 
         Those of one net come in their order, so that a time which falls there is another testbed's. One without a stamp
         is of a node that has not heard of the time: it is of the time of those before it.
@@ -225,7 +225,7 @@ class MissionTime:
 
 
 def net_told(bag: Path, told: Any) -> Net:
-    """The net that a message of ``/pnt/nets`` describes.
+    """Return the net in a message of ``/pnt/nets``.
 
     Args:
         bag: Where it is from, for complaints.
@@ -241,7 +241,7 @@ def net_told(bag: Path, told: Any) -> Net:
 
 
 def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFiring]:
-    """Starts and ends joined: the ends of a transition come in the order of its starts, command by command.
+    """Join starts and ends: the ends of a transition come in the order of the starts, command by command.
 
     What ran in a net that begins anew, and counts its events from 1 again, has not ended.
     """
@@ -281,7 +281,7 @@ def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFir
 
 
 def _giver(event: Any, nets: Mapping[str, Net], ended: Sequence[str]) -> str:
-    """The transition that ended last among those that give what this one takes."""
+    """Return the last ended transition among the sources of this one's tokens."""
     transitions = nets[event.net].transitions if event.net in nets else {}
     if event.transition not in transitions:
         return ""
@@ -294,7 +294,7 @@ def _gives(transition: Any) -> set[str]:
 
 
 def _gaps(events: Sequence[Any]) -> list[tuple[str, int, int]]:
-    """First and last number of events that are missing between two of a net; a net that begins anew counts from 1."""
+    """Return first and last number of missing events between two of a net; a restarted net counts from 1."""
     last: dict[str, int] = {}
     gaps = []
     for event in events:

@@ -52,7 +52,7 @@ _PHASES: Mapping[int, Sequence[str]] = {
 
 
 class Description(NamedTuple):
-    """A net as a node describes it.
+    """Net as the node describes it.
 
     Attributes:
         net: The net, as written.
@@ -64,7 +64,7 @@ class Description(NamedTuple):
 
 
 class RecordedMarking(NamedTuple):
-    """A marking that was published.
+    """Published marking.
 
     Attributes:
         net: Its net.
@@ -84,7 +84,7 @@ class RecordedMarking(NamedTuple):
 
 
 class Described(NamedTuple):
-    """That a net is described, or has gone.
+    """Description or removal of a net.
 
     Attributes:
         net: Its name.
@@ -96,7 +96,7 @@ class Described(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """Something that was told.
+    """Event of a recording.
 
     Attributes:
         at_s: Testbed time since the first firing; it never falls [s].
@@ -163,7 +163,7 @@ class NetRecording:
         return len(self._firings)
 
     def position_at(self, at_s: float) -> int:
-        """How many moments have passed at a time; those of that very time have.
+        """Return the number of moments up to a time, inclusive.
 
         Args:
             at_s: Time since the first firing [s].
@@ -188,7 +188,7 @@ class NetRecording:
         return bisect_right(self._firings, position - 1)
 
     def firings_before(self, position: int, count: int) -> Iterator[tuple[float, Firing]]:
-        """The last firings before a position with their times [s], in order."""
+        """Return the last firings before a position with the times [s], in order."""
         until = self.firings_until(position)
         for rank in self._firings[max(0, until - count) : until]:
             moment = self.moments[rank]
@@ -208,7 +208,7 @@ class NetRecording:
         return states
 
     def advance(self, states: dict[str, NetState], moment: Moment) -> None:
-        """Takes a moment into the states of the nets.
+        """Apply a moment to the states of the nets.
 
         Of one life of a net each topic comes in its order, but one may be behind the other: a marking that firings have
         overtaken is passed over, as is a firing after which a marking was heard already.
@@ -233,7 +233,7 @@ class NetRecording:
         states[event.net] = state
 
     def _begun(self, net: str, description: int | None = None) -> NetState:
-        """A net of which nothing was told but what it is."""
+        """Return the state of a net with a description only."""
         number = self._first.get(net) if description is None else description
         tokens = {} if number is None else self._rules[number].initial
         return NetState(number, RecordedMarking(net, 0, tokens, "automatic", False, ()), 0, 0)
@@ -244,7 +244,7 @@ class NetRecording:
 
 
 class _Rule:
-    """What firings do to the marking of a net.
+    """Effect of firings on the marking of a net.
 
     Args:
         net: The net, as written.
@@ -259,7 +259,7 @@ class _Rule:
         self.initial = self._compiled.net.initial_marking()
 
     def fired(self, tokens: Mapping[str, int], firing: Firing) -> Mapping[str, int]:
-        """Returns the tokens after a firing; what it takes and nobody has told of came from another net."""
+        """Return the tokens after a firing; missing ones came from another net."""
         compiled = self._compiled
         names = (f"{firing.transition}{ending}" for ending in _PHASES.get(firing.phase, ()))
         found = [self._numbers[name] for name in names if name in self._numbers]

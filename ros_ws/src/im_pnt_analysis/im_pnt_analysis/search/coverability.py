@@ -1,4 +1,4 @@
-"""What nets that grow without end can reach and cover (Karp and Miller, 1969).
+"""Reachable and coverable markings of unbounded nets (Karp and Miller, 1969).
 
 A marking that covers an earlier one on its own path shows that the firings between can be repeated for ever: the places
 that have gained then count as holding any number (omega). A marking is not pursued if one at least as large is kept;
@@ -21,7 +21,7 @@ from im_pnt.model.compiled import Compiled
 
 
 class Antichain:
-    """Vectors of which none covers another; each has the number of its owner.
+    """Vectors without mutual cover; each has the number of the owner.
 
     Args:
         size: Length of the vectors; their components are below 2**53 or infinite.
@@ -41,7 +41,7 @@ class Antichain:
         return rows.size > 0
 
     def add(self, vector: Sequence[float], owner: int) -> list[int]:
-        """Adds a vector that the set does not cover. Returns the owners of those that it covers, which leave."""
+        """Add an uncovered vector. Return the owners of the vectors it covers, which leave."""
         rows = np.arange(self._count)
         for component, value in enumerate(vector):
             if value != np.inf and rows.size:
@@ -69,7 +69,7 @@ _LARGEST = 2**50
 
 @dataclass(frozen=True, slots=True)
 class Coverability:
-    """What can be covered; None where the search ended before it was known.
+    """Coverable markings; None where the search ended before.
 
     Attributes:
         complete: Whether the search went to its end.
@@ -103,7 +103,7 @@ class Coverability:
 def coverability(
     compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None, max_nodes: int = 100_000
 ) -> Coverability:
-    """Builds the tree of markings that can be covered.
+    """Build the tree of coverable markings.
 
     Args:
         compiled: The net.
@@ -138,7 +138,7 @@ class _Tree:
         self._add(_Node(initial, None, -1, sum(initial)))
 
     def grow(self, deadline: float | None, max_nodes: int) -> str:
-        """Pursues markings until none is left. Returns why it stopped before, or nothing."""
+        """Pursue markings until none is left. Return the reason of an earlier stop, or nothing."""
         queue = deque([self.nodes[0]])
         steps = 0
         while queue:
@@ -173,7 +173,7 @@ class _Tree:
         return kept
 
     def _add(self, node: _Node) -> bool:
-        """Keeps a node if no node kept covers it; those that it covers itself are not pursued any more."""
+        """Keep a node without a covering one; nodes covered by it are not pursued any more."""
         if node.label in self.seen:
             return False
         self.seen.add(node.label)

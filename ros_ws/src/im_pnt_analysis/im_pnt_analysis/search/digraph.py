@@ -1,4 +1,4 @@
-"""Strongly connected components, and who reaches whom, in directed graphs given by rows of arcs.
+"""Strongly connected components, and reachability, in directed graphs given by rows of arcs.
 
 Small graphs are done in plain Python, since importing scipy would take longer than the work; large ones by scipy.
 """
@@ -38,7 +38,7 @@ class Components:
 
 
 def components(begins: Begins, targets: Targets) -> Components:
-    """Returns the strongly connected components of a graph.
+    """Return the strongly connected components of a graph.
 
     Args:
         begins: Where the arcs of each node begin.
@@ -109,7 +109,7 @@ def _tarjan(begins: Sequence[int], targets: Sequence[int]) -> tuple[int, npt.NDA
 
 
 def reaching(begins: Begins, targets: Targets, goal: Mask) -> Mask:
-    """Returns the nodes from which some node of a set can be reached, those of the set included."""
+    """Return the nodes with a path to a node of a set, including the set."""
     nodes = len(begins) - 1
     sources = np.repeat(np.arange(nodes, dtype=np.int32), np.diff(begins))
     if nodes + len(targets) <= _SMALL:

@@ -12,7 +12,7 @@ from im_pnt_analysis.search.state_space import CollisionError, StateSpace
 
 
 class OverflowedError(Exception):
-    """A field has become too narrow; ``guards`` are the guard bits that were hit, for each word."""
+    """Error: a field has become too narrow; ``guards`` are the hit guard bits, for each word."""
 
     def __init__(self, guards: Sequence[int]) -> None:
         super().__init__("a field is too narrow")
@@ -20,7 +20,7 @@ class OverflowedError(Exception):
 
 
 def expand_wide(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -> None:
-    """Fires whatever the markings of one layer enable.
+    """Fire all enabled transitions of the markings of one layer.
 
     Args:
         found: What was found; all of it or nothing is added.
@@ -126,7 +126,7 @@ class NarrowFrontier:
         return self._begin + len(self._markings)
 
     def expand(self, number: int) -> None:
-        """Fires whatever one marking enables; they must come in order.
+        """Fire all enabled transitions of one marking; markings must come in order.
 
         Raises:
             OverflowedError: A field is too narrow; the marking counts as not expanded.
@@ -189,7 +189,7 @@ class NarrowFrontier:
         return number
 
     def _which(self, marking: int, transitions: Collection[int]) -> tuple[int, ...]:
-        """Returns which of some transitions are enabled."""
+        """Return the enabled ones of some transitions."""
         guarded = marking | self._guards
         program = self._program
         found = []
@@ -203,7 +203,7 @@ class NarrowFrontier:
         return self._found.packing.to_integers(self._found.words[:, number : number + 1])[0]
 
     def flush(self) -> None:
-        """Hands over what was found.
+        """Hand over the found markings.
 
         Raises:
             CollisionError: Two markings have the same key; everything was handed over, but must be hashed anew.

@@ -1,4 +1,4 @@
-"""Places that grow without end, recognised in a search.
+"""Unbounded places, recognised in a search.
 
 On an infinite search tree some path meets a marking that covers an earlier one of the same path (Karp and Miller,
 1969); the firings between the two can be repeated for ever, provided that places which inhibit one of them are equal.
@@ -24,7 +24,7 @@ class Growth:
 
 
 class GrowthTest:
-    """Compares each marking with all before it on its path.
+    """Comparison of each marking with all before it on the path.
 
     Args:
         found: What a search finds; more of it each time :meth:`look` is called.
@@ -35,7 +35,7 @@ class GrowthTest:
         self._seen = 1
 
     def look(self, deadline: float) -> Growth | None:
-        """Returns the first growth among the markings that were found since the last call.
+        """Return the first growth among the markings found since the last call.
 
         Args:
             deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; the rest is looked at in the
@@ -81,7 +81,7 @@ def _covers(packing: Packing, later: Words, earlier: Words, equal: Words) -> np.
 
 
 def _unguarded(packing: Packing) -> Words:
-    """Bits of the places that are proved to hold one token at most: they cannot grow."""
+    """Return the bits of places proved to hold one token at most: they cannot grow."""
     bits = [0] * packing.words
     for field in packing.fields:
         if not field.guarded:
@@ -90,7 +90,7 @@ def _unguarded(packing: Packing) -> Words:
 
 
 def _inhibiting(packing: Packing) -> Words:
-    """Bits of the places that inhibit each row, shape (words, rows)."""
+    """Return the bits of the inhibiting places of each row, shape (words, rows)."""
     bits = [[0] * len(packing.members) for _ in range(packing.words)]
     for row, members in enumerate(packing.members):
         for transition in members:

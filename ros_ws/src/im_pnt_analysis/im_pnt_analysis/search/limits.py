@@ -1,4 +1,4 @@
-"""How far a search goes: without numpy, for those who ask for one that was made before."""
+"""Limits of a search, without numpy, for readers of a finished one."""
 
 from dataclasses import dataclass
 

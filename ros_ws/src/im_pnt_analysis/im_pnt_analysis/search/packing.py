@@ -53,26 +53,26 @@ class Units:
         )
 
     def of(self, place: int, tokens: int) -> int:
-        """Returns the units of a place that holds so many tokens."""
+        """Return the units of a place with a number of tokens."""
         return (tokens - self.rest[place]) // self.step[place]
 
     def tokens(self, place: int, units: int) -> int:
-        """Returns the tokens of a place that holds so many units."""
+        """Return the tokens of a place with a number of units."""
         return self.rest[place] + self.step[place] * units
 
     def needed(self, place: int, tokens: int) -> int:
-        """Returns the least units with which a place holds at least so many tokens."""
+        """Return the least units of a place with at least a number of tokens."""
         return max(0, -((self.rest[place] - tokens) // self.step[place]))
 
     def _needed(self, arcs: IndexedArcs) -> IndexedArcs:
         return tuple((place, self.needed(place, weight)) for place, weight in arcs)
 
     def bounds(self, tokens: Sequence[int | None]) -> list[int | None]:
-        """Returns bounds on tokens as bounds on units."""
+        """Return bounds on tokens as bounds on units."""
         return [None if bound is None else self.of(place, bound) for place, bound in enumerate(tokens)]
 
     def widths(self, initial: Sequence[int]) -> list[int]:
-        """Returns for each place the bits that its first units and every arc weight need."""
+        """Return for each place the bits of the first units and of every arc weight."""
         largest = [max(1, self.of(place, count)) for place, count in enumerate(initial)]
         for arcs in (*self.inputs, *self.inhibitors, *self.change):
             for place, units in arcs:
@@ -189,7 +189,7 @@ class Packing:
                 self.row_of.append(row)
 
     def _number_conditions(self) -> None:
-        """Transitions that are enabled under the same condition share its test."""
+        """Number the enabling conditions; transitions with the same condition share the test."""
         conditions: dict[object, int] = {}
         self._tested: list[int] = []
         numbers = []
@@ -205,7 +205,7 @@ class Packing:
         self._conceivable = self.possible[self._tested]
 
     def _amounts(self, transition: int, *, inputs: bool) -> dict[int, tuple[int, int]]:
-        """Returns for each word that matters what to subtract, and the bits that tell."""
+        """Return for each relevant word the amount to subtract, and the deciding bits."""
         found: dict[int, tuple[int, int]] = {}
         arcs = self.units.inputs[transition] if inputs else self.units.inhibitors[transition]
         for place, weight in arcs:
@@ -250,27 +250,27 @@ class Packing:
     # Markings.
 
     def pack(self, vector: Sequence[int]) -> int:
-        """Returns a marking, in tokens, as one integer, word 0 in its lowest bits."""
+        """Return a marking, in tokens, as one integer, word 0 in the lowest bits."""
         return sum(
             self.units.of(place, count) << (f.word * WORD + f.shift)
             for place, (count, f) in enumerate(zip(vector, self.fields, strict=True))
         )
 
     def unpack(self, packed: int) -> tuple[int, ...]:
-        """Returns the tokens of each place."""
+        """Return the tokens of each place."""
         return tuple(
             self.units.tokens(place, (packed >> (f.word * WORD + f.shift)) & ((1 << f.width) - 1))
             for place, f in enumerate(self.fields)
         )
 
     def column(self, words: Words, place: int) -> Words:
-        """Returns the units of one place in many markings."""
+        """Return the units of one place in many markings."""
         field = self.fields[place]
         units: Words = (words[field.word] >> np.uint64(field.shift)) & np.uint64((1 << field.width) - 1)
         return units
 
     def holds(self, words: Words, place: int, tokens: int) -> npt.NDArray[np.bool_]:
-        """Returns in which markings a place holds at least that many tokens."""
+        """Return the markings in which a place holds at least a number of tokens."""
         needed = self.units.needed(place, tokens)
         if needed >> self.fields[place].width:
             return np.zeros(words.shape[1], bool)
@@ -278,14 +278,14 @@ class Packing:
         return enough
 
     def repack(self, words: Words, older: "Packing") -> Words:
-        """Returns markings of an older layout in this one."""
+        """Return markings of an older layout in this one."""
         result = np.zeros((self.words, words.shape[1]), np.uint64)
         for place, field in enumerate(self.fields):
             result[field.word] |= older.column(words, place) << np.uint64(field.shift)
         return result
 
     def keys(self, words: Words) -> Words:
-        """Returns what the markings are looked up by: the word itself, or a hash of several words."""
+        """Return the keys for the lookup of markings: the word itself, or a hash of several words."""
         if self.words == 1:
             only: Words = words[0]
             return only
@@ -295,7 +295,7 @@ class Packing:
         return result
 
     def to_words(self, packed: Sequence[int]) -> Words:
-        """Returns integers as words."""
+        """Return integers as words."""
         if self.words == 1:
             return np.array(packed, np.uint64).reshape(1, -1)
         size = self.words * 8
@@ -303,7 +303,7 @@ class Packing:
         return np.ascontiguousarray(flat.reshape(-1, self.words).T).astype(np.uint64, copy=False)
 
     def to_integers(self, words: Words) -> list[int]:
-        """Returns words as integers."""
+        """Return words as integers."""
         if self.words == 1:
             integers: list[int] = words[0].tolist()
             return integers
@@ -313,7 +313,7 @@ class Packing:
     # Transitions.
 
     def enabled(self, words: Words) -> npt.NDArray[np.bool_]:
-        """Returns which transitions are enabled, shape (transitions, markings)."""
+        """Return the enabled transitions, shape (transitions, markings)."""
         result = np.empty((len(self._tested), words.shape[1]), bool)
         result[:] = self._conceivable[:, None]
         for test in self.tests:
@@ -328,7 +328,7 @@ class Packing:
         return left
 
     def steps(self, enabled: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Returns which rows can be taken, shape (rows, markings)."""
+        """Return the possible rows, shape (rows, markings)."""
         if len(self.members) == len(enabled):
             return enabled
         rows = enabled[[members[0] for members in self.members]]
@@ -338,7 +338,7 @@ class Packing:
         return rows
 
     def near_rows(self) -> list[frozenset[int]]:
-        """Returns for each row the transitions that a step of it may enable or disable."""
+        """Return for each row the transitions possibly enabled or disabled by the step."""
         tests: list[set[int]] = [set() for _ in self.fields]
         for transition, arcs in enumerate(zip(self.units.inputs, self.units.inhibitors, strict=True)):
             if self.possible[transition]:
@@ -348,7 +348,7 @@ class Packing:
         return [frozenset().union(*(tests[place] for place, _ in change)) for change in changes]
 
     def whole(self) -> list[tuple[int, PackedTransition]]:
-        """Returns the transitions that can fire, as constants for whole-marking integers."""
+        """Return the transitions that can fire, as constants for whole-marking integers."""
         result = []
         for transition, row in enumerate(self.row_of):
             if row == -2:
@@ -379,7 +379,7 @@ def _lay_out(units: Units, bounds: Sequence[int | None], widths: Sequence[int]) 
 
 
 def _hash(places: int, attempt: int) -> list[int]:
-    """Returns an odd factor for each place; the sum of the products is a hash that a firing changes by a constant."""
+    """Return an odd factor for each place; the sum of the products is a hash, changed by a constant in a firing."""
     dice = np.random.Generator(np.random.PCG64(_KEY_SEED + attempt))
     return [2 * int(factor) + 1 for factor in dice.integers(0, 1 << 63, places, dtype=np.uint64)]
 

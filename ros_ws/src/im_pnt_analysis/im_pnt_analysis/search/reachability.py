@@ -1,4 +1,4 @@
-"""Exact search of the reachable markings, breadth first, so that every counterexample is a shortest one."""
+"""Exact search of the reachable markings, breadth first, so every counterexample is a shortest one."""
 
 from collections.abc import Callable, Sequence
 
@@ -22,7 +22,7 @@ _CLOCK_EVERY = 64
 
 
 class Search:
-    """Breadth-first search that can be interrupted and continued.
+    """Breadth-first search with interruption and continuation.
 
     Args:
         compiled: The net.
@@ -71,7 +71,7 @@ class Search:
         return self._widths[1] > self._widths[0]
 
     def run(self, limits: SearchLimits, deadline: float) -> str:
-        """Searches on.
+        """Continue the search.
 
         Args:
             limits: Where to give up.

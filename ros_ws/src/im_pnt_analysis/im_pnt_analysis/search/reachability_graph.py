@@ -1,4 +1,4 @@
-"""Answers that need every reachable marking and every firing between them."""
+"""Answers by every reachable marking and every firing between them."""
 
 from collections.abc import Collection, Sequence
 
@@ -30,11 +30,11 @@ class ReachabilityGraph:
 
     @property
     def terminal_sccs(self) -> int:
-        """Number of strongly connected components that are never left."""
+        """Number of strongly connected components without a way out."""
         return int(np.count_nonzero(self.components.terminal))
 
     def live_transitions(self) -> list[bool]:
-        """Returns for each transition whether it can be enabled again from every marking."""
+        """Return for each transition whether it can be enabled again from every marking."""
         if self.reversible:
             return [bool(fired) for fired in self._found.fired]
         label, terminal = self.components.label, self.components.terminal
@@ -51,7 +51,7 @@ class ReachabilityGraph:
         return [len(found) == self.terminal_sccs for found in offering]
 
     def regains(self, place: int, tokens: int) -> bool:
-        """Whether from every marking a place can come to hold that many tokens again."""
+        """Return whether a place can regain a number of tokens from every marking."""
         if self.reversible:
             return True
         label, terminal = self.components.label, self.components.terminal
@@ -70,11 +70,11 @@ class ReachabilityGraph:
         return bool(reached.all())
 
     def first_without_return(self, goal: Mask) -> int:
-        """Returns the first marking from which none of a set can be reached."""
+        """Return the first marking without a path to any of a set."""
         return int(np.argmin(reaching(self.begins, self.targets, goal)))
 
     def where_one_is_enabled(self, transitions: Sequence[int]) -> Mask:
-        """Returns the markings that enable one of some transitions."""
+        """Return the markings that enable one of some transitions."""
         found, which = self._found, list(transitions)
         parts = [
             found.packing.enabled(found.words[:, begin : min(begin + _CHUNK, found.count)])[which].any(axis=0)
@@ -83,13 +83,13 @@ class ReachabilityGraph:
         return np.concatenate(parts)
 
     def where_marked(self, place: int, tokens: int) -> Mask:
-        """Returns the markings in which a place holds that many tokens."""
+        """Return the markings in which a place holds a number of tokens."""
         found = self._found
         return found.packing.holds(found.words[:, : found.count], place, tokens)
 
 
 def stuck(search: Search, busy: Collection[int], *, may_end: bool) -> list[int]:
-    """Returns the expanded markings in which a net is stuck: it does nothing by itself, and is not at rest.
+    """Return the expanded markings of a stuck net: it does nothing by itself, and is not at rest.
 
     Args:
         search: A search whose kinds are 1 for what a net does by itself and 2 for what it may wait for.
@@ -110,7 +110,7 @@ def stuck(search: Search, busy: Collection[int], *, may_end: bool) -> list[int]:
 
 
 def place_bounds(found: StateSpace) -> tuple[list[int], int]:
-    """Returns the most tokens of each place, and of a marking, among the markings found."""
+    """Return the most tokens of each place, and of a marking, among the markings found."""
     packing, units = found.packing, found.units
     places = range(len(packing.fields))
     most = [0] * len(places)

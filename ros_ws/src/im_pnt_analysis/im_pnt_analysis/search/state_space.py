@@ -1,4 +1,4 @@
-"""What a search has found: markings, how each was reached, and the firings between them."""
+"""Result of a search: markings, the step to each, and the firings between them."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -17,7 +17,7 @@ _RATIO = 4
 
 
 class Visited:
-    """Keys in a few sorted runs, each several times as long as the next, so that adding some moves few others."""
+    """Keys in a few sorted runs, each several times as long as the next, so an addition moves few others."""
 
     def __init__(self) -> None:
         self._runs: list[tuple[Words, Numbers]] = []
@@ -26,7 +26,7 @@ class Visited:
         return bool(self._runs)
 
     def find(self, keys: Words) -> Numbers:
-        """Returns the numbers of sorted keys, -1 for those not met."""
+        """Return the numbers of sorted keys, -1 for unknown ones."""
         result = np.full(len(keys), -1, np.int32)
         for known, numbers in self._runs:
             at = known.searchsorted(keys)
@@ -36,7 +36,7 @@ class Visited:
         return result
 
     def find_one(self, key: int) -> int:
-        """Returns the number of one key, -1 if it was not met."""
+        """Return the number of one key, -1 if unknown."""
         wanted = np.uint64(key)
         for known, numbers in self._runs:
             at = int(known.searchsorted(wanted))
@@ -45,7 +45,7 @@ class Visited:
         return -1
 
     def add(self, keys: Words, numbers: Numbers) -> None:
-        """Adds sorted keys that were not met before."""
+        """Add sorted new keys."""
         while self._runs:
             known, _ = self._runs[-1]
             if len(known) > _ALWAYS_MERGED and len(known) > _RATIO * len(keys):
@@ -73,11 +73,11 @@ _SOON = 3
 
 
 class CollisionError(Exception):
-    """Two markings have the same key; they must be hashed anew."""
+    """Error: two markings have the same key; hash them anew."""
 
 
 class StateSpace:
-    """Markings in the order of their discovery, which is that of their distance from the initial one.
+    """Markings in the order of the discovery, by the distance from the initial one.
 
     Args:
         compiled: The net.
@@ -127,11 +127,11 @@ class StateSpace:
 
     @property
     def memory(self) -> int:
-        """What it takes, with what answering questions about the arcs will take [bytes]."""
+        """Memory of the space, with the need of later questions about the arcs [bytes]."""
         return self.count * (16 * self.packing.words + 40) + 24 * self._arcs
 
     def reserve(self, count: int) -> None:
-        """Makes room for that many markings."""
+        """Make room for a number of markings."""
         if count <= len(self.parents):
             return
         room = max(count, len(self.parents) + (len(self.parents) >> 1))
@@ -144,7 +144,7 @@ class StateSpace:
         self.kinds = kinds
 
     def append(self, words: Words, keys: Words, parents: Numbers, rows: Numbers) -> None:
-        """Adds new markings.
+        """Add new markings.
 
         Raises:
             CollisionError: Two of them have the same key; they were added all the same.
@@ -166,13 +166,13 @@ class StateSpace:
             self.visited.add(np.array(keys), numbers)
 
     def add_arcs(self, degrees: Numbers, targets: Numbers) -> None:
-        """Adds the steps of the next markings: how many each can take, and where they lead."""
+        """Add the steps of the next markings: the numbers, and the targets."""
         self._degrees.append(degrees)
         self._targets.append(targets)
         self._arcs += len(targets)
 
     def arcs(self) -> tuple[npt.NDArray[np.int64], Numbers]:
-        """Returns the steps in rows: where each expanded marking begins, and the markings reached; loops left out."""
+        """Return the steps in rows: the beginning of each expanded marking, and the markings reached; without loops."""
         degrees = np.concatenate(self._degrees) if self._degrees else np.zeros(0, np.int32)
         targets = np.concatenate(self._targets) if self._targets else np.zeros(0, np.int32)
         self._degrees, self._targets = [degrees], [targets]
@@ -181,7 +181,7 @@ class StateSpace:
         return begins, targets
 
     def widen(self, overflown: Sequence[int]) -> None:
-        """Gives fields more bits.
+        """Give fields more bits.
 
         Args:
             overflown: For each word the guard bits that were hit.
@@ -193,7 +193,7 @@ class StateSpace:
         self._rebuild()
 
     def rehash(self) -> None:
-        """Gives the markings other keys."""
+        """Give the markings other keys."""
         self._attempt += 1
         self._rebuild()
 
@@ -219,15 +219,15 @@ class StateSpace:
     # One marking.
 
     def vector(self, number: int) -> tuple[int, ...]:
-        """Returns the tokens of each place of a marking."""
+        """Return the tokens of each place of a marking."""
         return self.packing.unpack(self.packing.to_integers(self.words[:, number : number + 1])[0])
 
     def marking(self, number: int) -> dict[str, int]:
-        """Returns the marked places of a marking."""
+        """Return the marked places of a marking."""
         return self.compiled.marking(self.vector(number))
 
     def sequence(self, number: int, since: int = 0) -> tuple[str, ...]:
-        """Returns the firings that lead to a marking from an earlier one on its path; a shortest from the first."""
+        """Return the firings to a marking from an earlier one on the path; a shortest from the first."""
         names = []
         while number != since and number > 0:
             parent = int(self.parents[number])

@@ -1,4 +1,4 @@
-"""Search for a deadlock that fires only a stubborn set of the enabled transitions in each marking.
+"""Search for a deadlock with only a stubborn set of the enabled transitions in each marking.
 
 What is left out commutes with what is fired, so every dead marking is still found (Valmari, "Stubborn sets for reduced
 state space generation", 1991; strong stubborn sets of place/transition nets). Inhibitor arcs count as dependence.
@@ -19,7 +19,7 @@ Vector = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Deadlock:
-    """What a search for a dead marking has found.
+    """Result of a search for a dead marking.
 
     Attributes:
         found: Whether there is one; None: the search ended early.
@@ -39,7 +39,7 @@ class Deadlock:
 def find_deadlock(
     compiled: Compiled, initial: Vector, deadline: float | None = None, max_states: int = 1_000_000
 ) -> Deadlock:
-    """Searches for a reachable marking in which no transition is enabled, in the reduced net.
+    """Search for a reachable marking without an enabled transition, in the reduced net.
 
     Args:
         compiled: The net.
@@ -60,7 +60,7 @@ def find_deadlock(
 
 
 def search(compiled: Compiled, initial: Vector, deadline: float | None = None, max_states: int = 1_000_000) -> Deadlock:
-    """Searches the net as it is; where few transitions are enabled first. The arguments are the same."""
+    """Search the net without reduction; markings with few enabled transitions first. The arguments are the same."""
     always = next((t for t, arcs in enumerate(compiled.inputs) if not arcs and not compiled.inhibitors[t]), None)
     if always is not None:
         return Deadlock(False, states_searched=1)
@@ -123,7 +123,7 @@ class StubbornSets:
         return self._compiled.consumers[place], self._compiled.inhibited[place]
 
     def _dependence(self, transition: int, change: list[dict[int, int]]) -> tuple[int, ...]:
-        """Transitions that can disable an enabled one, or that it can disable."""
+        """Return the transitions in mutual disabling with an enabled one."""
         compiled = self._compiled
         others: set[int] = set()
         for place, _ in compiled.inputs[transition]:
@@ -138,12 +138,12 @@ class StubbornSets:
         return tuple(others - {transition})
 
     def enabled(self, marking: Vector) -> list[int]:
-        """Returns the transitions that are enabled in a marking."""
+        """Return the enabled transitions of a marking."""
         enabled = self._compiled.enabled
         return [transition for transition in self._all if enabled(marking, transition)]
 
     def enabled_after(self, marking: Vector, transition: int, before: frozenset[int]) -> frozenset[int]:
-        """Returns the transitions that are enabled in the marking that a firing has led to.
+        """Return the enabled transitions of the marking after a firing.
 
         Args:
             marking: Tokens of each place after the firing.
@@ -155,7 +155,7 @@ class StubbornSets:
         return before.difference(touched).union([other for other in touched if enabled(marking, other)])
 
     def choose(self, marking: Vector, enabled: frozenset[int]) -> list[int]:
-        """Returns the enabled transitions of a stubborn set with few of them, in the order of the net.
+        """Return the enabled transitions of a small stubborn set, in the order of the net.
 
         Args:
             marking: Tokens of each place.
@@ -171,7 +171,7 @@ class StubbornSets:
         return best
 
     def _closure(self, marking: Vector, seed: int, enabled: frozenset[int], limit: int) -> list[int] | None:
-        """Returns the enabled transitions of the stubborn set around a seed; None: not fewer than the limit."""
+        """Return the enabled transitions of the stubborn set around a seed; None: not fewer than the limit."""
         closed = {seed}
         stack = [seed]
         chosen: list[int] = []
@@ -191,7 +191,7 @@ class StubbornSets:
         return chosen
 
     def _enablers(self, marking: Vector, transition: int, closed: set[int]) -> tuple[int, ...]:
-        """Transitions without which a disabled one stays disabled, by the arc that adds fewest."""
+        """Return transitions without which a disabled one stays disabled, by the arc with the fewest of them."""
         compiled = self._compiled
         best: tuple[int, ...] | None = None
         fewest = len(self._all) + 1

@@ -17,7 +17,7 @@ _SHOWN = 12
 
 @dataclass(frozen=True, slots=True)
 class FiringSequence:
-    """What to play.
+    """Sequence to play.
 
     Attributes:
         sequence: Transitions to fire, by their names in the composition.
@@ -52,7 +52,7 @@ class ReplayedFiring:
 
 
 def read_firing_sequence(given: str) -> FiringSequence:
-    """Reads what to play: ``a -> b -> c``, or a file with a counterexample in JSON or a transition a line.
+    """Read a sequence to play: ``a -> b -> c``, or a file with a counterexample in JSON or a transition a line.
 
     Raises:
         ImError: There is no such file, or it cannot be understood.
@@ -100,7 +100,7 @@ def _firing_sequence(file: str, data: dict[str, object]) -> FiringSequence:
 
 
 def replay(nets: Sequence[Net], firings: FiringSequence) -> Iterator[ReplayedFiring]:
-    """Fires the transitions of a sequence one by one.
+    """Fire the transitions of a sequence one by one.
 
     Yields:
         The initial marking, then each firing.

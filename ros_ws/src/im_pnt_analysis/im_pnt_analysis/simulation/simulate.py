@@ -1,4 +1,4 @@
-"""Playing nets by their structure, delays and probabilities alone: on a virtual clock, with imagined actions.
+"""Simulation of nets by structure, delays and probabilities alone: on a virtual clock, with imagined actions.
 
 Long averages come with confidence intervals by batch means (Law, Simulation Modeling, chapter 9).
 """
@@ -32,7 +32,7 @@ class SimulatedFiring:
 def simulate(
     nets: Sequence[Net], *, seed: int = 0, steps: int | None = 100, until: float | None = None, failures: float = 0.0
 ) -> Iterator[SimulatedFiring]:
-    """Plays nets composed with their environment: symbols and callers come when the nets have nothing else to do.
+    """Play nets composed with the environment: symbols and callers come to idle nets.
 
     Args:
         nets: The nets.
@@ -57,7 +57,7 @@ def simulate(
 
 
 def run_limits(steps: int | None, until: float | None) -> float:
-    """Checks where a run shall stop, and returns the time of it [s].
+    """Check the limits of a run, and return the end [s].
 
     Raises:
         NetError: That is no number of firings, or no time.
@@ -78,7 +78,7 @@ _STUDENT_95 = 2.040
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A mean with its confidence interval.
+    """Mean with the confidence interval.
 
     Attributes:
         mean: Estimate.
@@ -91,7 +91,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a simulation comes to.
+    """Summary of a simulation.
 
     Attributes:
         time: Virtual time that was simulated [s].
@@ -130,7 +130,7 @@ def summarise(
     failures: float = 0.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Summary:
-    """Plays nets and averages; the first of 33 batches is left out of the averages, as a warm-up.
+    """Play nets and average; the first of 33 batches is left out of the averages, as a warm-up.
 
     Args:
         nets: The nets.
@@ -191,7 +191,7 @@ def _between(begin: _Batch, end: _Batch) -> _Batch:
 def _estimates(
     names: Sequence[str], batches: Sequence[_Batch], amounts: Sequence[Sequence[float]], whole: bool
 ) -> dict[str, Estimate]:
-    """Ratio estimates: amounts of the batches over their times; parts of one name are added."""
+    """Return ratio estimates: amounts of the batches over the times; parts of one name are added."""
     total = sum(batch.time for batch in batches)
     if total <= 0.0:
         return {}

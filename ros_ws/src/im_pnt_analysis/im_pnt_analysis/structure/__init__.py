@@ -1,1 +1,1 @@
-"""What the arcs of a net tell without a search: semiflows, siphons, traps, bounds, reductions."""
+"""Statements of the arcs of a net without a search: semiflows, siphons, traps, bounds, reductions."""

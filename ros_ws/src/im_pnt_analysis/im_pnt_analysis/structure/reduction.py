@@ -1,4 +1,4 @@
-"""Structural reductions that keep the answer whether a net can deadlock (Berthelot, 1986; Murata, 1989, section V).
+"""Structural reductions under which deadlocks are preserved (Berthelot, 1986; Murata, 1989, section V).
 
 A firing sequence of the reduced net to a dead marking is expanded to one of the original net. Boundedness and liveness
 are not kept. Nodes at inhibitor arcs are left as they are.
@@ -47,7 +47,7 @@ class NetReduction:
             self.add_transition(dict(compiled.inputs[number]), dict(compiled.outputs[number]), (number,))
 
     def add_transition(self, inputs: Arcs, outputs: Arcs, parts: tuple[int, ...]) -> None:
-        """Adds a transition."""
+        """Add a transition."""
         number = self._next
         self._next += 1
         self.inputs[number], self.outputs[number], self.parts[number] = inputs, outputs, parts
@@ -57,7 +57,7 @@ class NetReduction:
             self.givers[place].add(number)
 
     def remove_transition(self, transition: int) -> None:
-        """Takes a transition away."""
+        """Remove a transition."""
         for place in self.inputs.pop(transition):
             self.takers[place].discard(transition)
         for place in self.outputs.pop(transition):
@@ -66,7 +66,7 @@ class NetReduction:
         del self.parts[transition]
 
     def remove_place(self, place: int) -> None:
-        """Takes a place and its arcs away."""
+        """Remove a place and the arcs."""
         for transition in self.takers.pop(place):
             del self.inputs[transition][place]
         for transition in self.givers.pop(place):
@@ -74,11 +74,11 @@ class NetReduction:
         del self.tokens[place]
 
     def change(self, transition: int, place: int) -> int:
-        """Returns how many tokens a firing adds to a place."""
+        """Return the number of tokens added to a place by a firing."""
         return self.outputs[transition].get(place, 0) - self.inputs[transition].get(place, 0)
 
     def join(self, place: int) -> None:
-        """Replaces a place by joining each transition that gives it one token to each that takes that token."""
+        """Replace a place: join each transition that gives one token to each that takes one."""
         givers, takers = sorted(self.givers[place]), sorted(self.takers[place])
         for first in givers:
             for second in takers:
@@ -90,19 +90,19 @@ class NetReduction:
         self.remove_place(place)
 
     def free(self, transition: int) -> bool:
-        """Whether no inhibitor arc is at a transition or at a place that it touches."""
+        """Return whether no inhibitor arc is at a transition or the places."""
         return transition not in self.inhibitors and self.tested.isdisjoint(
             self.inputs[transition].keys() | self.outputs[transition].keys()
         )
 
     def places(self) -> Iterator[int]:
-        """Yields the places without inhibitor arcs that are left; they may be taken away meanwhile."""
+        """Yield the remaining places without inhibitor arcs; they may be removed meanwhile."""
         for place in list(self.tokens):
             if place in self.tokens and place not in self.tested:
                 yield place
 
     def transitions(self) -> Iterator[int]:
-        """Yields the transitions that are left; they may be taken away meanwhile."""
+        """Yield the remaining transitions; they may be removed meanwhile."""
         for transition in list(self.inputs):
             if transition in self.inputs:
                 yield transition
@@ -121,7 +121,7 @@ _MOST_PARTS = 1_000
 
 @dataclass(frozen=True, slots=True)
 class ReducedNet:
-    """A smaller net that can deadlock if and only if the original one can.
+    """Smaller net with a deadlock if and only if the original one has one.
 
     Attributes:
         original: The original net.
@@ -141,7 +141,7 @@ class ReducedNet:
     delayed: tuple[tuple[int, ...], ...]
 
     def expand(self, sequence: Sequence[str]) -> tuple[str, ...]:
-        """Returns the firing sequence of the original net to a dead marking for one of the reduced net."""
+        """Return the firing sequence of the original net to a dead marking for one of the reduced net."""
         number = {name: index for index, name in enumerate(self.compiled.transitions)}
         steps = [part for name in sequence for part in self.parts[number[name]]]
         marking = self.original_initial
@@ -162,7 +162,7 @@ class ReducedNet:
 
 
 def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: float | None = None) -> ReducedNet:
-    """Reduces a net as far as the rules go.
+    """Reduce a net by all rules.
 
     Args:
         compiled: The net.
@@ -182,7 +182,7 @@ def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: 
 
 
 def _dead_transitions(net: NetReduction) -> bool:
-    """Takes away transitions that need more of a place than there is, when nobody raises it."""
+    """Remove transitions with an unmet need of a place that no transition raises."""
     changed = False
     for place in list(net.tokens):
         if all(net.change(transition, place) <= 0 for transition in net.givers[place]):
@@ -194,7 +194,7 @@ def _dead_transitions(net: NetReduction) -> bool:
 
 
 def _redundant_places(net: NetReduction) -> bool:
-    """Takes away places that never keep a transition from firing."""
+    """Remove places that never keep a transition from firing."""
     changed = False
     kept: dict[frozenset[tuple[int, int, int]], int] = {}
     for place in net.places():
@@ -217,7 +217,7 @@ def _redundant_places(net: NetReduction) -> bool:
 
 
 def _redundant_transitions(net: NetReduction) -> bool:
-    """Takes away doubles, and transitions that change nothing while another one is enabled whenever they are."""
+    """Remove duplicates, and transitions without an effect while another one is enabled with them."""
     changed = False
     kept: set[tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]]]] = set()
     for transition in net.transitions():
@@ -243,7 +243,7 @@ def _has_weaker(net: NetReduction, transition: int) -> bool:
 
 
 def _post_agglomeration(net: NetReduction) -> bool:
-    """Joins to whoever gives to a place those who need that place alone: they can fire at once."""
+    """Join the givers of a place to the takers with no other input: they can fire at once."""
     changed = False
     for place in net.places():
         if (
@@ -257,7 +257,7 @@ def _post_agglomeration(net: NetReduction) -> bool:
 
 
 def _pre_agglomeration(net: NetReduction, delayed: list[tuple[int, ...]]) -> bool:
-    """Joins to those who take from a place the one who gives to it and does nothing else: it can wait for them."""
+    """Join the takers of a place to the only giver without other effects: it can wait for them."""
     changed = False
     for place in net.places():
         if not _between(net, place) or len(net.givers[place]) != 1:

@@ -1,4 +1,4 @@
-"""P- and T-semiflows: weightings that no firing changes, and firing counts that change no marking.
+"""P- and T-semiflows: weightings unchanged by any firing, and firing counts without an effect on the marking.
 
 Farkas' algorithm with elimination of non-minimal supports (Colom and Silva, 1991), bounded in its effort. Where it was
 capped, linear programming finds semiflows for what the others leave out.
@@ -35,7 +35,7 @@ class Semiflows:
         return covered.issuperset(names)
 
     def place_bounds(self, places: Sequence[str], initial: Sequence[int]) -> list[int | None]:
-        """Returns the bound on the tokens of each place that P-semiflows prove; None: none.
+        """Return the bound on the tokens of each place by P-semiflows; None: none.
 
         Args:
             places: Names of the places.
@@ -52,7 +52,7 @@ class Semiflows:
 
 
 def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
-    """Returns the minimal weightings of places that every firing leaves unchanged.
+    """Return the minimal weightings of places unchanged by every firing.
 
     Args:
         compiled: The net.
@@ -63,7 +63,7 @@ def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | Non
 
 
 def t_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
-    """Returns the minimal firing counts that lead from a marking back to it.
+    """Return the minimal firing counts from a marking back to itself.
 
     Args:
         compiled: The net.
@@ -100,7 +100,7 @@ def _semiflows(
 def _missing(
     flows: list[dict[int, int]], size: int, columns: Sequence[IndexedArcs], deadline: float | None
 ) -> Iterator[dict[int, int]]:
-    """Yields semiflows for components that are in none yet, where there are any."""
+    """Yield semiflows for uncovered components, where there are any."""
     from im_pnt_analysis.structure.state_equation import Cone
 
     cone = Cone(columns, size)
@@ -116,7 +116,7 @@ def _missing(
 
 @dataclass(slots=True)
 class _Row:
-    """What is left of the incidence row, the weighting that made it, and its support as a set of bits."""
+    """Rest of the incidence row, the weighting, and the support as a set of bits."""
 
     rest: dict[int, int]
     weights: dict[int, int]
@@ -138,7 +138,7 @@ class _Table:
             self._add(_Row(dict(pairs), {index: 1}, 1 << index))
 
     def eliminate(self, columns: set[int]) -> None:
-        """Makes the rest of every row zero, as far as time and room permit."""
+        """Make the rest of every row zero, as far as time and room permit."""
         while columns:
             column = min(columns, key=lambda c: (self._growth(c), c))
             columns.remove(column)
@@ -154,7 +154,7 @@ class _Table:
         return up * down - up - down
 
     def _combine(self, column: int, up: list[_Row], down: list[_Row]) -> bool:
-        """Adds the combinations without that column that have minimal support. Returns whether there is time left."""
+        """Add the combinations without a column and with minimal support. Return whether there is time left."""
         tried = 0
         for first in sorted(up, key=lambda row: len(row.weights)):
             for second in sorted(down, key=lambda row: len(row.weights)):

@@ -1,4 +1,4 @@
-"""Siphons and traps, and what they say about deadlocks.
+"""Siphons and traps, and the statements on deadlocks.
 
 A siphon, once empty, stays empty; a trap, once marked, stays marked (Murata, 1989, section VI). The places that are
 empty in a dead marking of an ordinary net are a siphon. Inhibitor arcs are left out: what holds of the sets holds with
@@ -16,7 +16,7 @@ _INTERRUPTED = ("timeout", "canceled")  # what z3 says when its time is over
 
 
 class ClosedSets:
-    """The sets in which, if a transition gives to a place of the set, it also takes from one.
+    """Sets of places closed under transitions: every giver to the set also takes from it.
 
     Attributes:
         pairs: For each transition the places it takes from and those it gives to.
@@ -37,13 +37,13 @@ class ClosedSets:
                 self._taking.setdefault(place, []).append(transition)
 
     def largest(self, places: Iterable[int]) -> frozenset[int]:
-        """Returns the largest closed set within some places; it may be empty."""
+        """Return the largest closed set within some places; possibly empty."""
         left = set(places)
         self._drop(left, [given for needed, given in self.pairs if left.isdisjoint(needed)])
         return frozenset(left)
 
     def minimal(self, places: frozenset[int], keep: Callable[[frozenset[int]], bool] = bool) -> frozenset[int]:
-        """Shrinks a closed set to one of which no part is closed.
+        """Shrink a closed set to a minimal one.
 
         Args:
             places: The closed set.
@@ -58,7 +58,7 @@ class ClosedSets:
         return places
 
     def _drop(self, left: set[int], groups: list[frozenset[int]]) -> None:
-        """Takes places out of a set, and with them all that cannot stay without them."""
+        """Remove places from a set, and all others that cannot stay without them."""
         while groups:
             for place in groups.pop() & left:
                 left.discard(place)
@@ -69,22 +69,22 @@ class ClosedSets:
 
 
 def siphon_sets(compiled: Compiled) -> ClosedSets:
-    """Returns the siphons of a net: whoever gives to one of the places takes from one."""
+    """Return the siphons of a net: every giver to one of the places takes from one."""
     return ClosedSets(compiled.inputs, compiled.outputs)
 
 
 def trap_sets(compiled: Compiled) -> ClosedSets:
-    """Returns the traps of a net: whoever takes from one of the places gives to one."""
+    """Return the traps of a net: every taker from one of the places gives to one."""
     return ClosedSets(compiled.outputs, compiled.inputs)
 
 
 def names(compiled: Compiled, places: Iterable[int]) -> tuple[str, ...]:
-    """Returns the names of some places, in the order of the net."""
+    """Return the names of some places, in the order of the net."""
     return tuple(compiled.places[place] for place in sorted(places))
 
 
 def emptied_siphon(compiled: Compiled, initial: tuple[int, ...], marking: tuple[int, ...]) -> tuple[str, ...]:
-    """Returns a smallest possible siphon that was marked at first and is empty now; empty: there is none.
+    """Return a smallest possible siphon, marked at first and empty now; empty: there is none.
 
     Args:
         compiled: The net.
@@ -118,7 +118,7 @@ class Families:
 
 
 def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
-    """Finds minimal siphons: sets of places such that whoever gives to one takes from one.
+    """Find minimal siphons: sets of places such that every giver to one takes from one.
 
     Args:
         compiled: The net.
@@ -129,7 +129,7 @@ def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None)
 
 
 def traps(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
-    """Finds minimal traps: sets of places such that whoever takes from one gives to one.
+    """Find minimal traps: sets of places such that every taker from one gives to one.
 
     Args:
         compiled: The net.
@@ -171,11 +171,11 @@ class _ClosedSetSearch:
                 self._solver.add(z3.Or([z3.Not(self._member[place]), *(self._member[other] for other in needed)]))
 
     def exclude(self, places: Iterable[int]) -> None:
-        """Excludes whatever contains all these places."""
+        """Exclude all sets with all these places."""
         self._solver.add(self._z3.Or([self._z3.Not(self._member[place]) for place in places]))
 
     def next(self) -> frozenset[int] | None:
-        """Returns a set that is not excluded; None: there is none, or a limit is met and ``reason`` says which."""
+        """Return a set not excluded yet; None: there is none, or ``reason`` names a met limit."""
         if not self._member:
             return None
         answer = self._z3.unknown

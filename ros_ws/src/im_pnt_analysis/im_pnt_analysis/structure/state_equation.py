@@ -48,7 +48,7 @@ class Cone:
         slack: bool = False,
         deadline: float | None = None,
     ) -> dict[int, int]:
-        """Returns a vector of the cone of about the least cost, zeros left out; empty: none was found.
+        """Return a vector of the cone of about the least cost, zeros left out; empty: none was found.
 
         Args:
             costs: Cost of each component.
@@ -91,7 +91,7 @@ class Cone:
     def _exactly(
         self, vector: dict[int, Fraction], positive: Collection[int], *, equal: bool, slack: bool
     ) -> dict[int, int]:
-        """Returns a vector in whole numbers if it is in the cone, otherwise nothing."""
+        """Return a vector in whole numbers if it is in the cone, otherwise nothing."""
         common = lcm(*(value.denominator for value in vector.values()))
         whole = {index: int(value * common) for index, value in vector.items() if value > 0}
         sums = [sum(whole.get(index, 0) * value for index, value in row) for row in self._rows]
@@ -101,12 +101,12 @@ class Cone:
 
 
 def weightings(compiled: Compiled) -> Cone:
-    """Returns the cone of the weightings of places that no firing raises."""
+    """Return the cone of the weightings of places not raised by any firing."""
     return Cone(compiled.change, len(compiled.places))
 
 
 def firing_counts(compiled: Compiled) -> Cone:
-    """Returns the cone of the firing counts of transitions that lower no place."""
+    """Return the cone of the firing counts of transitions that lower no place."""
     rows: list[list[tuple[int, int]]] = [[] for _ in compiled.places]
     for transition, pairs in enumerate(compiled.change):
         for place, change in pairs:
@@ -115,7 +115,7 @@ def firing_counts(compiled: Compiled) -> Cone:
 
 
 def place_bounds(compiled: Compiled, initial: Sequence[int], deadline: float | None = None) -> Mapping[str, int | None]:
-    """Returns an upper bound of the tokens of each place; None: none was found.
+    """Return an upper bound of the tokens of each place; None: none was found.
 
     Args:
         compiled: The net; inhibitor arcs are left out, which keeps the bounds true.
@@ -137,7 +137,7 @@ def place_bounds(compiled: Compiled, initial: Sequence[int], deadline: float | N
 
 
 def structurally_bounded(compiled: Compiled, deadline: float | None = None) -> bool | None:
-    """Whether every place is bounded whatever the initial marking; None: not decided.
+    """Return whether every place is bounded for any initial marking; None: not decided.
 
     Args:
         compiled: The net; with inhibitor arcs the answer False is about the net without them.

@@ -65,7 +65,7 @@ def explore(
     bounds: Mapping[str, int | None] | None = None,
     deadline: float | None = None,
 ) -> SymbolicAnswers:
-    """Finds all markings that can be reached and answers what can be asked of them.
+    """Find all reachable markings, and answer the questions about them.
 
     Args:
         compiled: The net; inhibitor arcs are exact.
@@ -157,7 +157,7 @@ class _Explorer:
         self.result.deadlock_marking = self.compiled.marking(marking)
 
     def _shortest(self, region: MarkingSet, dead: Node) -> tuple[tuple[str, ...], tuple[int, ...]]:
-        """Goes forward in rings of equal distance until one holds a dead marking, and back through them."""
+        """Go forward in rings of equal distance up to a dead marking, and back through them."""
         rings = [self.diagram.single(self.initial)]
         seen = rings[0]
         while self.diagram.intersection(rings[-1], dead) == EMPTY:

@@ -1,4 +1,4 @@
-"""Questions about a set of markings in a decision diagram: who is enabled there, how often, and what comes next."""
+"""Questions about a set of markings in a decision diagram: enabled transitions, the counts, and next markings."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from im_pnt_analysis.symbolic.saturation import UNTOUCHED, SaturationEvent
 
 
 def path_counts(diagram: Diagram, root: Node) -> list[dict[Node, int]]:
-    """Returns for each level the number of paths from the root to each of its nodes.
+    """Return for each level the number of paths from the root to each of the nodes.
 
     Args:
         diagram: The diagram.
@@ -24,7 +24,7 @@ def path_counts(diagram: Diagram, root: Node) -> list[dict[Node, int]]:
 
 
 class MarkingSet:
-    """A set of markings that is not empty.
+    """Nonempty set of markings.
 
     Args:
         diagram: The diagram.
@@ -48,18 +48,18 @@ class MarkingSet:
         self._images: dict[tuple[int, Node], Node] = {}
 
     def size(self) -> int:
-        """Returns the number of markings of the set."""
+        """Return the number of markings of the set."""
         return self._sizes[self.root]
 
     def place_bounds(self) -> list[int]:
-        """Returns for each place the most tokens that it holds in the set."""
+        """Return for each place the most tokens in the set."""
         most = [0] * self.diagram.depth
         for level, place in enumerate(reversed(self.diagram.order), start=1):
             most[place] = max(self.diagram.pairs[node][-1][0] for node in self._paths[level])
         return most
 
     def most_tokens(self) -> int:
-        """Returns the most tokens of a marking of the set."""
+        """Return the most tokens of a marking of the set."""
         most = {UNIT: 0}
         for level in range(1, self.diagram.depth + 1):
             for node in self._paths[level]:
@@ -67,7 +67,7 @@ class MarkingSet:
         return most[self.root]
 
     def enabled_count(self, transition: int) -> int:
-        """Returns in how many markings of the set a transition is enabled."""
+        """Return the number of markings of the set that enable a transition."""
         event = self._events[transition]
         known: dict[Node, int] = {}
 
@@ -87,18 +87,18 @@ class MarkingSet:
         return sum(paths * count(node, event.highest) for node, paths in self._paths[event.highest].items())
 
     def where_enabled(self, transition: int) -> Node:
-        """Returns the markings of the set in which a transition is enabled."""
+        """Return the markings of the set that enable a transition."""
         return self._restrict(self.root, self.diagram.depth, transition, {}, enabled=True)
 
     def where_disabled(self, transitions: Sequence[int]) -> Node:
-        """Returns the markings of the set in which none of these transitions is enabled."""
+        """Return the markings of the set that enable none of these transitions."""
         node = self.root
         for transition in transitions:
             node = self._restrict(node, self.diagram.depth, transition, {}, enabled=False)
         return node
 
     def dead(self) -> Node:
-        """Returns the markings of the set in which no transition is enabled."""
+        """Return the dead markings of the set."""
         memos: list[dict[Node, Node]] = [{} for _ in self._events]
         known: dict[Node, Node] = {EMPTY: EMPTY}
 
@@ -138,7 +138,7 @@ class MarkingSet:
         return result
 
     def image(self, node: Node, level: int | None = None) -> Node:
-        """Returns the markings that any set of the diagram leads to in one firing."""
+        """Return the markings one firing after a set of the diagram."""
         level = self.diagram.depth if level is None else level
         result = self._next.get(node)
         if result is None:

@@ -22,7 +22,7 @@ _CHECK_EVERY = 4_096
 
 
 class GaveUpError(Exception):
-    """The diagram cannot be finished within its limits; the message says which one was met."""
+    """Error: the diagram cannot be finished within the limits; the message names the met one."""
 
 
 class Diagram:
@@ -48,7 +48,7 @@ class Diagram:
         self._steps = 0
 
     def node(self, children: dict[int, Node]) -> Node:
-        """Returns the node with these children, EMPTY where there is none.
+        """Return the node with these children, EMPTY where there is none.
 
         Raises:
             GaveUpError: A limit is met.
@@ -65,7 +65,7 @@ class Diagram:
         return found
 
     def tick(self) -> None:
-        """Counts a step of work.
+        """Count a step of work.
 
         Raises:
             GaveUpError: The deadline has passed.
@@ -76,7 +76,7 @@ class Diagram:
 
     @contextmanager
     def share(self, time: float, nodes: int) -> Iterator[None]:
-        """Tightens the limits while the context lasts.
+        """Tighten the limits within the context.
 
         Args:
             time: Share of the time that is left.
@@ -93,14 +93,14 @@ class Diagram:
             self._deadline, self._max_nodes = before
 
     def single(self, marking: Sequence[int]) -> Node:
-        """Returns the set of one marking, given by place."""
+        """Return the set of one marking, given by place."""
         below = UNIT
         for place in reversed(self.order):
             below = self.node({marking[place]: below})
         return below
 
     def union(self, a: Node, b: Node) -> Node:
-        """Returns the markings of either set."""
+        """Return the markings of either set."""
         if a == b or b == EMPTY:
             return a
         if a == EMPTY:
@@ -117,7 +117,7 @@ class Diagram:
         return result
 
     def intersection(self, a: Node, b: Node) -> Node:
-        """Returns the markings of both sets."""
+        """Return the markings of both sets."""
         if a == b or EMPTY in (a, b):
             return a if a == b else EMPTY
         key = (a, b) if a < b else (b, a)
@@ -133,7 +133,7 @@ class Diagram:
         return result
 
     def difference(self, a: Node, b: Node) -> Node:
-        """Returns the markings of the first set that are not in the second."""
+        """Return the markings of the first set without those of the second."""
         if a == b or EMPTY in (a, b):
             return EMPTY if a == b else a
         key = (a, b)
@@ -149,7 +149,7 @@ class Diagram:
         return result
 
     def count(self, root: Node) -> int:
-        """Returns the number of markings of a set."""
+        """Return the number of markings of a set."""
         numbers = {EMPTY: 0, UNIT: 1}
 
         def count(node: Node) -> int:
@@ -168,7 +168,7 @@ class Diagram:
         return root == UNIT
 
     def pick(self, root: Node) -> tuple[int, ...]:
-        """Returns a marking of a set that is not empty, by place."""
+        """Return a marking of a nonempty set, by place."""
         marking = [0] * self.depth
         for place in self.order:
             marking[place], root = self.pairs[root][0]
@@ -177,7 +177,7 @@ class Diagram:
 
 @contextmanager
 def deep_recursion(depth: int) -> Iterator[None]:
-    """Permits recursion over that many levels of a diagram while the context lasts."""
+    """Permit recursion over a number of levels of a diagram within the context."""
     before = sys.getrecursionlimit()
     sys.setrecursionlimit(max(before, 20 * depth + 1_000))
     try:

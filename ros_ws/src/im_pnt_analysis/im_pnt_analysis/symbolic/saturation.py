@@ -1,4 +1,4 @@
-"""All markings that can be reached, forward or backward, by saturation of a decision diagram.
+"""Reachable markings, forward or backward, by saturation of a decision diagram.
 
 Each node is brought to its fixed point under the transitions whose highest place is its own before anything above it is
 looked at, so that intermediate sets stay small (Ciardo, Lüttgen and Siminiceanu, 2001). Backward search stays within a
@@ -13,7 +13,7 @@ from im_pnt_analysis.symbolic.mdd import EMPTY, UNIT, Diagram, GaveUpError, Node
 
 
 class LevelEffect(NamedTuple):
-    """What a transition asks of a place and does to it: it fires at low <= tokens < high."""
+    """Condition and effect of a transition at a place: it fires at low <= tokens < high."""
 
     low: int
     high: float
@@ -25,7 +25,7 @@ UNTOUCHED = LevelEffect(0, float("inf"), 0)
 
 
 class SaturationEvent(NamedTuple):
-    """A transition in levels; a level that it does not touch is None."""
+    """Transition in levels; an untouched level is None."""
 
     lowest: int
     highest: int
@@ -35,7 +35,7 @@ class SaturationEvent(NamedTuple):
 def saturation_event(
     compiled: Compiled, diagram: Diagram, transition: int, *, backward: bool = False
 ) -> SaturationEvent:
-    """Makes the event of a transition.
+    """Make the event of a transition.
 
     Args:
         compiled: The net.
@@ -87,7 +87,7 @@ class Saturation:
         self._children: dict[Node, dict[int, Node]] = {}
 
     def close(self, start: Node) -> Node:
-        """Returns the markings that can be reached from those of a set, itself included.
+        """Return the markings reachable from those of a set, including the set.
 
         Raises:
             GaveUpError: A limit of the diagram is met, or a place grows without end.
@@ -109,7 +109,7 @@ class Saturation:
         return result
 
     def _allowed(self, within: Node, tokens: int) -> Node:
-        """The node below in the set that is never left; UNIT stands for any marking where there is no such set."""
+        """Return the node below in the invariant set; UNIT stands for any marking without such a set."""
         if self._within is None:
             return UNIT
         children = self._children.get(within)

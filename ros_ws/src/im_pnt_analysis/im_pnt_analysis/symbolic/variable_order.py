@@ -10,7 +10,7 @@ _ROUNDS = 60
 
 
 def place_order(compiled: Compiled) -> tuple[int, ...]:
-    """Returns the places in an order with short spans.
+    """Return the places in an order with short spans.
 
     Args:
         compiled: The net.

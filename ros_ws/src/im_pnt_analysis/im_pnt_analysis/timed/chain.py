@@ -1,4 +1,4 @@
-"""The Markov chain of a timed net: its markings, their rates and weights, its recurrent classes.
+"""The Markov chain of a timed net: the markings, the rates and weights, the recurrent classes.
 
 Time passes in tangible markings; vanishing ones are left at once, by weights instead of rates.
 """
@@ -25,7 +25,7 @@ class TooManyMarkingsError(NetError):
 
 @dataclass(slots=True)
 class Markings:
-    """Reachable markings, numbered in the order they were found; the first is the initial one.
+    """Reachable markings, numbered in the order of the discovery; the first is the initial one.
 
     Attributes:
         net: The timed net.
@@ -44,7 +44,7 @@ class Markings:
     rivals: set[int] = field(default_factory=set)
 
     def sequence(self, state: int) -> list[str]:
-        """Returns a shortest firing sequence that leads to a marking, in the composition's names."""
+        """Return a shortest firing sequence to a marking, in the composition's names."""
         names: list[str] = []
         while state > 0:
             state, transition = self.parents[state]
@@ -53,7 +53,7 @@ class Markings:
 
 
 def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> Markings:
-    """Finds the markings that a timed net can reach; the answer of a command leads back to its beginning.
+    """Find the reachable markings of a timed net; the answer of a command leads back to the beginning.
 
     Args:
         net: The timed net.
@@ -111,7 +111,7 @@ def _too_many(found: Markings, what: str) -> TooManyMarkingsError:
 
 
 class _Step:
-    """What can happen in a marking."""
+    """Possible firings of a marking."""
 
     def __init__(self, net: TimedNet) -> None:
         self.net = net
@@ -121,7 +121,7 @@ class _Step:
         self._actions = [(i, timer.active) for i, timer in enumerate(net.timers) if timer.active is not None]
 
     def firings(self, vector: Vector, rivals: set[int]) -> tuple[bool, list[tuple[int, int]]]:
-        """Returns whether time passes first, and the possible firings with their number of servers."""
+        """Return whether time passes first, and the possible firings with the number of servers."""
         ready = self._ready
         for level in self.net.levels:
             if firings := [(transition, 1) for transition in level if ready(vector, transition)]:
@@ -150,7 +150,7 @@ _SMALL = 2000
 
 @dataclass(frozen=True, slots=True)
 class Chain(Generic[N]):
-    """A chain whose states are all markings.
+    """Chain with a state for every marking.
 
     Attributes:
         found: The markings.
@@ -166,7 +166,7 @@ class Chain(Generic[N]):
 
 
 def chain(found: Markings, number: Callable[[float], N]) -> Chain[N]:
-    """Gives the firings their rates and weights.
+    """Give the firings the rates and weights.
 
     Args:
         found: The markings.
@@ -197,7 +197,7 @@ def chain(found: Markings, number: Callable[[float], N]) -> Chain[N]:
 
 
 def recurrent_classes(found: Markings) -> list[list[int]]:
-    """Finds the sets of markings that are returned to for ever; the first of each is tangible.
+    """Find the sets of markings with an endless return; the first of each is tangible.
 
     Raises:
         NetError: One of them has no tangible marking: immediate transitions go round without time passing.
@@ -221,7 +221,7 @@ def recurrent_classes(found: Markings) -> list[list[int]]:
 
 
 def _loop(found: Markings, members: Sequence[int]) -> list[str]:
-    """Returns firings that lead from the first marking of a class back to it."""
+    """Return firings from the first marking of a class back to it."""
     start = members[0]
     parents: dict[int, tuple[int, int]] = {}
     queue = deque([start])
@@ -240,7 +240,7 @@ def _loop(found: Markings, members: Sequence[int]) -> list[str]:
 
 
 def class_probabilities(links: Chain[N], classes: Sequence[Sequence[int]], deadline: float | None) -> list[N]:
-    """Computes how likely the chain ends in each of its recurrent classes.
+    """Compute the probability of each recurrent class of the chain.
 
     Args:
         links: The chain; it begins in its first marking.
@@ -268,7 +268,7 @@ def class_probabilities(links: Chain[N], classes: Sequence[Sequence[int]], deadl
 
 
 def class_measure(links: Chain[N], members: Sequence[int], deadline: float | None) -> tuple[dict[int, N], str]:
-    """Computes the stationary measure of a recurrent class, and says how.
+    """Compute the stationary measure of a recurrent class, and name the method.
 
     Time shares of tangible markings add up to 1; of a vanishing marking the measure times a weight is a rate of firing.
 

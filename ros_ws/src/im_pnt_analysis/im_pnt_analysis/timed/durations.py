@@ -1,4 +1,4 @@
-"""Expected duration of a command, where its time goes, and its bottleneck.
+"""Expected duration of a command, the shares of the actions, and the bottleneck.
 
 From the marking where the symbol is read to the one where ``<symbol>_done`` or ``<symbol>_failed`` is emitted. Exact
 where means decide (exponential delays, or one thing at a time), by simulation otherwise.
@@ -51,14 +51,14 @@ class Totals:
 
 @dataclass(slots=True)
 class Played:
-    """Simulated runs: their durations [s], and the averages of everything."""
+    """Simulated runs: the durations [s], and the averages of everything."""
 
     durations: list[float]
     totals: Totals
 
 
 def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Callable[[str], None]) -> Played:
-    """Simulates commands and averages them.
+    """Simulate commands and average them.
 
     Args:
         net: Made for one command.
@@ -102,7 +102,7 @@ def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Cal
 
 
 def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
-    """Computes the averages where means decide, and says how.
+    """Compute the averages where means decide, and name the method.
 
     Args:
         net: Made for one command.
@@ -167,7 +167,7 @@ def _require_answer(found: Markings, symbol: str) -> None:
 
 
 def _remaining(links: Chain[float]) -> Sequence[float]:
-    """Solves for the time that is left in each marking until the answer [s]."""
+    """Solve for the remaining time of each marking until the answer [s]."""
     from im_pnt_analysis.timed.sparse import remaining_time
 
     found = links.found
@@ -184,7 +184,7 @@ _QUANTILES = (0.05, 0.5, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class ActionTime:
-    """What a transition contributes to the duration of a command.
+    """Contribution of a transition to the duration of a command.
 
     Attributes:
         transition: Its name, qualified by the net where there are several.
@@ -247,7 +247,7 @@ def expected_command(
     failures: float = 0.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> CommandDuration:
-    """Computes how long a command takes, from reading its symbol to emitting its answer.
+    """Compute the duration of a command, from the symbol to the answer.
 
     Args:
         nets: The net that reads the symbol, and those whose services it needs.

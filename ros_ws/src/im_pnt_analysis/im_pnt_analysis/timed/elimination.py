@@ -1,4 +1,4 @@
-"""Linear algebra of Markov chains, in fractions where the answer should be exact, in floats where it should be fast.
+"""Linear algebra of Markov chains, in fractions for exact answers, in floats for fast ones.
 
 Elimination without subtraction: Grassmann, Taksar, Heyman, "Regenerative Analysis and Steady State Distributions for
 Markov Chains", Operations Research 33(5), 1985. In floats it loses no digits, in fractions it is exact.
@@ -18,18 +18,18 @@ Rows = Sequence[dict[int, N]]
 
 
 class TookTooLongError(Exception):
-    """An elimination has passed its deadline; another method may be faster."""
+    """Error: an elimination has passed the deadline; another method may be faster."""
 
 
 def fraction(value: float) -> Fraction:
-    """Returns the simplest fraction that a float stands for: 1/3 and not 6004799503160661/2**54."""
+    """Return the simplest fraction of a float: 1/3 and not 6004799503160661/2**54."""
     simple = Fraction(value).limit_denominator(1_000_000)
     return simple if float(simple) == value else Fraction(repr(value))
 
 
 @dataclass(slots=True)
 class Eliminated(Generic[N]):
-    """A chain without some of its states.
+    """Chain without some of the states.
 
     Attributes:
         rows: For each state that is left the rates to others that are left.
@@ -42,14 +42,14 @@ class Eliminated(Generic[N]):
     inflow: dict[int, list[tuple[int, N]]]
 
     def extend(self, measure: dict[int, N]) -> None:
-        """Gives the removed states their part of a stationary measure of those that are left."""
+        """Give the removed states the part of a stationary measure of the remaining ones."""
         zero = next(iter(measure.values())) * 0
         for state in reversed(self.order):
             measure[state] = sum((measure[i] * share for i, share in self.inflow[state] if i in measure), start=zero)
 
 
 def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = None) -> Eliminated[N]:
-    """Removes states from a chain, those with the fewest neighbours first.
+    """Remove states from a chain, those with the fewest neighbours first.
 
     Args:
         rows: The chain; every removed state can be left for good.
@@ -105,7 +105,7 @@ def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = N
 
 
 def stationary(rows: Rows[N], states: Sequence[int], one: N, deadline: float | None = None) -> dict[int, N]:
-    """Computes a stationary measure of an irreducible chain: for each state its part, not normalised.
+    """Compute a stationary measure of an irreducible chain: the part of each state, not normalised.
 
     Args:
         rows: Rates; what leads out of ``states`` is not there.

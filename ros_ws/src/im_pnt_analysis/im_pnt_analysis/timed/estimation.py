@@ -1,4 +1,4 @@
-"""Delays and probabilities estimated from what was measured, with 95 % intervals.
+"""Delays and probabilities estimated from measurements, with 95 % intervals.
 
 Distributions are fitted by maximum likelihood and chosen by the Bayesian information criterion (Schwarz, 1978).
 Intervals of their parameters are those of the profile likelihood; as samples are small, its bound is the squared
@@ -52,7 +52,7 @@ class DelayEstimate:
 
 
 def estimate_share(hits: int, count: int) -> Interval:
-    """Where the probability is of what came in `hits` of `count` cases."""
+    """Return the probability of an outcome with `hits` of `count` cases."""
     from scipy.stats import beta
 
     tail = (1.0 - LEVEL) / 2.0
@@ -127,7 +127,7 @@ def _intervals(family: _Family, delay: Delay, sample: Array) -> dict[str, Interv
 
 
 def _crossing(height: Callable[[float], float], side: float) -> float:
-    """Where a function that is above 0 at 0 and falls comes to 0, on one side."""
+    """Return the zero on one side of a falling function positive at 0."""
     from scipy.optimize import brentq
 
     reach = 0.25

@@ -34,7 +34,7 @@ class MeasuredFiring:
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What was measured.
+    """Measured times of nets.
 
     Attributes:
         firings: Ends of transitions.
@@ -45,7 +45,7 @@ class Measurement:
     commands: Mapping[str, tuple[float, ...]]
 
     def by_transition(self) -> dict[str, list[float]]:
-        """Returns the durations of each transition [s]."""
+        """Return the durations of each transition [s]."""
         durations: defaultdict[str, list[float]] = defaultdict(list)
         for firing in self.firings:
             durations[firing.transition].append(firing.duration)
@@ -53,7 +53,7 @@ class Measurement:
 
 
 def measured_firings(firings: Iterable[Firing]) -> list[MeasuredFiring]:
-    """Picks the ends and failures out of what nets told, with their wall time."""
+    """Return ends and failures among the events of nets, with the wall time."""
     return [
         MeasuredFiring(f"{firing.net}.{firing.transition}", firing.duration, firing.phase == Phase.FAILED)
         for firing in firings
@@ -62,7 +62,7 @@ def measured_firings(firings: Iterable[Firing]) -> list[MeasuredFiring]:
 
 
 def read_measurement(file: str, nets: Sequence[Net] = ()) -> Measurement:
-    """Reads measured times.
+    """Read measured times.
 
     The file holds one JSON object ``{"net.transition": [seconds, ...]}``, or firings as on ``/pnt/firings``, in a list
     or one a line: ``{"net": ..., "transition": ..., "phase": 0|1|2, "duration": seconds}``. Where all of them have a
@@ -96,7 +96,7 @@ def read_measurement(file: str, nets: Sequence[Net] = ()) -> Measurement:
 
 
 def _lines(file: str, text: str) -> list[object]:
-    """What stands in a file with a JSON value a line."""
+    """Read a file with a JSON value a line."""
     data, values = list[object](), 0
     for number, line in enumerate(text.splitlines(), start=1):
         values += line.count(",")
@@ -122,7 +122,7 @@ def _times(file: str, name: str, times: object) -> list[float]:
 
 
 def _time(value: object) -> float | None:
-    """Returns a time [s], also of a stamp in sec and nanosec; None if it is none."""
+    """Return a time [s], also of a stamp in sec and nanosec; None for anything else."""
     if isinstance(value, dict):
         sec, nanosec = _time(value.get("sec")), _time(value.get("nanosec"))
         return None if sec is None or nanosec is None else sec + nanosec * 1e-9
@@ -166,7 +166,7 @@ def _from_records(file: str, records: list[object], nets: Sequence[Net]) -> Meas
 
 @dataclass(frozen=True, slots=True)
 class TransitionEstimate:
-    """What was measured of a transition, and what follows.
+    """Measurement of a transition, and the estimates.
 
     Attributes:
         count: How often it ended.
@@ -186,7 +186,7 @@ class TransitionEstimate:
 def estimate(
     nets: Sequence[Net], seen: Iterable[MeasuredFiring], known: Collection[str] = ()
 ) -> dict[str, dict[str, TransitionEstimate]]:
-    """Estimates times and frequencies of transitions, by net and name, of those that were seen or have such rivals.
+    """Estimate times and frequencies of transitions, by net and name, if seen or with seen rivals.
 
     Transitions that share an input place get their counts as weights, so that guards are true as often as they were.
     Where one of them was not seen, it keeps its weight, and the others divide theirs by their counts: what is rare and
@@ -237,7 +237,7 @@ def _estimate_net(
 
 
 def _rivals(net: Net) -> Iterable[list[str]]:
-    """Transitions that contend, each with all that it contends with, directly or by others."""
+    """Return groups of contending transitions, each with all the direct and indirect rivals."""
     left = dict(net.transitions)
     while left:
         group = [left.pop(next(iter(left)))]
@@ -253,7 +253,7 @@ def _contend(one: Transition, other: Transition) -> bool:
 
 
 def fit_delays(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> tuple[Net, ...]:
-    """Gives the transitions the delays and frequencies that :func:`estimate` finds.
+    """Give the transitions the delays and frequencies of :func:`estimate`.
 
     Strategies, whose outcome the counts hold, are dropped. What was not measured stays as it is.
 
@@ -266,7 +266,7 @@ def fit_delays(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> tuple[Net
 
 
 def with_estimates(net: Net, found: Mapping[str, TransitionEstimate]) -> Net:
-    """A net with what was estimated of its transitions."""
+    """Return a net with the estimates of the transitions."""
     transitions = dict(net.transitions)
     for name, each in found.items():
         fitted = transitions[name]
@@ -315,7 +315,7 @@ class Comparison:
 def compare(
     expected: CommandDuration, measured: Mapping[str, Sequence[float]], duration: float | None = None
 ) -> Comparison:
-    """Puts the measured run of a command beside the expected one.
+    """Compare the measured run of a command with the expected one.
 
     Args:
         expected: What was computed.

@@ -1,4 +1,4 @@
-"""A composition as a stochastic process: what takes time, what fires at once, and how often each alternative is taken.
+"""Composition as a stochastic process: delays, immediate firings, and frequencies of alternatives.
 
 Generalised stochastic Petri nets (Ajmone Marsan, Balbo, Conte, 1984) with actions. An action runs once for each token
 on its ``t.active`` place (infinite server), then ends or fails by its ``success``; a transition without an action is a
@@ -22,7 +22,7 @@ _SUFFIX = ".failed"
 
 
 def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str, str]]:
-    """Splits the replies to requests, for services and for commands, into done and failed.
+    """Split the replies to requests, for services and for commands, into done and failed.
 
     Args:
         flat: Flat net of a composition.
@@ -66,7 +66,7 @@ def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str,
 
 
 def _command_replies(flat: Net) -> dict[str, str]:
-    """Names the places that mean the answer to a command of another net, whichever, each with the command's symbol."""
+    """Return the places with any answer to a command of another net, each with the command's symbol."""
     taken = [
         {place for t in flat.transitions.values() if t.role is role for place in t.inputs}
         for role in (Role.END, Role.FAILED)
@@ -82,7 +82,7 @@ def _command_replies(flat: Net) -> dict[str, str]:
 
 
 def _shared_replies(flat: Net) -> frozenset[str]:
-    """Names the places that mean a reply, whichever: O.s, and what RETURN gives to a caller's end and failure."""
+    """Return the places with any reply: O.s, and the targets of RETURN at a caller's end and failure."""
     finished = {place for t in flat.transitions.values() if t.role is Role.FINISH for place in t.outputs}
     failed = {place for t in flat.transitions.values() if t.role is Role.FINISH_FAILED for place in t.outputs}
     returns = [t for t in flat.transitions.values() if t.role is Role.RETURN]
@@ -98,7 +98,7 @@ _NEVER = (Role.CANCEL, Role.LOST, Role.GIVEN_UP)
 
 @dataclass(frozen=True, slots=True)
 class TimedActivity:
-    """Something that takes time.
+    """Activity with a duration.
 
     Attributes:
         name: The transition as written, qualified by its net where there are several.
@@ -116,7 +116,7 @@ class TimedActivity:
 
 @dataclass(frozen=True, slots=True)
 class TimedNet:
-    """What fires when; transitions and places are those of ``compiled``.
+    """Timed net; transitions and places are those of ``compiled``.
 
     Attributes:
         composition: The nets and their environment.
@@ -147,11 +147,11 @@ class TimedNet:
 
     @property
     def initial(self) -> tuple[int, ...]:
-        """Tokens of each place to begin with."""
+        """First tokens of each place."""
         return self.compiled.marking_vector(self.compiled.net.initial_marking())
 
     def marking(self, vector: Sequence[int]) -> dict[str, int]:
-        """Returns the marked places under their names in the composition."""
+        """Return the marked places under the names in the composition."""
         marking: dict[str, int] = {}
         for name, count in zip(self.shown_places, vector, strict=True):
             if count:
@@ -160,7 +160,7 @@ class TimedNet:
 
 
 def timed_net(nets: Sequence[Net], *, failures: float = 0.0, command: str | None = None) -> TimedNet:
-    """Makes the stochastic process of nets composed with their environment.
+    """Make the stochastic process of nets composed with the environment.
 
     Args:
         nets: The nets.
@@ -199,7 +199,7 @@ def timed_net(nets: Sequence[Net], *, failures: float = 0.0, command: str | None
 
 
 def _with_tape(flat: Net, symbol: str) -> Net:
-    """Puts the symbol on a place that is read once, and marks another one when the command has been answered."""
+    """Put the symbol on a place read once, and mark another one after the answer of the command."""
     known = flat.symbols()
     if symbol not in known:
         raise NetError(f"no transition of {flat.name} reads the symbol '{symbol}'{nearest(symbol, known)}")
@@ -242,7 +242,7 @@ class _Builder:
                     self._endings.setdefault((transition.role, place), []).append(self.by_name[name])
 
     def add(self, index: int, transition: Transition) -> None:
-        """Decides what a transition of the flat net is; START comes before its END and FAILED."""
+        """Decide on the kind of a transition of the flat net; START comes before the END and FAILED."""
         weight = self._probability.get(index)
         self.weight[index] = weight = self._weight(transition) if weight is None else weight
         if index in self._timed_ends or self._never(transition):
@@ -276,7 +276,7 @@ class _Builder:
         return transition.name in self.composition.external and transition.symbol != self.command
 
     def _start(self, index: int, start: Transition) -> None:
-        """Sets up what follows the beginning of an action."""
+        """Set up the successors of the beginning of an action."""
         if start.timeout is not None:
             self.assumptions["no action is cut short by its time-out"] = None
         name = next(place for place in start.outputs if place.endswith(".active")).removesuffix(".active")
@@ -300,7 +300,7 @@ class _Builder:
                 self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
 
     def _ways(self, end: Transition, active: str) -> tuple[int, ...]:
-        """All ways in which an action ends so, as which of those who have asked for it is answered."""
+        """Return all ways of this end of an action, one for each possible caller."""
         for_nobody = self.by_name[end.name]
         return (*(way for way in self._endings[end.role, active] if way != for_nobody), for_nobody)
 

@@ -1,4 +1,4 @@
-"""Plays a timed net: an event queue; only the transitions next to the places that changed are looked at."""
+"""Player of a timed net: an event queue; only transitions next to changed places are checked."""
 
 import heapq
 import math
@@ -51,7 +51,7 @@ class Player:
         self.reset()
 
     def reset(self) -> None:
-        """Goes back to the initial marking at time 0; the dice go on."""
+        """Go back to the initial marking at time 0; the dice go on."""
         compiled = self.net.compiled
         self.time = 0.0
         self.tokens = [0] * len(compiled.places)
@@ -77,7 +77,7 @@ class Player:
                 self._schedule(number)
 
     def step(self) -> int:
-        """Fires the next transition, after the time until then; returns it, or -1 where there is none."""
+        """Fire the next transition, after the time; return it, or -1 where there is none."""
         ready = self._ready
         for level in range(self._n_levels):
             if ready[level]:
@@ -120,7 +120,7 @@ class Player:
         return next(way for way in ways if not self._unmet[way]) if len(ways) > 1 else ways[0]
 
     def token_time(self) -> list[float]:
-        """Returns for each place its tokens, integrated over the time so far [s]."""
+        """Return for each place the tokens, integrated over the time so far [s]."""
         return [
             area + count * (self.time - since)
             for area, count, since in zip(self._area, self.tokens, self._since, strict=True)

@@ -1,4 +1,4 @@
-"""Drawings of expected times, for those who would rather look than read."""
+"""Drawings of expected times."""
 
 import io
 from pathlib import Path
@@ -16,7 +16,7 @@ _EXPECTED, _TOTAL, _MEASURED = "#2b6cb0", "#bcd3ea", "#dd8833"
 
 
 def plot_command(expected: CommandDuration, comparison: Comparison | None, output: Path) -> None:
-    """Draws a bar for each action: its time, the part that is critical, and what was measured.
+    """Draw a bar for each action: the time, the critical part, and the measured time.
 
     Args:
         expected: What was computed.
@@ -48,7 +48,7 @@ def plot_command(expected: CommandDuration, comparison: Comparison | None, outpu
 
 
 def plot_steady(name: str, state: SteadyState, output: Path) -> None:
-    """Draws a bar for each place and transition: the share of the time in which it is marked or busy.
+    """Draw a bar for each place and transition: the share of marked or busy time.
 
     Args:
         name: Name of the nets.
@@ -72,7 +72,7 @@ def plot_steady(name: str, state: SteadyState, output: Path) -> None:
 
 
 def plot_mission(mission: Mission, output: Path) -> None:
-    """Draws a row for each transition that took time or failed, and a bar for each of its firings.
+    """Draw a row for each transition with a duration or failure, and a bar for each of the firings.
 
     Args:
         mission: What fired.

@@ -1,4 +1,4 @@
-"""Estimated times and frequencies written into the text of a net file; everything else stays as its author wrote it."""
+"""Estimates in the text of a net file; everything else stays as the author wrote it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Rewritten:
 
 
 def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rewritten:
-    """Puts estimates into the transitions of a net file: their ``delay``, ``success`` and ``weight``.
+    """Put estimates into the transitions of a net file: the ``delay``, ``success`` and ``weight``.
 
     Comments, order and layout stay. A value that was not measured stays; a delay of several lines becomes one of one.
 
@@ -67,7 +67,7 @@ def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rew
 
 
 def _values(each: TransitionEstimate, net: Net, name: str) -> dict[str, tuple[str, bool]]:
-    """Text of each value, and whether it is that of a transition that says nothing."""
+    """Return the text of each value, and whether the transition is silent on it."""
     values: dict[str, tuple[str, bool]] = {}
     if each.delay is not None:
         values["delay"] = (delay_text(each.delay.delay), each.delay.delay is None)
@@ -79,7 +79,7 @@ def _values(each: TransitionEstimate, net: Net, name: str) -> dict[str, tuple[st
 
 
 def delay_text(delay: Delay | None) -> str:
-    """A delay as net files have it, in one line."""
+    """Return a delay in the form of net files, in one line."""
     if delay is None or delay.kind == "constant":
         return _number(0.0 if delay is None else delay.values[0])
     return f"{{{delay.kind}: {{{', '.join(f'{key}: {_number(value)}' for key, value in delay.parameters().items())}}}}}"
@@ -94,7 +94,7 @@ def _pairs(node: yaml.Node | None) -> dict[str, tuple[yaml.Node, yaml.Node]]:
 
 
 def _shared(root: yaml.Node) -> set[int]:
-    """Identities of the nodes that are used in several places, and of all that is within these."""
+    """Return the identities of shared nodes, and of all nodes within these."""
     met, shared, waiting = set[int](), set[int](), [(root, False)]
     while waiting:
         node, within = waiting.pop()
@@ -110,7 +110,7 @@ def _shared(root: yaml.Node) -> set[int]:
 
 
 def _end(text: str, node: yaml.Node) -> int:
-    """Where a value ends in the text; a list or mapping in block style ends with its last value."""
+    """Return the end of a value in the text; a list or mapping in block style ends with the last value."""
     if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
         last = node.value[-1]
         return _end(text, last[1] if isinstance(last, tuple) else last)

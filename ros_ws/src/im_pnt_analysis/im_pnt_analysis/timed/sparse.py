@@ -1,4 +1,4 @@
-"""Steady state of large Markov chains by sparse linear algebra, with a residual that is checked."""
+"""Steady state of large Markov chains by sparse linear algebra, with a checked residual."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,7 +27,7 @@ Vector = NDArray[np.float64]
 
 
 def stationary_sparse(rows: Rows[float], states: Sequence[int]) -> tuple[dict[int, float], str]:
-    """Computes the stationary measure of a large irreducible chain.
+    """Compute the stationary measure of a large irreducible chain.
 
     Gauss-Seidel sweeps while they converge well, a sparse LU factorisation where they do not (Stewart, Introduction to
     the Numerical Solution of Markov Chains, 1994, chapters 2 and 3).
@@ -64,7 +64,7 @@ def stationary_sparse(rows: Rows[float], states: Sequence[int]) -> tuple[dict[in
 
 
 def _sweep(balance: Any) -> tuple[Vector, bool]:
-    """Sweeps over the states until they are in balance; whether that was reached.
+    """Sweep over the states until balance; return whether it was reached.
 
     The error that is left is judged by the rate at which the changes shrink, not by their size alone.
     """
@@ -93,7 +93,7 @@ def _sweep(balance: Any) -> tuple[Vector, bool]:
 
 
 def _factorise(balance: Any, reference: int) -> Vector:
-    """Solves for the flows relative to that of one state."""
+    """Solve for the flows relative to that of one state."""
     others = np.delete(np.arange(balance.shape[0]), reference)
     right = -balance[others][:, [reference]].toarray().ravel()
     try:
@@ -111,7 +111,7 @@ def _matrix(rows: Rows[float], states: Sequence[int]) -> Any:
 
 
 def remaining_time(rows: Rows[float], tangible: Sequence[bool], ends: Sequence[int]) -> list[float]:
-    """Computes the expected time until one of the ends, from each state.
+    """Compute the expected time until one of the ends, from each state.
 
     Args:
         rows: Rates of tangible states, weights of vanishing ones.
@@ -129,7 +129,7 @@ def remaining_time(rows: Rows[float], tangible: Sequence[bool], ends: Sequence[i
 
 
 def bottom_classes(arcs: Sequence[Sequence[tuple[int, int, int]]]) -> list[list[int]]:
-    """Finds the recurrent classes of a graph: strongly connected sets of states that nothing leads out of.
+    """Find the recurrent classes of a graph: strongly connected sets of states without a way out.
 
     Args:
         arcs: For each state its firings as transition, target, servers.

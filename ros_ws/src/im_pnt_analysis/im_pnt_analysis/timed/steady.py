@@ -25,7 +25,7 @@ Number = Fraction | float
 
 @dataclass(frozen=True, slots=True)
 class RecurrentClass:
-    """Markings that are returned to for ever.
+    """Recurrent markings.
 
     Attributes:
         probability: How likely the net ends up in it.
@@ -42,7 +42,7 @@ class RecurrentClass:
 
 @dataclass(frozen=True, slots=True)
 class SteadyState:
-    """Long averages; fractions where they are exact.
+    """Long averages; exact ones as fractions.
 
     Attributes:
         tangible: Number of markings in which time passes.
@@ -79,7 +79,7 @@ class SteadyState:
 def steady_state(
     nets: Sequence[Net], *, approximate: bool = False, seconds: float = 60.0, states: int = 1_000_000
 ) -> SteadyState:
-    """Computes the steady state of nets composed with their environment.
+    """Compute the steady state of nets composed with the environment.
 
     Exact for exponential delays, and for any others of transitions that never run beside another one: there the means
     decide (semi-Markov process).

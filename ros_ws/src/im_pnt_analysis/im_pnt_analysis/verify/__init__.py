@@ -1,1 +1,1 @@
-"""The verdict on nets: may they run, and if not, the firing sequence that shows why."""
+"""The verdict on nets: may they run, and the firing sequence of a refusal."""

@@ -20,7 +20,7 @@ from im_pnt_analysis.verify.report import NOTHING_ACTS, Report
 
 
 def answer_holding(report: Report, nets: Sequence[Net], seconds: float) -> None:
-    """Finds out whether whoever acts on a resource holds it.
+    """Decide whether every user of a resource holds it.
 
     Args:
         report: Gets the answer and refusals.
@@ -43,7 +43,7 @@ _SHARE = 0.08
 
 
 def conserve(report: Report, problem: Problem, deadline: float, max_rows: int) -> list[int | None]:
-    """Finds the P-semiflows and what they bound.
+    """Find the P-semiflows and the bounds.
 
     Args:
         report: Gets the answers.
@@ -63,7 +63,7 @@ def conserve(report: Report, problem: Problem, deadline: float, max_rows: int) -
 
 
 def solve_bounds(report: Report, problem: Problem, deadline: float) -> None:
-    """Looks for bounds by linear programming.
+    """Search for bounds by linear programming.
 
     Args:
         report: Gets the answer, if all places are bounded.
@@ -77,7 +77,7 @@ def solve_bounds(report: Report, problem: Problem, deadline: float) -> None:
 
 
 def describe(report: Report, problem: Problem, deadline: float) -> None:
-    """Finds T-semiflows, siphons and traps.
+    """Find T-semiflows, siphons and traps.
 
     Args:
         report: Gets the answers.
@@ -179,7 +179,7 @@ _BEYOND = "a place that a transition empties exceeds its capacity, beyond which 
 
 
 def _stopped(report: Report, problem: Problem, search: Search) -> bool:
-    """Refuses nets in which a place that is emptied exceeds its capacity; returns whether they are such."""
+    """Refuse nets with an emptied place beyond the capacity; return whether there is one."""
     overflow = counterexamples.overflow(problem, search.found, emptied=True)
     if overflow is not None:
         report.refuse(overflow)
@@ -205,7 +205,7 @@ def _answer_bounds(report: Report, problem: Problem, search: Search, deadline: f
 
 
 def answer_from_part(report: Report, problem: Problem, search: Search, deadline: float) -> None:
-    """Answers what some of the markings tell: what was found is there, whatever else is.
+    """Answer by some of the markings: the findings stand.
 
     Args:
         report: Gets the answers and refusals.
@@ -246,7 +246,7 @@ _STUBBORN_SETS = "stubborn sets"
 
 
 def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: float) -> None:
-    """Answers what decision diagrams tell.
+    """Answer by decision diagrams.
 
     Args:
         report: Gets the answers and refusals.
@@ -295,7 +295,7 @@ def answer_from_diagrams(report: Report, problem: Problem, why: str, deadline: f
 
 
 def _live(problem: Problem, found: SymbolicAnswers) -> list[str] | None:
-    """Returns the transitions that live; None where that is not known.
+    """Return the live transitions; None where unknown.
 
     One of whose ways each may end for ever may live all the same, as long as another is left; who goes back to the
     beginning always lives if it ever fires.
@@ -327,7 +327,7 @@ def _deadlocks(report: Report, problem: Problem, found: SymbolicAnswers, why: st
 
 
 def answer_from_coverability(report: Report, problem: Problem, found: Coverability) -> None:
-    """Answers what a coverability tree tells.
+    """Answer by a coverability tree.
 
     Args:
         report: Gets the answers and refusals.
@@ -362,7 +362,7 @@ def answer_from_coverability(report: Report, problem: Problem, found: Coverabili
 
 
 def answer_from_stubborn_sets(report: Report, problem: Problem, states: int, deadline: float) -> None:
-    """Looks for a deadlock only.
+    """Search for a deadlock only.
 
     Args:
         report: Gets the answer, and the refusal.
@@ -392,7 +392,7 @@ def _never(report: Report, problem: Problem, method: str, found: tuple[str, ...]
 
 
 def refuse_overflow(report: Report, problem: Problem) -> None:
-    """Refuses a place that gets more tokens than its capacity, where it is known how many and not how.
+    """Refuse a place with more tokens than the capacity, with the number but without a firing sequence.
 
     Args:
         report: Has the bounds of the places, if they were found; gets the refusals.

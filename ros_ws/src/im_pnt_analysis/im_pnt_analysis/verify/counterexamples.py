@@ -1,4 +1,4 @@
-"""What forbids to run nets, each with the shortest firing sequence that shows it."""
+"""Reasons against running nets, each with the shortest firing sequence."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ _NAMED_PLACES = 8
 
 
 def growth(found: StateSpace, grown: Growth) -> Counterexample:
-    """Says which places grow without end, and how."""
+    """Describe unbounded places, and the way to the growth."""
     earlier, later = found.vector(grown.earlier), found.vector(grown.later)
     names = [name for name, a, b in zip(found.compiled.places, earlier, later, strict=True) if b > a]
     return Counterexample(
@@ -26,7 +26,7 @@ def growth(found: StateSpace, grown: Growth) -> Counterexample:
 
 
 def overflow(problem: Problem, found: StateSpace, *, emptied: bool = False) -> Counterexample | None:
-    """Finds the first marking in which a place holds more than its capacity.
+    """Find the first marking with a place beyond the capacity.
 
     Args:
         problem: The nets.
@@ -50,7 +50,7 @@ def overflow(problem: Problem, found: StateSpace, *, emptied: bool = False) -> C
 
 
 def too_many(problem: Problem, name: str, tokens: int) -> str:
-    """Says that a place gets more tokens than its capacity."""
+    """Describe a place with more tokens than the capacity."""
     promise, capacity = problem.composition.promises.get(name), problem.compiled.net.places[name].capacity
     if promise is not None:
         return promise.format(tokens=tokens)
@@ -58,7 +58,7 @@ def too_many(problem: Problem, name: str, tokens: int) -> str:
 
 
 def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...]) -> Counterexample:
-    """Describes a marking in which the nets are stuck.
+    """Describe a marking of stuck nets.
 
     Args:
         problem: The nets.
@@ -84,7 +84,7 @@ def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...
 def lost_entries(
     problem: Problem, found: StateSpace, graph: ReachabilityGraph, live: list[bool]
 ) -> Iterator[Counterexample]:
-    """Finds commands and services that can become impossible for ever."""
+    """Find commands and services that can become impossible for ever."""
     for name, ways in problem.ways.items():
         if problem.composition.entries.isdisjoint(problem.compiled.transitions[way] for way in ways):
             continue
@@ -95,14 +95,14 @@ def lost_entries(
 
 
 def lives(graph: ReachabilityGraph, live: list[bool], ways: tuple[int, ...]) -> bool:
-    """Whether a transition can always be enabled again, in one of its ways."""
+    """Return whether a transition can always be enabled again, in one of the ways."""
     return any(live[way] for way in ways) or (
         len(ways) > 1 and graph.always_reaches(graph.where_one_is_enabled(ways))
     )
 
 
 def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:
-    """Finds what a net has sent and assumes to get back, and may never all get back."""
+    """Find tokens sent under the assumption of a return, and possibly never all returned."""
     for name, reason in problem.composition.debts.items():
         place = problem.compiled.places.index(name)
         paid = ~graph.where_marked(place, 1)
@@ -112,7 +112,7 @@ def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) 
 
 
 def held_resources(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:
-    """Finds marked places of nets without a declared rest that may never get their tokens back."""
+    """Find marked places of nets without a declared rest that may never regain the tokens."""
     declared = {net.name for net in problem.nets if net.rest is not None}
     for place, name in enumerate(problem.compiled.places):
         tokens = problem.initial[place]

@@ -1,4 +1,4 @@
-"""Which nets must be verified together, and which only one by one, because what one asks of another is always answered.
+"""Nets to verify together, and nets to verify one by one because the requests are always answered.
 
 A net *comes to rest by itself* if it is back in its first marking whenever it does nothing, and so can take any request
 again, whatever came before and however its own requests are answered. Who asks only such nets need not be verified with
@@ -27,7 +27,7 @@ LIMITS = SearchLimits(states=200_000, seconds=5.0)
 
 
 def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]:
-    """Divides nets that talk to each other into those that must be verified together.
+    """Divide communicating nets into parts to verify together.
 
     Args:
         nets: Nets of different names, each verified alone.
@@ -57,7 +57,7 @@ def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]
 
 
 def comes_to_rest(net: Net, limits: SearchLimits = LIMITS) -> bool:
-    """Whether a net is in its first marking whenever it does nothing by itself; False where that is not shown.
+    """Return whether an idle net is always in the first marking; False where undecided.
 
     Args:
         net: The net.
@@ -105,12 +105,12 @@ def _asked(net: Net) -> set[str]:
 
 
 def _services(asking: Net, net: str) -> set[str]:
-    """Returns the services, and the symbols, that a net asks of another one."""
+    """Return the services, and the symbols, of a net's requests to another one."""
     return {action.service for action in _requests(asking) if action.net == net}
 
 
 def _reach(name: str, asked: Mapping[str, set[str]]) -> set[str]:
-    """Returns the nets that a net asks, directly or through others."""
+    """Return the nets asked by a net, directly or through others."""
     found: set[str] = set()
     waiting = [name]
     while waiting:
@@ -121,7 +121,7 @@ def _reach(name: str, asked: Mapping[str, set[str]]) -> set[str]:
 
 
 def _reads_at_rest(net: Net, asking: Net) -> bool:
-    """Whether a net can begin, from its first marking, all that another one asks it by a symbol."""
+    """Return whether a net can begin, from the first marking, all requests of another one by a symbol."""
     first = net.initial_marking()
     symbols = _services(asking, net.name) - net.services.keys()
     return all(

@@ -1,4 +1,4 @@
-"""The verifier of nodes and of the start of a machine: what was proved before is not proved again."""
+"""The verifier of nodes and of the start of a machine: a kept proof is not repeated."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,7 +15,7 @@ LOAD_LIMITS = SearchLimits(states=2_000_000, seconds=20.0)
 def verify_to_load(
     nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS, progress: Progress = lambda text: None
 ) -> Report:
-    """Verifies nets, alone or composed, unless they were verified before and are unchanged.
+    """Verify nets, alone or composed, unless a proof of the unchanged nets is kept.
 
     Of several, only those are composed that must be (:mod:`im_pnt_analysis.verify.layers`), with nets that stand for
     those who write to their tapes.
@@ -40,7 +40,7 @@ def verify_to_load(
 def verify_to_start(
     nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS, progress: Progress = lambda text: None
 ) -> Iterator[Report]:
-    """Verifies the nets of a machine: each alone, as its node does, then those that talk to each other together.
+    """Verify the nets of a machine: each alone, as the node does, then communicating ones together.
 
     Args:
         nets: All nets of the machine, as written.

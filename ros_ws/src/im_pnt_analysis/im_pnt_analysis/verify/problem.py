@@ -1,4 +1,4 @@
-"""What all methods of verification work on: composed nets in indices, and for some the same nets made to stop.
+"""The problem of all methods of verification: composed nets in indices, and for some the same nets with a stop.
 
 Nets that wait for a symbol at rest enable something and are not stuck; nets that wait away from rest enable something
 and are. Methods that know dead markings only are given nets that may stop at any marking, for good. What then still can
@@ -41,7 +41,7 @@ class Problem:
 
     @property
     def ways(self) -> dict[str, tuple[int, ...]]:
-        """For each transition of the nets the ways in which it is in the composition, by their numbers."""
+        """Ways of each transition of the nets in the composition, by the numbers."""
         ways: dict[str, tuple[int, ...]] = {}
         for number, name in enumerate(self.compiled.transitions):
             meant = self.composition.ways.get(name, name)
@@ -50,7 +50,7 @@ class Problem:
         return ways
 
     def is_beyond(self, marking: Mapping[str, int]) -> bool:
-        """Whether a place that transitions empty exceeds its capacity: what the nets do then is not looked at."""
+        """Return whether an emptied place exceeds the capacity: later firings are not explored."""
         places = self.composition.net.places
         return any(marking.get(name, 0) > (places[name].capacity or 0) for name in self.composition.emptied)
 
@@ -61,7 +61,7 @@ class Problem:
 
 
 def problem_of(nets: Sequence[Net]) -> Problem:
-    """Composes nets.
+    """Compose nets.
 
     Args:
         nets: Nets as written or expanded.
@@ -89,7 +89,7 @@ _GOES, _STOPPED = "goes on", "has stopped"
 
 
 def stopping(problem: Problem) -> tuple[Compiled, tuple[int, ...]]:
-    """Returns nets that may stop, and their first marking.
+    """Return nets with a stop, and the first marking.
 
     Args:
         problem: The nets.
@@ -116,10 +116,10 @@ def _transitions(problem: Problem) -> Iterator[Transition]:
 
 
 def without_stop(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns a firing sequence of nets that may stop as one of the nets themselves."""
+    """Return a firing sequence of nets with a stop as one of the nets themselves."""
     return tuple(name for name in names if name != _STOPPED)
 
 
 def without_marks(marking: dict[str, int]) -> dict[str, int]:
-    """Returns a marking of nets that may stop as one of the nets themselves."""
+    """Return a marking of nets with a stop as one of the nets themselves."""
     return {place: tokens for place, tokens in marking.items() if place not in (_GOES, _STOPPED)}

@@ -1,4 +1,4 @@
-"""What was proved of nets, in files of the user's cache: nets that are unchanged need no second proof.
+"""Proofs of nets in files of the user's cache: unchanged nets need no second proof.
 
 A proof is known by its fingerprint: what the nets are, but for their descriptions, and what has proved it. A file that
 is damaged, or a cache that cannot be read or written, is no proof, and nets are then verified as if there were none.
@@ -31,7 +31,7 @@ _PROVERS = ("im_pnt", "im_pnt_analysis")
 
 
 class Proof(pydantic.BaseModel):
-    """What a file tells.
+    """Content of a proof file.
 
     Attributes:
         fingerprint: Of what was proved; the name of the file.
@@ -55,7 +55,7 @@ class Proofs:
         self._folder = folder
 
     def find(self, nets: Sequence[Net]) -> Report | None:
-        """Returns the verdict on nets that were verified before; None if they were not.
+        """Return the verdict on nets verified before; None without one.
 
         Args:
             nets: Nets as written, in any order.
@@ -75,7 +75,7 @@ class Proofs:
         return report
 
     def keep(self, nets: Sequence[Net], report: Report) -> None:
-        """Remembers that nets may run; where there is no room for it, they will be verified again.
+        """Keep the proof of nets; without room for it, they will be verified again.
 
         Args:
             nets: Nets as written.
@@ -95,7 +95,7 @@ class Proofs:
 
 
 def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
-    """Returns what was proved of nets before, or what is now."""
+    """Return the kept proof of nets, or a new one."""
     proofs = Proofs()
     report = proofs.find(nets)
     if report is None:
@@ -107,7 +107,7 @@ def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
 
 
 def fingerprint(nets: Sequence[Net]) -> str:
-    """Returns 64 hexadecimal digits that differ for nets of which something else may be proved, or by other means.
+    """Return 64 hexadecimal digits that differ for nets, or provers, with different proofs.
 
     Args:
         nets: Nets as written, in any order.
@@ -118,7 +118,7 @@ def fingerprint(nets: Sequence[Net]) -> str:
 
 @cache
 def _prover() -> str:
-    """Returns a fingerprint of what proves: another version of it proves anew."""
+    """Return a fingerprint of the prover: another version of it proves anew."""
     whole = hashlib.sha256()
     for name in _PROVERS:
         folder = Path(import_module(name).__path__[0])

@@ -1,4 +1,4 @@
-"""The answers about nets, each with its method or with the reason why it is missing."""
+"""The answers about nets, each with the method or with the reason of the absence."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
@@ -102,7 +102,7 @@ class Report:
     composed: list[Net] = field(default_factory=list, repr=False, compare=False)
 
     def answer(self, method: str, **answers: object) -> None:
-        """Gives answers that are not given yet; None is no answer.
+        """Enter missing answers; None is no answer.
 
         Args:
             method: How they were obtained.
@@ -115,7 +115,7 @@ class Report:
                 self.unknown.pop(name, None)
 
     def leave(self, reason: str, *names: str) -> None:
-        """Says why answers are missing, for those that are.
+        """Enter the reason of missing answers.
 
         Args:
             reason: Why.
@@ -126,7 +126,7 @@ class Report:
                 self.unknown[name] = reason
 
     def refuse(self, counterexample: Counterexample) -> None:
-        """Adds what forbids to run the nets; the first growth, overflow and deadlock is enough.
+        """Add a reason against running the nets; the first growth, overflow and deadlock is enough.
 
         What somebody assumed comes first, for the rest follows from it.
         """
@@ -137,16 +137,16 @@ class Report:
             self.refusals.append(counterexample)
 
     def decide(self) -> None:
-        """Gives the verdict on what is known."""
+        """Enter the verdict by the known answers."""
         safe = self.bounded is True and self.has_deadlock is False
         self.ok = safe and self.resources_return is True and self.resources_held is True and not self.refusals
 
     def to_dict(self) -> dict[str, object]:
-        """Returns the report as plain data."""
+        """Return the report as plain data."""
         return {name: value for name, value in asdict(replace(self, composed=[])).items() if name != "composed"}
 
     def require_ok(self) -> None:
-        """Accepts or refuses.
+        """Accept or refuse.
 
         Raises:
             VerificationError: The net must not run; carries the shortest firing sequence that shows why.
@@ -159,7 +159,7 @@ class Report:
 
     @property
     def unproved(self) -> str:
-        """Why it could not be decided whether the nets may run; empty where it was."""
+        """Reason of a missing decision; empty for a decided one."""
         if self.ok or self.refusals:
             return ""
         reasons: dict[str, list[str]] = {}
@@ -212,7 +212,7 @@ _SHOWN_FLOWS = 20
 
 
 def readable(report: Report) -> str:
-    """Returns a report as lines of text."""
+    """Return a report as lines of text."""
     verdict = "verified" if report.ok else "REFUSED" if report.refusals else "NOT VERIFIED"
     lines = [f"{'+'.join(report.nets)}: {verdict}"]
     rows = [*_refusals(report), *_answers(report), *(("assumed", text) for text in report.assumptions)]
@@ -225,7 +225,7 @@ def readable(report: Report) -> str:
 
 
 def refusal_text(report: Report) -> str:
-    """Returns in lines why nets are refused, without what else is known of them."""
+    """Return the refusal of nets in lines, without the other answers."""
     names = ", ".join(report.nets)
     lines = [f"nets {names} are refused:" if len(report.nets) > 1 else f"net {names} is refused:"]
     lines += [f"  {label:<{_WIDTH}}{text}" for label, text in _refusals(report)]

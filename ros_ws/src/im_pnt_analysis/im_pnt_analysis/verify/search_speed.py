@@ -1,4 +1,4 @@
-"""Measure how fast the markings of nets are searched: one half of what ``scripts/im pnt bench`` shows."""
+"""Measurement of the search of markings: one half of ``scripts/im pnt bench``."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Proves that nets may run: alone, or composed as far as they must be."""
+"""Proof of nets: alone, or composed as far as needed."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -14,7 +14,7 @@ from im_pnt_analysis.verify.verdict import verify
 
 
 def verify_in_parts(nets: Sequence[Net], limits: SearchLimits, progress: Progress) -> Report:
-    """Verifies nets, alone or composed, as :func:`im_pnt_analysis.verify.load.verify_to_load` does without a proof.
+    """Verify nets, alone or composed, as :func:`im_pnt_analysis.verify.load.verify_to_load` does without a kept proof.
 
     Args:
         nets: Nets as written.
@@ -44,7 +44,7 @@ def verify_in_parts(nets: Sequence[Net], limits: SearchLimits, progress: Progres
 
 
 def _joined(nets: Sequence[Net], reports: Sequence[Report]) -> Report:
-    """Returns the verdict on nets whose parts were verified.
+    """Return the verdict on nets with verified parts.
 
     Raises:
         NetError: The nets do not fit together.

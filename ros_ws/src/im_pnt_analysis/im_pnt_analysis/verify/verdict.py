@@ -1,4 +1,4 @@
-"""The verdict on one net or several: may it run, and if not, the shortest firing sequence that shows why.
+"""The verdict on one net or several: may it run, and the shortest firing sequence of a refusal.
 
 Methods are tried from the cheap to the costly: semiflows; explicit search; linear programming and coverability where
 no semiflow bounds the net; decision diagrams where the space is too large to list; stubborn sets where only the
@@ -49,7 +49,7 @@ def verify(
     holding: bool = True,
     progress: Progress = lambda text: None,
 ) -> Report:
-    """Verifies one net, or several joined over remote places and coordination structures.
+    """Verify one net, or several joined over remote places and coordination structures.
 
     Args:
         nets: The nets.
@@ -119,7 +119,7 @@ class _Verification:
         self._rest(search.stopped)
 
     def _without_search(self, reason: str) -> None:
-        """Answers what can be answered where a place holds too many tokens to list markings."""
+        """Answer where a place holds too many tokens for a list of markings."""
         if self.report.bounded is None:
             solve_bounds(self.report, self.problem, self._later())
         if self.report.bounded is None:
@@ -129,7 +129,7 @@ class _Verification:
         self._rest(reason)
 
     def _rest(self, reason: str) -> None:
-        """Looks for a deadlock at least, and says why what is missing is."""
+        """Search for a deadlock at least, and give the reason of missing answers."""
         if self.report.has_deadlock is None and self.problem.closed:
             self.progress("stubborn sets")
             answer_from_stubborn_sets(self.report, self.problem, self.limits.states, self.deadline)
@@ -140,7 +140,7 @@ class _Verification:
         self.report.leave(reason if self.report.bounded is not False else "the net is unbounded")
 
     def _look_for_growth(self, search: Search) -> None:
-        """Searches a net that no semiflow bounds, and decides whether it is bounded if it can."""
+        """Search a net without a bounding semiflow, and decide on the boundedness if possible."""
         report = self.report
         test = GrowthTest(search.found)
         later = self._later()
@@ -173,7 +173,7 @@ class _Verification:
         answer_from_coverability(self.report, problem, coverability(problem.compiled, problem.initial, self._later()))
 
     def _search(self, search: Search) -> None:
-        """Lists the markings of a net that is not known to be unbounded, or puts them into a decision diagram."""
+        """List the markings of a possibly bounded net, or put them into a decision diagram."""
         self._some(search, _MANY, self._later())
         if not search.complete and not search.widening:
             search.run(self.limits, self._later())

@@ -16,7 +16,7 @@ _PORT = 14.0
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A net with the places of its parts."""
+    """Net with the places of the parts."""
 
     net: str
     nodes: tuple[DrawnNode, ...]
@@ -24,7 +24,7 @@ class Drawing:
     layout: GraphLayout
 
     def to_dict(self) -> dict[str, object]:
-        """Returns what a display needs, as plain data; coordinates in pixels."""
+        """Return the drawing for a display, as plain data; coordinates in pixels."""
         layout = self.layout
         nodes = [
             {
@@ -56,7 +56,7 @@ class Drawing:
         return {"net": self.net, "nodes": nodes, "arcs": arcs, "size": size}
 
     def points(self) -> list[list[Point]]:
-        """Returns the points of each arc from rim to rim; where two of them differ in x, it bends between them."""
+        """Return the points of each arc from rim to rim; where two of them differ in x, it bends between them."""
         positions, rows = self.layout.positions, self.layout.rows
         inner = [self.layout.routes[arc.source, arc.target] for arc in self.arcs]
         sides: dict[tuple[str, bool], list[tuple[float, int, bool]]] = {}
@@ -78,7 +78,7 @@ class Drawing:
 
 
 def draw(net: Net, *, phases: bool = False) -> Drawing:
-    """Lays out a net.
+    """Lay out a net.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
@@ -91,7 +91,7 @@ def draw(net: Net, *, phases: bool = False) -> Drawing:
 
 
 def path(points: list[Point]) -> str:
-    """Returns SVG path data: upright lines, and bends with upright ends between them."""
+    """Return SVG path data: upright lines, and bends with upright ends between them."""
     words = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (x, y), (u, v) in pairwise(points):
         if abs(x - u) < 0.05:
@@ -103,7 +103,7 @@ def path(points: list[Point]) -> str:
 
 
 def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
-    """Returns a drawing as an SVG document.
+    """Return a drawing as an SVG document.
 
     Args:
         drawing: What to draw.
@@ -129,7 +129,7 @@ def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
 
 
 def dot(drawing: Drawing) -> str:
-    """Returns a drawing in the DOT language."""
+    """Return a drawing in the DOT language."""
     lines = [f'digraph "{_quoted(drawing.net)}" {{', "  rankdir=TB; node [fontsize=10];"]
     for node in drawing.nodes:
         shape = "box" if node.kind == "transition" else "circle"
@@ -155,7 +155,7 @@ def _quoted(text: str) -> str:
 
 
 def _ports(node: DrawnNode, count: int) -> list[Point]:
-    """Where arcs meet the rim of a node, from left to right: offsets from its anchor, downward."""
+    """Return the ends of arcs on the rim of a node, from left to right: offsets from the anchor, downward."""
     radius = {"transition": 0.0, "reference": REFERENCE_RADIUS}.get(node.kind, RADIUS)
     room = 2 * node.box.left - 16 if node.kind == "transition" else 1.3 * radius
     step = min(_PORT, room / (count - 1)) if count > 1 else 0.0

@@ -18,7 +18,7 @@ _DUMMY_WIDTH = 6.0
 
 
 class NodeBox(NamedTuple):
-    """Room that a node needs left and right of its anchor, and its height, centred on the anchor."""
+    """Room of a node left and right of the anchor, and the height, centred on the anchor."""
 
     left: float
     right: float
@@ -27,7 +27,7 @@ class NodeBox(NamedTuple):
 
 @dataclass(slots=True)
 class Layered:
-    """Layers of nodes and dummies, their neighbours above and below, and the dummies of each edge."""
+    """Layers of nodes and dummies, the neighbours above and below, and the dummies of each edge."""
 
     layers: list[list[Node]]
     up: dict[Node, list[Node]] = field(default_factory=dict)
@@ -36,12 +36,12 @@ class Layered:
 
 
 def box_of(boxes: Mapping[str, NodeBox], node: Node) -> NodeBox:
-    """Returns the room of a node or dummy."""
+    """Return the room of a node or dummy."""
     return boxes[node] if isinstance(node, str) else NodeBox(_DUMMY_WIDTH / 2, _DUMMY_WIDTH / 2, 0.0)
 
 
 def connected(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
-    """Returns the nodes of each connected part, the largest part first; nodes without edges make one part."""
+    """Return the nodes of each connected part, the largest part first; nodes without edges make one part."""
     near: dict[str, list[str]] = {node: [] for node in nodes}
     for a, b in edges:
         near[a].append(b)
@@ -61,7 +61,7 @@ def connected(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
 
 
 def backward_edges(nodes: list[str], edges: Sequence[Edge], top: Collection[str]) -> set[Edge]:
-    """Returns edges without which there is no cycle, those into ``top`` among them."""
+    """Return edges of all cycles, those into ``top`` among them: without them there is no cycle."""
     follows: dict[str, list[str]] = {node: [] for node in nodes}
     backward = {(a, b) for a, b in edges if b in top}
     for a, b in edges:
@@ -90,7 +90,7 @@ def _forward(edge: Edge, backward: set[Edge]) -> Edge:
 
 
 def depths(nodes: list[str], edges: Sequence[Edge], backward: set[Edge]) -> dict[str, int]:
-    """Returns the layer of each node, counted from the top; edges of ``backward`` run upward."""
+    """Return the layer of each node, counted from the top; edges of ``backward`` run upward."""
     forward = {_forward(edge, backward) for edge in edges if edge[0] != edge[1]}
     waiting = dict.fromkeys(nodes, 0)
     follows: dict[str, list[str]] = {node: [] for node in nodes}
@@ -114,7 +114,7 @@ def depths(nodes: list[str], edges: Sequence[Edge], backward: set[Edge]) -> dict
 
 
 def with_dummies(depth: dict[str, int], edges: Sequence[Edge], backward: set[Edge]) -> Layered:
-    """Returns the layers, with a dummy for each layer that an edge crosses."""
+    """Return the layers, with a dummy for each crossed layer of an edge."""
     graph = Layered([[] for _ in range(max(depth.values()) + 1)])
     for node, level in depth.items():
         graph.layers[level].append(node)
@@ -139,7 +139,7 @@ def with_dummies(depth: dict[str, int], edges: Sequence[Edge], backward: set[Edg
 
 
 def reduce_crossings(graph: Layered, sweeps: int = 16) -> None:
-    """Orders each layer by barycentres; the best order seen stays."""
+    """Order each layer by barycentres; the best order seen stays."""
     best, fewest = [list(layer) for layer in graph.layers], _crossings(graph)
     for sweep in range(sweeps):
         downward = sweep % 2 == 0
@@ -173,7 +173,7 @@ def _crossings(graph: Layered) -> int:
 
 
 def horizontal(graph: Layered, boxes: Mapping[str, NodeBox], gap: float, sweeps: int = 24) -> dict[Node, float]:
-    """Returns the horizontal place of every node and dummy."""
+    """Return the horizontal place of every node and dummy."""
     x: dict[Node, float] = {}
     offsets: list[list[float]] = []
     for layer in graph.layers:
@@ -197,7 +197,7 @@ def horizontal(graph: Layered, boxes: Mapping[str, NodeBox], gap: float, sweeps:
 
 
 def _wanted(graph: Layered, x: Mapping[Node, float], node: Node) -> float:
-    """Mean of the neighbours; the dummies of a long edge follow each other, which keeps it straight."""
+    """Return the mean of the neighbours; the dummies of a long edge follow each other, for a straight line."""
     near = [*graph.up.get(node, ()), *graph.down.get(node, ())]
     if not isinstance(node, str):
         near = [other for other in near if not isinstance(other, str)] or near
@@ -205,7 +205,7 @@ def _wanted(graph: Layered, x: Mapping[Node, float], node: Node) -> float:
 
 
 def _straighten(graph: Layered, boxes: Mapping[str, NodeBox], x: dict[Node, float], gap: float) -> None:
-    """Makes a long edge upright over its whole length where there is room."""
+    """Make a long edge upright over the whole length where there is room."""
     room: dict[Node, tuple[Node | None, Node | None]] = {}
     for layer in graph.layers:
         for before, node, after in zip([None, *layer], layer, [*layer[1:], None], strict=False):
@@ -223,7 +223,7 @@ def _straighten(graph: Layered, boxes: Mapping[str, NodeBox], x: dict[Node, floa
 
 
 def _isotonic(values: list[float]) -> list[float]:
-    """Returns the non-decreasing sequence nearest to the values (pool adjacent violators)."""
+    """Return the non-decreasing sequence nearest to the values (pool adjacent violators)."""
     blocks: list[tuple[float, int]] = []
     for value in values:
         total, count = value, 1
@@ -264,7 +264,7 @@ class GraphLayout:
 def layered(
     boxes: Mapping[str, NodeBox], edges: Sequence[Edge], top: Collection[str] = (), gap: float = 16.0
 ) -> GraphLayout:
-    """Lays out a graph from top to bottom.
+    """Lay out a graph from top to bottom.
 
     Args:
         boxes: Room of each node, in the order in which a reader should meet them.
@@ -277,7 +277,7 @@ def layered(
 
 
 def _side_by_side(parts: list[GraphLayout]) -> GraphLayout:
-    """Sets parts in columns whose whole is near the aspect of a screen."""
+    """Set parts in columns with a total near the aspect of a screen."""
     area = sum((part.width + _PART_GAP) * (part.height + _PART_GAP) for part in parts)
     tallest = max([(area / _ASPECT) ** 0.5, *(part.height for part in parts)])
     whole = GraphLayout({}, {}, {}, 0.0, 0.0)
@@ -328,7 +328,7 @@ def _connected(boxes: Mapping[str, NodeBox], every: Sequence[Edge], top: Collect
 
 
 def _rows(graph: Layered, boxes: Mapping[str, NodeBox], x: Mapping[Node, float]) -> list[tuple[float, float]]:
-    """Borders of the layers; the farther edges go sideways between two of them, the wider the gap."""
+    """Return the borders of the layers; the farther edges go sideways between two of them, the wider the gap."""
     rows: list[tuple[float, float]] = []
     at = 0.0
     for layer in graph.layers:

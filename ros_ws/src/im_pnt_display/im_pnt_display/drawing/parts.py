@@ -1,4 +1,4 @@
-"""What a net is drawn with: its places and transitions, and references to places where an arc would lead too far.
+"""Parts of a drawing: places and transitions, and references to places at the end of far arcs.
 
 A reference is a small copy of a place, with its name and tokens (a fusion place; Jensen, "Coloured Petri Nets", 1992).
 It stands where an arc to a distant place, to a place that many transitions lead to, or to a semaphore would be long.
@@ -72,7 +72,7 @@ class DrawnArc:
 
 
 def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tuple[DrawnArc, ...]]:
-    """Returns the nodes and arcs to draw.
+    """Return the nodes and arcs to draw.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
@@ -98,7 +98,7 @@ def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tup
 
 
 def _far(net: Net, arcs: list[DrawnArc]) -> set[Edge]:
-    """The arcs that end at a reference: those of semaphores, and those that would be long."""
+    """Return the arcs that end at a reference: those of semaphores, and long ones."""
     marked = [name for name, place in net.places.items() if place.tokens]
     semaphores = {INPUT_SEMAPHORE, OUTPUT_SEMAPHORE} & set(marked)
     far = {(arc.source, arc.target) for arc in arcs if {arc.source, arc.target} & semaphores}
@@ -109,7 +109,7 @@ def _far(net: Net, arcs: list[DrawnArc]) -> set[Edge]:
 
 
 def _distinct(net: Net) -> tuple[Net, dict[str, str]]:
-    """The net with other names for places that are named like a transition, and the names they had."""
+    """Return the net with other names for places named like a transition, and the former names."""
     new: dict[str, str] = {}
     for name in net.places:
         new[name] = name
@@ -187,7 +187,7 @@ def _transition(transition: Transition) -> DrawnNode:
 
 
 def _notes(transition: Transition) -> Iterator[str]:
-    """What a transition waits for and does, a line each: ``?`` reads a tape, ``!`` writes one (Hoare's CSP)."""
+    """Return inputs and outputs of a transition, a line each: ``?`` reads a tape, ``!`` writes one (Hoare's CSP)."""
     if transition.symbol:
         yield f"?{transition.symbol}"
     if transition.guard:

@@ -1,4 +1,4 @@
-"""Which arcs of a drawing end at a reference, a small copy of a place, because they would be long or crowd a place."""
+"""Arcs that end at a reference, a small copy of a place, because they would be long or crowd a place."""
 
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
@@ -14,7 +14,7 @@ _LARGE, _PIECE, _CANDIDATES = 150, 60, 24
 def far_edges(
     names: list[str], edges: Sequence[Edge], places: Collection[str], top: Collection[str], failures: Collection[Edge]
 ) -> set[Edge]:
-    """Returns the edges that end at a reference.
+    """Return the edges that end at a reference.
 
     Args:
         names: Nodes in the order of reading.
@@ -46,7 +46,7 @@ def far_edges(
 
 
 def _pieces(names: list[str], edges: Sequence[Edge]) -> dict[str, int]:
-    """Numbers the pieces in which a graph is drawn: its parts, or neighbourhoods of parts that would be too wide."""
+    """Number the pieces of a graph's drawing: the parts, or neighbourhoods of parts too wide for one."""
     near: dict[str, list[str]] = {name: [] for name in names}
     for a, b in edges:
         near[a].append(b)
@@ -70,7 +70,7 @@ def _pieces(names: list[str], edges: Sequence[Edge]) -> dict[str, int]:
 
 
 def _waist(part: list[str], edges: Sequence[Edge], places: Collection[str], top: Collection[str]) -> set[Edge]:
-    """Where a part would be too tall: the edges into the place at which it is best continued in another column."""
+    """Return the edges into the best place for a break of a part too tall for one column."""
     depth = depths(part, edges, backward_edges(part, edges, top))
     height = max(depth.values()) - min(depth.values())
     best: set[Edge] = set()

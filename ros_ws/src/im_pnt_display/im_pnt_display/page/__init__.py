@@ -1,1 +1,1 @@
-"""Live display of nets (paper, section 6): any number of viewers, each with the parts of the nets that it likes."""
+"""Live display of nets (paper, section 6): any number of viewers, each with the choice of parts."""

@@ -1,4 +1,4 @@
-"""A counterexample as the page plays it: the markings that its firings lead through, and drawings to see them on."""
+"""Counterexample on the page: the markings of the firings, and drawings of them."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from im_pnt_display.page.state import net_content
 
 
 def drawn_counterexample(nets: Sequence[Net], firings: FiringSequence) -> dict[str, object]:
-    """Returns the steps of a firing sequence, with the drawings to see them on, as JSON data.
+    """Return the steps of a firing sequence, with the drawings, as JSON data.
 
     Args:
         nets: The nets that it is for, as written.
@@ -27,7 +27,7 @@ def drawn_counterexample(nets: Sequence[Net], firings: FiringSequence) -> dict[s
 
 
 def _by_net(nets: Sequence[Net], marking: dict[str, int]) -> dict[str, dict[str, int]]:
-    """Takes the marking of a composition apart; places of its environment are left out."""
+    """Take the marking of a composition apart; places of the environment are left out."""
     if len(nets) == 1:
         return {nets[0].name: marking}
     parts: dict[str, dict[str, int]] = {net.name: {} for net in nets}

@@ -1,4 +1,4 @@
-"""Who says of which net that it runs it, and what the net is."""
+"""Descriptions of nets, and the nodes they come from."""
 
 from collections.abc import Mapping
 
@@ -9,18 +9,18 @@ MOST_NODES = 10
 
 
 class NetDescriptions:
-    """Descriptions of nets by the nodes that run them; of one net that several nodes describe, the newest counts."""
+    """Descriptions of nets by the nodes; of one net of several nodes, the newest counts."""
 
     def __init__(self) -> None:
         self._by_net: dict[str, dict[str, Mapping[str, object]]] = {}
 
     def add(self, net: str, node: str, content: Mapping[str, object]) -> None:
-        """Enters what a node says of a net, in the place of what it has said before."""
+        """Enter the description of a net by a node, in the place of the former one."""
         others = list(self._others(net, node).items())[-(MOST_NODES - 1) :]
         self._by_net[net] = {**dict(others), node: content}
 
     def withdraw(self, net: str, node: str) -> bool:
-        """Passes over what a node has said of a net; returns whether that was the newest."""
+        """Remove the description of a net by a node; return whether it was the newest."""
         if node not in (described := self._by_net.get(net, {})):
             return False
         others = self._others(net, node)
@@ -31,7 +31,7 @@ class NetDescriptions:
         return node == list(described)[-1]
 
     def newest(self, net: str) -> tuple[str, Mapping[str, object]]:
-        """Returns the node that counts as running a net, and its description.
+        """Return the running node of a net, and the description.
 
         Raises:
             NotFoundError: No node describes such a net.

@@ -1,4 +1,4 @@
-"""Who may look at the page: requests that name this server, from pages of this server, which nobody may frame.
+"""Doors of the page: requests must name this server and come from the pages, which no other page may frame.
 
 A page of elsewhere whose name was made to point here (DNS rebinding) sends its own name as ``Host``; one that opens a
 socket to here sends it as ``Origin``. An address points nowhere else: the one that a request came to
@@ -27,7 +27,7 @@ _HEADERS = {
 
 
 def guarded_application(host: str) -> web.Application:
-    """Returns an application that answers only who may ask, and tells browsers what its pages may do.
+    """Return an application with checked requests, and with rules for browsers on the pages.
 
     Args:
         host: Name or address that it listens on.
@@ -62,7 +62,7 @@ def _host_name(host: str) -> str | None:
 
 
 def _came_to(request: web.Request, name: str | None) -> bool:
-    """Whether that is the address of this computer at which a request came in."""
+    """Return whether a text is the address of this computer at which a request came in."""
     own = request.transport.get_extra_info("sockname") if request.transport is not None else None
     return own is not None and name is not None and address_of(name) == address_of(own[0])
 

@@ -1,4 +1,4 @@
-"""Under which names this computer is known."""
+"""Names of this computer."""
 
 import ipaddress
 import socket
@@ -8,20 +8,20 @@ HERE = ("localhost", "127.0.0.1", "::1")
 
 
 def is_everywhere(host: str) -> bool:
-    """Whether who listens there listens on all addresses of this computer."""
+    """Return whether a host name stands for all addresses of this computer."""
     address = address_of(host)
     return not host or (address is not None and address.is_unspecified)
 
 
 def served_names(host: str) -> set[str]:
-    """Returns the names of what listens somewhere; those of this computer, too, if that is everywhere."""
+    """Return the names of a listening address; for all addresses, with the names of this computer."""
     if not is_everywhere(host):
         return {*HERE, host.lower().strip("[]")}
     return {*HERE, socket.gethostname().lower(), socket.getfqdn().lower()}
 
 
 def address_of(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Returns the address that a text is; None: it is none, but a name."""
+    """Return the address in a text; None for a name."""
     try:
         return ipaddress.ip_address(text.partition("%")[0].strip("[]"))
     except ValueError:

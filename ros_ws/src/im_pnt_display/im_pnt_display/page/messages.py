@@ -1,4 +1,4 @@
-"""What nodes tell of their nets, as plain data for the page. What makes no sense is refused with a sentence."""
+"""Messages of nodes on the nets, as plain data for the page. Senseless messages are refused with a sentence."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class _Refusal(BaseModel):
 
 
 def described_net(name: str, text: str, node: str) -> dict[str, object]:
-    """Reads a net, and draws it.
+    """Read a net, and draw it.
 
     Args:
         name: Its name.
@@ -38,7 +38,7 @@ def described_net(name: str, text: str, node: str) -> dict[str, object]:
 
 
 def counterexample(text: str) -> dict[str, object]:
-    """Reads why a net was refused, and draws it; empty where there is nothing to play.
+    """Read the counterexample of a refused net, and draw it; empty where there is nothing to play.
 
     Args:
         text: JSON as in ``/pnt/refusals``: the texts of the nets, the sequence, what is repeated, and the reason.
@@ -55,7 +55,7 @@ def counterexample(text: str) -> dict[str, object]:
 
 
 def token_counts(places: Sequence[str], tokens: Sequence[int]) -> dict[str, int]:
-    """Reads the tokens of places, as in ``/pnt/markings``.
+    """Read the tokens of places, as in ``/pnt/markings``.
 
     Raises:
         ImError: There are not as many numbers as places.
@@ -66,7 +66,7 @@ def token_counts(places: Sequence[str], tokens: Sequence[int]) -> dict[str, int]
 
 
 def firing_content(at_s: float, told: Any) -> dict[str, object]:
-    """Returns a firing for the page.
+    """Return a firing for the page.
 
     Args:
         at_s: When it was [s].
@@ -90,12 +90,12 @@ def firing_content(at_s: float, told: Any) -> dict[str, object]:
 
 
 def phase_name(phase: int) -> str:
-    """Returns the name of a phase of ``/pnt/firings``; of one that is not known, its number."""
+    """Return the name of a phase of ``/pnt/firings``; of an unknown one, the number."""
     return Phase(phase).name if phase in list(Phase) else str(phase)
 
 
 def finite(name: str, value: float) -> float:
-    """Returns a number of a message.
+    """Return a number of a message.
 
     Raises:
         ImError: It is none; JSON could not say it, and no page could read it.

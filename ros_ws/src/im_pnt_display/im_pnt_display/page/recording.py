@@ -1,4 +1,4 @@
-"""A recording as the page shows it: the nets at any moment, what comes next, and the time line of what took time."""
+"""A recording as the page shows it: the nets at any moment, the next firings, and the time line of actions."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ FIRINGS_AHEAD = 200
 
 
 class RecordedNets:
-    """A recording; each viewer asks for the moment that it looks at.
+    """Nets of a recording; each viewer asks for its own moment.
 
     Args:
         name: What the recording is called.
@@ -43,7 +43,7 @@ class RecordedNets:
         }
 
     def moment(self, asked: Mapping[str, str]) -> Change:
-        """Returns the nets at a moment, and what comes next.
+        """Return the nets at a moment, and the next firings.
 
         Args:
             asked: Which: ``at``, a time [s], or ``firing``, the number of the firing that has just happened.
@@ -77,7 +77,7 @@ class RecordedNets:
         }
 
     def _steps(self, states: dict[str, NetState], moments: Sequence[Moment], firing: int) -> Iterator[Change]:
-        """What changes at each of some moments; the states go along."""
+        """Return the changes at some moments, with the states."""
         for moment in moments:
             event = moment.event
             known = event.net in states

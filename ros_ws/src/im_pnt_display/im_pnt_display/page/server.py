@@ -31,7 +31,7 @@ _END_S = 3.0
 
 
 class DisplayServer:
-    """Serves a display from a thread of its own.
+    """Server of a display, in a thread of its own.
 
     It listens at once, and loads the libraries of a web server when somebody comes first: mostly nobody does.
 
@@ -69,7 +69,7 @@ class DisplayServer:
         return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
 
     def start(self) -> None:
-        """Begins to serve.
+        """Begin to serve.
 
         Raises:
             LinkError: No port is free.
@@ -78,13 +78,13 @@ class DisplayServer:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends all connections."""
+        """End all connections."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(timeout=5.0)
 
     def show(self, change: Change) -> None:
-        """Passes a change of the state on to all viewers; from any thread."""
+        """Pass a change of the state on to all viewers; from any thread."""
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._viewers.show, change)
 
@@ -178,7 +178,7 @@ async def _pass_on(backlog: asyncio.Queue[str], writer: asyncio.StreamWriter) ->
 
 
 def _listening(host: str, port: int) -> list[socket.socket]:
-    """Returns sockets that listen on all addresses of a name; the port of the first, if any will do.
+    """Return listening sockets on all addresses of a name; with the port of the first, if any port will do.
 
     Raises:
         OSError: One cannot.

@@ -1,4 +1,4 @@
-"""The site that the display serves: the page, what it shows, moments of a recording, and a socket for each viewer."""
+"""The site of the display: the page, the state, moments of a recording, and a socket for each viewer."""
 
 import asyncio
 import socket
@@ -40,7 +40,7 @@ _TOLD_S = 0.5
 
 
 class Site:
-    """Answers whoever comes to the display, in the loop of its server.
+    """Web site of the display, in the loop of the server.
 
     Args:
         host: Address that it is served on.
@@ -64,7 +64,7 @@ class Site:
             self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
     async def serve(self, sockets: Sequence[socket.socket], stop: asyncio.Event) -> None:
-        """Answer those who come to sockets that listen, until it is to stop; all connections have ended then."""
+        """Answer requests on listening sockets until the stop; all connections have ended then."""
         self._stop = stop
         runner = web.AppRunner(self._app, shutdown_timeout=1.0, keepalive_timeout=REQUEST_S)
         await runner.setup()
@@ -148,7 +148,7 @@ class Site:
 
 
 class _Refusal(asyncio.Protocol):
-    """One connection more than there may be: it is closed."""
+    """Refusal of a connection beyond the largest number."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         transport.close()
@@ -164,7 +164,7 @@ async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:
-    """Returns what a viewer asks for, None if it makes no sense; text that no message can carry makes none."""
+    """Return the request of a viewer, None for senseless text."""
     try:
         wanted = read_json(dict[str, str], text, "a request")
     except DataError:

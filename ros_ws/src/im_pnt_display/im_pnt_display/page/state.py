@@ -1,4 +1,4 @@
-"""What a display shows: nets, their markings, and the last firings; as plain data."""
+"""State of a display: nets, the markings, and the last firings; as plain data."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ Change = dict[str, object]
 
 
 def net_content(net: Net) -> dict[str, object]:
-    """Returns the structure and drawing of a net, as JSON data."""
+    """Return the structure and drawing of a net, as JSON data."""
     return {
         "net": net.name,
         "description": net.description,
@@ -25,7 +25,7 @@ def net_content(net: Net) -> dict[str, object]:
 
 
 class DisplayState:
-    """The last known state of every net. Most methods return a change; :meth:`enter` makes it, where it is shown.
+    """The last known state of every net. Most methods return a change; :meth:`enter` makes it, in the shown state.
 
     Attributes:
         operable: Whether viewers may operate nets.
@@ -42,7 +42,7 @@ class DisplayState:
         self.recording: Mapping[str, object] | None = None
 
     def enter(self, change: Change) -> bool:
-        """Makes a change, in the thread that takes snapshots; returns whether it is one."""
+        """Make a change, in the thread of the snapshots; return whether it is one."""
         net = str(change.get("net"))
         match change["kind"]:
             case "snapshot":
@@ -77,7 +77,7 @@ class DisplayState:
         self._mcs, self.operable, self.recording = (snapshot[key] for key in ("mcs", "operable", "recording"))
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
-        """Returns that there is a net, or its new structure; that one of its name was refused before is over.
+        """Return the change for a new net or a new structure; a former refusal of the name is over.
 
         Args:
             name: Name of the net.
@@ -87,11 +87,11 @@ class DisplayState:
         return {"kind": "net", "net": name, "node": node, **content}
 
     def gone(self, name: str) -> Change:
-        """Returns that a net was unloaded."""
+        """Return the change for an unloaded net."""
         return {"kind": "gone", "net": name}
 
     def marking(self, net: str, marking: Mapping[str, object]) -> Change:
-        """Returns the marking of a net, and how it is operated.
+        """Return the change for the marking of a net, and the mode of operation.
 
         Args:
             net: Name of the net.
@@ -101,19 +101,19 @@ class DisplayState:
         return {"kind": "marking", "net": net, **marking}
 
     def refusal(self, net: str, refusal: Mapping[str, object]) -> Change:
-        """Returns that a net was refused, with the counterexample."""
+        """Return the change for the refusal of a net, with the counterexample."""
         return {"kind": "refusal", "net": net, **refusal}
 
     def answer(self, net: str, success: bool, message: str) -> Change:
-        """Returns the answer to what a viewer asked for; it is passed on and not kept."""
+        """Return the answer to a viewer's request; it is passed on and not kept."""
         return {"kind": "answer", "net": net, "success": success, "message": message}
 
     def firing(self, firing: Mapping[str, object]) -> Change:
-        """Returns a firing."""
+        """Return the change for a firing."""
         return {"kind": "firing", **firing}
 
     def motion_control(self, condition: Mapping[str, object]) -> Change:
-        """Returns what the Motion Control System says of itself.
+        """Return the change for the state of the Motion Control System.
 
         Args:
             condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, and whether all that
@@ -122,7 +122,7 @@ class DisplayState:
         return {"kind": "mcs", **condition}
 
     def snapshot(self) -> Change:
-        """Returns everything, for a viewer that begins."""
+        """Return the whole state, for a new viewer."""
         return {
             "kind": "snapshot",
             "nets": [self._nets[name] for name in sorted(self._nets)],

@@ -13,7 +13,7 @@ Operate = Callable[[Mapping[str, str]], None]
 
 
 class Viewers:
-    """The viewers of a display; all but :attr:`state` for the loop of its server.
+    """Viewers of a display; all but :attr:`state` for the loop of the server.
 
     Args:
         state: What is shown to whoever comes.
@@ -28,7 +28,7 @@ class Viewers:
         return len(self._backlogs)
 
     def enter(self) -> asyncio.Queue[str]:
-        """A viewer comes; what it is to be shown, the state first."""
+        """Enter a viewer; return the queue, with the state first."""
         backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
         backlog.put_nowait(self.snapshot_text())
         self._backlogs[backlog] = None
@@ -41,11 +41,11 @@ class Viewers:
         return self._snapshot
 
     def leave(self, backlog: asyncio.Queue[str]) -> None:
-        """A viewer goes."""
+        """Remove a viewer."""
         del self._backlogs[backlog]
 
     def show(self, change: Change) -> None:
-        """Makes a change of the state, and passes it on to all; who is too far behind gets the state instead."""
+        """Make a change of the state, and pass it on to all; a late viewer gets the state instead."""
         if not self.state.enter(change):
             return
         self._snapshot = None

@@ -22,7 +22,7 @@ _NICENESS = 10
 
 
 async def answer_visitors(host: str, link: socket.socket, listening: Sequence[socket.socket]) -> None:
-    """Answer visitors until the display closes its link.
+    """Answer visitors until the display closes the link.
 
     Args:
         host: Address that the page is served on.

@@ -49,7 +49,7 @@ class DisplayNode(ManagedNode):
         self._operators: dict[str, Client] = {}
 
     def phase_configure(self) -> None:
-        """Opens the page and follows the nets.
+        """Open the page and follow the nets.
 
         Raises:
             LinkError: No port is free.
@@ -68,14 +68,14 @@ class DisplayNode(ManagedNode):
         self.get_logger().info(f"nets are shown at {self.server.url}")
 
     def phase_shutdown(self) -> None:
-        """Closes the page."""
+        """Close the page."""
         self._drawing.shutdown(wait=False, cancel_futures=True)
         self.server.stop()
         with suppress(OSError):
             display_file().unlink(missing_ok=True)
 
     def _show_mcs(self) -> None:
-        """Show what MCS said last, and whether it still says it."""
+        """Show the last state of MCS, and whether it is still current."""
         if self._mcs is None or (said := self._mcs.message) is None:
             return
         groups = {group.group: group.state for group in said.groups if group.reserved}
@@ -90,7 +90,7 @@ class DisplayNode(ManagedNode):
         self._draw(("refusal", message.net), partial(self._draw_refusal, message))
 
     def _draw(self, key: tuple[str, ...], work: Callable[[], None]) -> None:
-        """Has something drawn in the thread for that, after all else, in the place of what waits of the same key."""
+        """Draw something in the drawing thread, last in the queue, in the place of a waiting job of the same key."""
         with self._undrawn_lock:
             waited = self._undrawn.pop(key, None) is not None
             self._undrawn[key] = work
@@ -146,7 +146,7 @@ class DisplayNode(ManagedNode):
 
     @contextmanager
     def _warning(self, what: str) -> Iterator[None]:
-        """Leaves a warning in the log where a message cannot be shown."""
+        """Write a warning to the log where a message cannot be shown."""
         try:
             yield
         except Exception as error:  # whatever arrives leaves a sentence, and the display goes on
@@ -168,7 +168,7 @@ class DisplayNode(ManagedNode):
             self.server.show(self.server.state.answer(net, answer.success, answer.message))
 
     def _operator(self, net: str) -> Client:
-        """The client that operates a net.
+        """Return the client that operates a net.
 
         Raises:
             NotFoundError: There is no such net.
@@ -180,7 +180,7 @@ class DisplayNode(ManagedNode):
 
 
 def main() -> int:
-    """Runs the node ``/pnt_display``."""
+    """Run the node ``/pnt_display``."""
     return run_main(DisplayNode)
 
 

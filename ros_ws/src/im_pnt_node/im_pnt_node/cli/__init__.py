@@ -1,1 +1,1 @@
-"""Commands of ``pnt`` that need journals or an exchange: ``journal`` and ``bench``."""
+"""Commands of ``pnt`` with journals or an exchange: ``journal`` and ``bench``."""

@@ -73,7 +73,7 @@ def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measures nets.
+    """Measure nets.
 
     Raises:
         ImError: An option is out of range, or a file is wrong.

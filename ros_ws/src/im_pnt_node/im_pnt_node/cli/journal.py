@@ -1,4 +1,4 @@
-"""``pnt journal``: what a node would remember if it came back, and how to have it forget."""
+"""``pnt journal``: show the memory of a node after a restart, and delete it."""
 
 import argparse
 import json
@@ -75,7 +75,7 @@ def _discard(options: argparse.Namespace) -> int:
 
 
 def summary(held: Recovered) -> str:
-    """Returns a line about a journal: whose it is, what it is for, and how much it holds."""
+    """Return a line about a journal: the node, the nets, and the size."""
     entries = sum(len(batch) for _, batch in held.batches)
     nets = held.header.get("nets")
     names = ", ".join(nets) if isinstance(nets, dict) else "none"
@@ -84,7 +84,7 @@ def summary(held: Recovered) -> str:
 
 
 def described(held: Recovered, most: int) -> list[str]:
-    """Returns lines about a journal: its snapshot by net, and its last entries.
+    """Return lines about a journal: the snapshot by net, and the last entries.
 
     Args:
         held: What it holds.
@@ -132,7 +132,7 @@ def _home() -> Path:
 
 
 def _folders() -> list[Path]:
-    """The folders of the journals of this machine, by name."""
+    """Return the folders of the journals of this machine, by name."""
     return _within(_home())
 
 
@@ -141,7 +141,7 @@ def _within(folder: Path) -> list[Path]:
 
 
 def _folder(name: str) -> Path:
-    """Finds the folder of a journal.
+    """Find the folder of a journal.
 
     Raises:
         NotFoundError: There is none of that name; what is told is what a folder holds, or else this machine.

@@ -1,4 +1,4 @@
-"""A command as a command line says it: its symbol, and its arguments each as ``name=value``."""
+"""Command of a command line: the symbol, and the arguments each as ``name=value``."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from im_pnt.model.net import Net
 
 
 class Order:
-    """A command that is to be run once.
+    """Command for one run.
 
     Attributes:
         symbol: Its symbol.
@@ -21,7 +21,7 @@ class Order:
 
     @classmethod
     def read(cls, nets: Sequence[Net], symbol: str, given: Sequence[str]) -> "Order":
-        """Reads a command line.
+        """Read a command line.
 
         Args:
             nets: The nets, one of which knows the command.
@@ -50,7 +50,7 @@ class Order:
 
 
 def _value(name: str, text: str, schema: ArgumentSchema | None) -> object:
-    """The value of an argument: a text where one is asked for, else JSON, else the text itself; ``1,2`` is a list."""
+    """Return the value of an argument: a text where declared so, else JSON, else the text itself; ``1,2`` is a list."""
     argument = None if schema is None else schema.arguments.get(name)
     if argument is not None and argument.type is ArgumentType.STRING:
         return text

@@ -1,4 +1,4 @@
-"""Measure how fast given nets fire: one half of what ``scripts/im pnt bench`` shows."""
+"""Measurement of the firings of given nets: one half of ``scripts/im pnt bench``."""
 
 import random
 from collections.abc import Callable, Coroutine, Sequence
@@ -21,7 +21,7 @@ _TRIES = 100
 
 
 def fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[int, float]:
-    """Fire nets in their executors; nets that get stuck begin anew.
+    """Fire nets in the executors; nets that get stuck begin anew.
 
     Actions confirm at once, guards are drawn by lot, and whenever nothing can fire the tape gets every symbol.
 
@@ -55,7 +55,7 @@ def fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[
 
 
 class _Players:
-    """Nets in their executors, with everything around them imagined."""
+    """Nets in the executors, in an imagined environment."""
 
     def __init__(self, nets: Sequence[Net], seed: int) -> None:
         self._dice = random.Random(seed)
@@ -75,12 +75,12 @@ class _Players:
         return sum(executor.sequence for executor in self._exchange.nets.values())
 
     def pump(self, limit: int) -> None:
-        """Fires each net at most so often."""
+        """Fire each net at most a number of times."""
         for executor in self._exchange.nets.values():
             executor.pump(limit)
 
     def stir(self) -> None:
-        """Writes every symbol to the tape that is not at work, and has the guards drawn again."""
+        """Write every idle symbol to the tape, and draw the guards again."""
         for name, executor in self._exchange.nets.items():
             executor.post(GuardsChanged())
             for symbol in executor.net.symbols():
@@ -98,17 +98,17 @@ class _Players:
 
 
 def _confirm(_: ActionContext) -> dict[str, object]:
-    """An action that succeeds at once, and a builder that adds nothing."""
+    """Succeed at once, as an action, and add nothing, as a builder."""
     return {}
 
 
 async def _perform(_: Activity, __: ActionContext) -> dict[str, object]:
-    """A service, goal or message that succeeds at once."""
+    """Succeed at once, as a service, goal or message."""
     return {}
 
 
 def _bare(net: Net) -> Net:
-    """Returns a net without its values: nothing that is imagined has any."""
+    """Return a net without the values: imagined actions have none."""
     transitions = {}
     for name, transition in net.transitions.items():
         action = transition.action

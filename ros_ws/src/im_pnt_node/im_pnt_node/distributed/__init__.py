@@ -1,4 +1,4 @@
-"""Nets in several processes: remote places, requests, and the link that crosses exactly once.
+"""Nets in several processes: remote places, requests, and the link with exactly-once delivery.
 
 :class:`Exchange` delivers tokens, requests and replies between the nets of a process to their :mod:`.inboxes`, keeps
 the :mod:`.requests` that wait, tells the journal of both (:mod:`.entries`), and hands what is for others, as

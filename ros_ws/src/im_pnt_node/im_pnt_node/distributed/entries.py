@@ -1,4 +1,4 @@
-"""What an exchange tells its journal (:data:`ExchangeEntry`), before it is done."""
+"""Entries of an exchange in the journal (:data:`ExchangeEntry`), written before the effect."""
 
 from typing import NamedTuple
 
@@ -46,7 +46,7 @@ class RequestAsked(NamedTuple):
 
 
 class RequestAnswered(NamedTuple):
-    """A request waits for its reply no more."""
+    """Entry: a request waits for the reply no more."""
 
     request_id: str
 
@@ -58,13 +58,13 @@ class RequestClosed(NamedTuple):
 
 
 class RequestsRenamed(NamedTuple):
-    """Requests, and what else has its name from the life of the process, are named otherwise from then on."""
+    """Entry: requests, and other names made from the incarnation of the process, change from here on."""
 
     life: str
 
 
 class TokenKept(NamedTuple):
-    """A token is kept that no net wants."""
+    """Entry: a token is kept as undeliverable."""
 
     net: str
     place: str

@@ -1,4 +1,4 @@
-"""The exchange of one process: carries tokens, requests and replies between its nets, and to and from others.
+"""The exchange of one process: carries tokens, requests and replies between the nets, and to and from others.
 
 :class:`Exchange` has the requests that wait for their reply (:mod:`.requests`) and the inboxes of the nets
 (:mod:`.inboxes`). It tells its journal what happens to them (:mod:`.entries`), before it is done.
@@ -46,27 +46,27 @@ RETURN_TIMEOUT_S = 60.0
 
 
 class Transport(Protocol):
-    """Carries messages to other processes: a :class:`im_pnt_node.distributed.link.Link`, or what stands before one."""
+    """Carrier of messages to other processes: a :class:`im_pnt_node.distributed.link.Link`, or a wrapper of one."""
 
     def node_of(self, net: str) -> str:
-        """Returns the node that runs a net."""
+        """Return the node of a net."""
 
     def send(self, node: str, message: Message) -> None:
-        """Sends a message; it arrives once, some time, and in order.
+        """Send a message; it arrives once, some time, and in order.
 
         Raises:
             NetError: Its payload is not JSON data.
         """
 
     def forget(self, request_id: str) -> None:
-        """Stops repeating what was sent about a request."""
+        """Stop the repetition of messages about a request."""
 
     def keeps_journal(self, node: str) -> bool:
-        """Whether a node has said that it keeps a journal."""
+        """Return whether a node has announced a journal."""
 
 
 class Exchange:
-    """Knows the nets of its process, and the requests under way.
+    """Nets of one process, and the requests under way.
 
     Args:
         node: Name of the process' node.
@@ -104,7 +104,7 @@ class Exchange:
         self._lost: dict[str, tuple[float, str]] = {}
 
     def add(self, executor: Executor) -> None:
-        """Enters a net, in the place of one of the same name that is not busy.
+        """Enter a net, in the place of one of the same name that is not busy.
 
         Raises:
             StateError: The one of the same name is busy.
@@ -117,7 +117,7 @@ class Exchange:
         self.nets[name] = executor
 
     def succeed(self, executor: Executor) -> None:
-        """Enters a net that has taken over the state of one of its name: what that has asked for is answered to it."""
+        """Enter a net in the place of the predecessor, with the state; replies to the predecessor go to it."""
         name = executor.net.name
         waiting = [(each, asked) for each, asked in self.book.items() if asked.executor is self.nets[name]]
         self.nets[name] = executor
@@ -128,7 +128,7 @@ class Exchange:
     # What the nets of this process send.
 
     def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
-        """Sends tokens to a place of another net; with what they take along, where they are of a job."""
+        """Send tokens to a place of another net; tokens of a job with the context."""
         message, context = token_message(target.net, target.place), None
         if departure is not None:
             context = self._carried(net, target.net, departure)
@@ -170,14 +170,14 @@ class Exchange:
     def send_job_update(
         self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Tells another net of a job whose tokens have crossed."""
+        """Inform another net of a job with tokens there."""
         told = JobUpdateArrived(self._key_of(net, job), False, update, net, error, results)
         self._send_tiding(self._node_of(to), to, told)
 
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Tells the net that has sent a token of a job that the work of that is done."""
+        """Inform the sender of a job's token: the work for it is done."""
         self._send_tiding(node, to, JobUpdateArrived(key, False, JobUpdate.SETTLED, net, error, results))
 
     def _send_tiding(self, node: str, to: str, told: JobUpdateArrived) -> None:
@@ -187,7 +187,7 @@ class Exchange:
             self.inboxes.post(self.nets[to], replace(told, home=self._is_home(told.key, to)))
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
-        """Sends a request; its reply, or why there is none, ends the activity."""
+        """Send a request; the reply, or the cause of a missing one, ends the activity."""
         action = activity.action
         assert isinstance(action, RequestAction)
         local = action.net in self.nets
@@ -220,11 +220,11 @@ class Exchange:
         return refusal
 
     def awaits_reply(self, activity: Activity) -> bool:
-        """Whether a request has been sent for an activity, and its reply is still to come."""
+        """Return whether the request of an activity still awaits the reply."""
         return self.book.of_activity(activity) is not None
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
-        """Answers a request of whatever process."""
+        """Answer a request of any process."""
         self.inboxes.close(request)
         try:
             self._send_reply(request, error, results)
@@ -270,7 +270,7 @@ class Exchange:
     # What arrives from other processes.
 
     def receive(self, sender: str, message: Message) -> str:
-        """Takes a message from another process; returns why it is refused, empty if it is not."""
+        """Take in a message from another process; return the reason of a refusal, empty without one."""
         try:
             return self._receive(sender, message)
         except NetError as error:  # a journal cannot keep what it carries
@@ -319,7 +319,7 @@ class Exchange:
         return self.inboxes.token(message.net, message.place, context)
 
     def refused(self, message: Message, why: str) -> None:
-        """Takes back a message that its receiver refused; a token is kept as undeliverable."""
+        """Take back a refused message; a token is kept as undeliverable."""
         if message.kind is MessageKind.TOKEN:
             self._kept(message, why)
         elif message.kind is not MessageKind.REQUEST or not self._answer(message.request_id, NetError(why), {}):
@@ -340,11 +340,11 @@ class Exchange:
         transport.send(node, VOID)  # it is repeated until the node acknowledges it, which shows that it is back
 
     def node_returned(self, node: str) -> None:
-        """A node has given a sign of life."""
+        """Note a sign of life of a node."""
         self._lost.pop(node, None)
 
     def node_reset(self, node: str, why: str, in_flight: list[Message]) -> None:
-        """A node and this one do not remember the same: what one has asked the other is given up.
+        """Give up mutual requests with a node whose memory differs.
 
         Args:
             node: The other node.
@@ -359,7 +359,7 @@ class Exchange:
         self._give_up(node, why)
 
     def begin_life(self, epoch: int) -> None:
-        """The process has forgotten what it had asked: nothing that is asked from now on has the name of that.
+        """Begin an incarnation after a loss of memory: no later request has the name of a forgotten one.
 
         Args:
             epoch: The epoch that it has begun.
@@ -382,12 +382,12 @@ class Exchange:
                 self.inboxes.cancel(request, LinkError(why, node=node))
 
     def _nets_of(self, node: str, executor: Executor) -> tuple[str, ...]:
-        """Returns the nets of a node to which a net gives tokens."""
+        """Return the nets of a node that get tokens from a net."""
         given = {target.net for each in executor.net.transitions.values() for target in each.remote_outputs}
         return tuple(sorted(net for net in given if self._node_of(net) == node))
 
     def partners(self) -> frozenset[str]:
-        """Returns the nodes that requests wait for, those that wait for replies, and those where tokens of jobs are."""
+        """Return the nodes with open requests, with owed replies, and with tokens of jobs."""
         asked = {waiting.node for _, waiting in self.book.items() if waiting.node}
         for executor in self.nets.values():
             for job in executor.jobs():
@@ -396,7 +396,7 @@ class Exchange:
         return frozenset(asked | {r.caller_node for r in self.inboxes.in_work.values() if r.caller_node})
 
     def tidy(self) -> None:
-        """Gives up nodes that have not returned in time, and drops requests whose transitions wait no more."""
+        """Give up nodes that have not returned in time, and drop requests without a waiting transition."""
         now = self._clock()
         for node, (deadline, why) in list(self._lost.items()):
             if now >= deadline:
@@ -409,7 +409,7 @@ class Exchange:
     # Requests that wait, and tokens that nobody wants.
 
     def watch(self, asked: RequestAsked) -> None:
-        """Enters a request, and has it cancelled when its activity is.
+        """Enter a request, and cancel it with the activity.
 
         Raises:
             NetError: The activity does not run.
@@ -422,7 +422,7 @@ class Exchange:
         activity.on_release.append(lambda: self._release_request(activity))
 
     def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
-        """Ends a request with its reply; returns whether anybody waited for it."""
+        """End a request with the reply; return whether an activity waited for it."""
         waiting = self.book.get(request_id)
         if waiting is None:
             return False
@@ -431,7 +431,7 @@ class Exchange:
         return True
 
     def _kept(self, message: Message, why: str) -> None:
-        """Keeps a token that nobody wants, where it is seen and counted."""
+        """Keep an undeliverable token, visible and counted."""
         if why:
             self._happens(TokenKept(message.net, message.place))
             self._dropped(f"{message} is undeliverable and kept: {why}")
@@ -447,7 +447,7 @@ class Exchange:
         self.replay(entry)
 
     def replay(self, entry: ExchangeEntry) -> None:
-        """Does what an entry tells; nothing is posted or sent.
+        """Apply an entry; nothing is posted or sent.
 
         Raises:
             NetError: It speaks of an activity that does not run.
@@ -478,5 +478,5 @@ class Exchange:
 
 
 def cancelled_by(net: str) -> ImError:
-    """Returns why a request ends early that its caller cancelled."""
+    """Return the reason of an early end by the caller's cancellation."""
     return ImError(f"cancelled by net {net}", code="cancelled", net=net)

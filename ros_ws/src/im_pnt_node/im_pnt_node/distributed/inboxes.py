@@ -1,4 +1,4 @@
-"""The inboxes of the nets of one process, and what was delivered to them and not taken yet."""
+"""The inboxes of the nets of one process, with delivered events until the firing."""
 
 from collections import deque
 from collections.abc import Callable
@@ -23,20 +23,20 @@ from im_pnt_node.distributed.entries import Arrival, Delivery, EventPosted, Exch
 
 
 class Deliveries:
-    """Events for the nets of one process that were put into their inboxes and not taken yet, in order."""
+    """Delivered events for the nets of one process that the nets have not taken yet, in order."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Delivery]] = {}
 
     def put_delivery(self, net: str, event: Delivery) -> None:
-        """Notes that an event was put into the inbox of a net."""
+        """Note an event in the inbox of a net."""
         waiting = self._waiting.get(net)
         if waiting is None:
             waiting = self._waiting[net] = deque()
         waiting.append(event)
 
     def taken(self, net: str, entry: NetEntry) -> None:
-        """Notes what a net has recorded: perhaps that it has taken one of these events."""
+        """Note a recorded event of a net: perhaps a delivered one."""
         waiting = self._waiting.get(net)
         if not waiting or not isinstance(entry, Delivery):
             return
@@ -50,12 +50,12 @@ class Deliveries:
                 return
 
     def waiting(self) -> dict[str, list[Delivery]]:
-        """Returns what waits, by net."""
+        """Return the waiting events, by net."""
         return {net: list(events) for net, events in self._waiting.items() if events}
 
 
 def _name_of(event: Delivery) -> tuple[type, object]:
-    """Returns what tells an event from the others of its inbox."""
+    """Return the identity of an event among the others of the inbox."""
     match event:
         case TokenArrived(place, count, context):
             return TokenArrived, (place, count, context and (context.owner.key, context.node, context.net))
@@ -90,7 +90,7 @@ class _Door(NamedTuple):
 
 
 class Inboxes:
-    """Delivers to the nets of one process; what is delivered is journalled.
+    """Deliverer to the nets of one process; deliveries are journalled.
 
     Attributes:
         nets: The nets, by name.
@@ -107,7 +107,7 @@ class Inboxes:
         self._doors: dict[tuple[str, str], _Door] = {}
 
     def post(self, executor: Executor, event: Arrival | ActionEnded) -> None:
-        """Delivers an event.
+        """Deliver an event.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -124,7 +124,7 @@ class Inboxes:
         executor.post(event)
 
     def token(self, net: str, name: str, context: TokenContext | None = None) -> str:
-        """Delivers a token to a place of a net; returns why not, empty if it was."""
+        """Deliver a token to a place of a net; return the reason of a failure, empty without one."""
         door = self._doors.get((net, name))
         executor = self.nets[net]
         if door is not None and door.executor is executor and context is None:
@@ -145,7 +145,7 @@ class Inboxes:
         return ""
 
     def request(self, request: Request) -> str:
-        """Delivers a request; returns why not, empty if it was.
+        """Deliver a request; return the reason of a failure, empty without one.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -175,12 +175,12 @@ class Inboxes:
         self.post(self.nets[request.net], RequestCancelled(request.id, why))
 
     def close(self, request: Request) -> None:
-        """Takes note that a request is not in work any more."""
+        """Note the end of the work for a request."""
         if self.in_work.pop(request.id, None) is not None and self.record is not None:
             self.record(RequestClosed(request.id))
 
     def deliver_again(self) -> None:
-        """Puts the events into the inboxes that had not been taken, when their nets have been brought back.
+        """Put untaken events into the inboxes again, after the return of the nets.
 
         Raises:
             NetError: They do not fit the nets.
@@ -196,6 +196,6 @@ class Inboxes:
                     executor.post(event)
 
     def not_late(self, net: str, events: list[Delivery]) -> list[Delivery]:
-        """Leaves out the replies that have come when their transitions had given up waiting."""
+        """Leave out replies without a waiting transition."""
         running = {activity.number for activity in self.nets[net].activities}
         return [event for event in events if not isinstance(event, ActivityEnded) or event.number in running]

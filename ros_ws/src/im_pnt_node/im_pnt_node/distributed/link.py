@@ -1,4 +1,4 @@
-"""The link of a process to others: every message crosses once and in order, whatever the network does.
+"""The link of a process to others: every message crosses once and in order, on any network.
 
 Between two processes runs a stream each way. A message gets the next number of its stream and is sent until a packet of
 the other side acknowledges it; the other side takes numbers one by one, and each once. Both write this into their
@@ -66,7 +66,7 @@ _NO_ACKNOWLEDGEMENT = ",0,["
 
 
 class Express:
-    """The express lane of a link: the next token from a process that was heard before is known by its spelling.
+    """Express lane of a link: the next token from a known process is recognised by the spelling.
 
     Nearly every packet between running nets is ``[sender, epoch, journal, receiver, known, base, 0, [number, 0, net,
     place]]``, and only the number differs from the packet before. What comes before and after it is kept here as text
@@ -80,7 +80,7 @@ class Express:
         self._tokens: dict[str, Message] = {}
 
     def read(self, text: str) -> tuple[Peer, Message] | None:
-        """Reads a packet; returns its sender and the next token of its stream, None if it is any other packet."""
+        """Read a packet; return the sender and the next token of the stream, None for any other packet."""
         head, _, rest = text.partition(_NO_ACKNOWLEDGEMENT)
         number, _, token = rest.partition(",")
         peer, message = self._peers.get(head), self._tokens.get(token)
@@ -92,13 +92,13 @@ class Express:
         return peer, message
 
     def keep_head(self, head: str, peer: Peer) -> None:
-        """Keeps how a packet of a process began, up to ``base``, in the present lives of both."""
+        """Keep the beginning of a packet of a process, up to ``base``, for the present incarnations of both."""
         self._peers.pop(self._heads.get(peer.name, ""), None)
         self._heads[peer.name] = head
         self._peers[head] = peer
 
     def keep_token(self, message: Message) -> None:
-        """Keeps how a token is spelled that was not refused."""
+        """Keep the spelling of an accepted token."""
         if message.kind is MessageKind.TOKEN and not message.payload and len(self._tokens) < MOST_TOKENS:
             self._tokens[f"{encode_message(message)}]]"] = message
 
@@ -163,7 +163,7 @@ class Link:
     # Sending, and retransmission.
 
     def send(self, node: str, message: Message) -> None:
-        """Numbers a message; it leaves with the next :meth:`flush`, and arrives once.
+        """Number a message; it leaves with the next :meth:`flush`, and arrives once.
 
         Raises:
             NetError: Its payload is not JSON data.
@@ -185,18 +185,18 @@ class Link:
             self._observer.troubled("", f"{len(outgoing.waiting)} messages wait for {node}")
 
     def forget(self, request_id: str) -> None:
-        """Sends nothing more about a request."""
+        """Send nothing more about a request."""
         for peer in self.peers.values():
             self._void(peer, [n for n, message in peer.in_flight() if message.request_id == request_id])
 
     def hold_all(self, held: bool) -> None:
-        """Have what was not acknowledged say that its jobs are paused, or released; before anything leaves."""
+        """Have what was not acknowledged say that the jobs are paused, or released; before anything leaves."""
         for peer in self.peers.values():
             for number, message in peer.in_flight():
                 peer.outgoing.waiting[number].text = numbered(number, with_hold(message, held))
 
     def flush(self) -> None:
-        """Sends what is new, and the acknowledgements that are due."""
+        """Send new messages, and due acknowledgements."""
         if not (self._stirred or self._answers) or self.held():
             return
         now = self._clock()
@@ -214,7 +214,7 @@ class Link:
                 self._send_packets(node, peer, texts, now)
 
     def tick(self) -> None:
-        """Sends again what has not been acknowledged in time, and acknowledges; call it every 0.05 s or so."""
+        """Send unacknowledged messages again, and acknowledge; call every 0.05 s or so."""
         if self.held():
             return
         self.flush()
@@ -250,7 +250,7 @@ class Link:
             self._transmit(node, ",".join((head, *texts[first : first + MOST_PACKET_MESSAGES])) + "]")
 
     def _send_answers(self) -> None:
-        """Tells those who do not know this process which life it is in, and that they were heard."""
+        """Tell processes with a wrong or no epoch of this one the incarnation, and acknowledge."""
         answers, self._answers = self._answers, {}
         for node, (heard, later) in answers.items():
             base = self.peers[node].outgoing.floor + 1 if node in self.peers else 1
@@ -259,7 +259,7 @@ class Link:
                 self._transmit(node, f"{self._life(json.dumps(node), later)},{base},{REMEMBERED}]")
 
     def _life(self, quoted: str, known: int) -> str:
-        """Returns how a packet begins: from which life to which."""
+        """Return the beginning of a packet: the incarnations of sender and receiver."""
         return f"[{self._quoted},{self.epoch},{0 if self.record is None else 1},{quoted},{known}"
 
     def _void(self, peer: Peer, numbers: list[int]) -> None:
@@ -267,12 +267,12 @@ class Link:
             self._happens(peer, MessageVoided(peer.name, number))
 
     def in_flight(self) -> dict[str, list[Message]]:
-        """Returns the messages that are not acknowledged, by process."""
+        """Return the unacknowledged messages, by process."""
         flights = {node: [message for _, message in peer.in_flight()] for node, peer in self.peers.items()}
         return {node: messages for node, messages in flights.items() if messages}
 
     def keeps_journal(self, node: str) -> bool:
-        """Whether a process has said that it keeps a journal."""
+        """Return whether a process has announced a journal."""
         return node in self.peers and self.peers[node].keeps_journal
 
     def idle(self) -> bool:
@@ -285,7 +285,7 @@ class Link:
     # Receiving. Acknowledgements leave with a later `flush` or `tick`, after the journal has been written.
 
     def hear(self, text: str) -> None:
-        """Takes a packet; it does no harm unless it was made by somebody who knows the present life of this process."""
+        """Take in a packet; it does no harm unless the sender knows the present incarnation of this process."""
         found = self._express.read(text)
         if found is None:
             self._hear_any(text)
@@ -322,7 +322,7 @@ class Link:
             self._believe(peer or self._new_peer(sender), packet)
 
     def _believe(self, peer: Peer, packet: Packet) -> None:
-        """Takes a packet of a process that knows the present life of this one."""
+        """Take in a packet of a process that knows the present incarnation of this one."""
         sender, incoming, base = packet.sender, peer.incoming, packet.base
         self._stirred[sender] = peer
         parted, stranger = incoming.parted, not incoming.epoch
@@ -352,7 +352,7 @@ class Link:
         self._express.keep_head(packet.head(self.name), peer)
 
     def _answer(self, node: str, heard: int, later: int = 0) -> None:
-        """Has a process told, with the next flush, which life this one is in.
+        """Tell a process the incarnation of this one, with the next flush.
 
         Args:
             node: The process.
@@ -363,7 +363,7 @@ class Link:
             self._answers[node] = heard, later
 
     def _doubt(self, packet: Packet) -> None:
-        """Tells of packets that were not believed, if they are many, or say what cannot be."""
+        """Report disbelieved packets, if they are many, or impossible."""
         self._unproved += 1
         ahead_s = began_at(packet.epoch) / 1e6 - wall()
         now = self._clock()
@@ -379,7 +379,7 @@ class Link:
         self._unproved = 0
 
     def _drop(self, why: str) -> None:
-        """Tells of packets that make no sense: of the first at once, then now and then how many there were."""
+        """Report senseless packets: the first at once, then the number now and then."""
         self._senseless += 1
         now = self._clock()
         if now < self._drop_at:
@@ -440,13 +440,13 @@ class Link:
     # Lives.
 
     def come_back(self) -> None:
-        """This process has been brought back by its journal: whether it is the newest, the others know."""
+        """Mark this process as restored by the journal: the others know whether it is the newest."""
         self._came_back = True
         for peer in self.peers.values():
             peer.outgoing.ask()
 
     def _begin(self, node: str, peer: Peer, epoch: int, journal: bool) -> None:
-        """Another life of a process: the first that is heard of, or one that has lost its journal."""
+        """Note another incarnation of a process: the first one heard, or one without the journal."""
         lost = peer.incoming.epoch != 0
         self._express.forget_heads()
         self._happens(peer, LifeBegun(node, epoch, journal))
@@ -457,7 +457,7 @@ class Link:
             self._part(peer, why)
 
     def _part(self, peer: Peer, why: str) -> None:
-        """The two processes do not remember the same: nothing but tokens is still on its way."""
+        """Give up everything between two processes of different memory, except tokens under way."""
         in_flight = peer.in_flight()
         self._void(peer, [number for number, message in in_flight if message.kind is not MessageKind.TOKEN])
         self._reset(peer.name, why, [message for _, message in in_flight])
@@ -507,7 +507,7 @@ class Link:
         peer.apply(entry, self._clock)
 
     def replay(self, entry: LinkEntry) -> None:
-        """Does again what an entry tells; whatever is owed to a process is due at once.
+        """Apply an entry again; messages owed to a process are due at once.
 
         Raises:
             ValueError: It does not fit the streams.

@@ -1,4 +1,4 @@
-"""Requests, tokens of jobs and what is told of these as messages between processes, and back."""
+"""Requests, tokens of jobs and the updates as messages between processes, and back."""
 
 from collections.abc import Mapping
 
@@ -34,7 +34,7 @@ def request_message(request: Request, held: bool = False) -> Message:
 
 
 def request_of(sender: str, message: Message) -> Request:
-    """Returns the request that a message carries."""
+    """Return the request in a message."""
 
     def mapping(key: str) -> dict[str, object]:
         value = message.payload.get(key)
@@ -58,7 +58,7 @@ def request_of(sender: str, message: Message) -> Request:
 
 
 def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
-    """Returns the message that tells a process that a request is not wanted any more."""
+    """Return the message of an unwanted request."""
     payload: Mapping[str, object] = {"cancel": True}
     return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload=payload)
 
@@ -69,7 +69,7 @@ def hold_message(request_id: str, net: str, caller_net: str, held: bool) -> Mess
 
 
 def with_hold(message: Message, held: bool) -> Message:
-    """Return a message that was not taken yet as it is to be after its job was paused, or released.
+    """Return a message that was not taken yet as it is to be after the job was paused, or released.
 
     What is done for nobody is as it was: nobody could resume it.
     """
@@ -83,7 +83,7 @@ def with_hold(message: Message, held: bool) -> Message:
 
 
 def token_of_job(target: RemotePlace, context: TokenContext) -> Message:
-    """Returns the message that carries a token of a job to another process."""
+    """Return the message of a job's token to another process."""
     owner = context.owner
     payload: dict[str, object] = {
         "job": [*owner.key],
@@ -106,7 +106,7 @@ def token_of_job(target: RemotePlace, context: TokenContext) -> Message:
 
 
 def carried_by(sender: str, message: Message) -> TokenContext | None:
-    """Returns what a token from another process carries, None where it is nobody's; whether it is at home is not told.
+    """Return the context of a token from another process, None without a job; the home is not told.
 
     Raises:
         ValueError: It makes no sense.
@@ -131,13 +131,13 @@ def carried_by(sender: str, message: Message) -> TokenContext | None:
 
 
 def tiding_message(to: str, told: JobUpdateArrived) -> Message:
-    """Returns the message that tells a net of another process of a job."""
+    """Return the message of a job's update to a net of another process."""
     payload: dict[str, object] = {"job": [*told.key], "tiding": told.update.value, "results": told.results}
     return Message(MessageKind.TIDING, to, "", caller_net=told.net, error=told.error, payload=payload)
 
 
 def tiding_of(message: Message) -> JobUpdateArrived:
-    """Returns what a message tells of a job; whether that is at home is not told.
+    """Return the update of a job in a message; the home is not told.
 
     Raises:
         ValueError: It makes no sense.

@@ -1,4 +1,4 @@
-"""Messages between nets of different processes, and the packets that carry them, as lines of JSON.
+"""Messages between nets of different processes, and the packets, as lines of JSON.
 
 A packet is ``[sender, epoch, journal, receiver, known, base, ack, message, ...]``: ``journal`` is 1 if the sender keeps
 one; ``known`` the receiver's epoch as the sender knows it (0: never heard); ``base`` the first number that was not
@@ -39,7 +39,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class MessageKind(enum.IntEnum):
-    """What a message is."""
+    """Kind of a message."""
 
     TOKEN = 0
     REQUEST = 1
@@ -96,12 +96,12 @@ VOID = Message(MessageKind.VOID, "", "")
 
 @functools.lru_cache(maxsize=4096)
 def token_message(net: str, place: str) -> Message:
-    """Returns a token for a place of a net."""
+    """Return the message of a token for a place of a net."""
     return Message(_TOKEN, net, place)
 
 
 def encode_message(message: Message) -> str:
-    """Writes a message as the inside of a JSON list; a token of nobody is its kind, net and place, and no more.
+    """Write a message as the inside of a JSON list; a token without a job is the kind, net and place, and no more.
 
     Raises:
         TypeError: The payload is not JSON data.
@@ -115,7 +115,7 @@ def encode_message(message: Message) -> str:
 
 
 def numbered(number: int, message: Message) -> str:
-    """Writes a message with its number of a stream, as JSON.
+    """Write a message with the number in a stream, as JSON.
 
     Raises:
         TypeError: The payload is not JSON data.
@@ -130,7 +130,7 @@ def _encode_token(net: str, place: str) -> str:
 
 
 def decode_message(fields: list[object]) -> Message:
-    """Reads a message.
+    """Read a message.
 
     Args:
         fields: What :func:`encode_message` wrote, read as JSON.
@@ -165,7 +165,7 @@ def is_epoch(value: object) -> bool:
 
 
 def new_epoch(after: int = 0) -> int:
-    """Returns the epoch of a life that begins now; nobody can guess it.
+    """Return an unguessable epoch for an incarnation from now on.
 
     Args:
         after: Epoch of an earlier life, which it is later than even if the clock has gone back.
@@ -174,12 +174,12 @@ def new_epoch(after: int = 0) -> int:
 
 
 def began_at(epoch: int) -> int:
-    """Returns when a life began by the clock of its process [us since 1970]."""
+    """Return the beginning of an incarnation by the clock of the process [us since 1970]."""
     return epoch >> SECRET_BITS
 
 
 class Packet(NamedTuple):
-    """A packet; what it acknowledges, and the messages, are still to be looked at."""
+    """Packet with unchecked acknowledgement and messages."""
 
     sender: str
     epoch: int
@@ -190,12 +190,12 @@ class Packet(NamedTuple):
     messages: list[object]
 
     def head(self, receiver: str) -> str:
-        """Returns how it begins, up to ``base``, as it is usually written."""
+        """Return the usual spelling of the beginning of a packet, up to ``base``."""
         return f'["{self.sender}",{self.epoch},{int(self.journal)},"{receiver}",{self.known},{self.base}'
 
 
 def read_packet(text: str, receiver: str) -> Packet | str:
-    """Reads a packet.
+    """Read a packet.
 
     Args:
         text: The line.

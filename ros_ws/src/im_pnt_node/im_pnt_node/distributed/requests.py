@@ -1,4 +1,4 @@
-"""The requests that the nets of one process have asked, and that wait for their reply."""
+"""The open requests of the nets of one process."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from im_pnt.execution.jobs import Activity
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """A request that waits for its reply.
+    """Request with a missing reply.
 
     Attributes:
         executor: Net that asked.
@@ -24,7 +24,7 @@ class Waiting:
 
 
 class RequestBook:
-    """The requests that the nets of one process have asked and not yet got answered.
+    """Book of the requests of one process without an answer.
 
     Args:
         node: Name of the process' node, part of every request's name.
@@ -44,37 +44,37 @@ class RequestBook:
         self._name: dict[Activity, str] = {}
 
     def next_name(self) -> str:
-        """Returns the name of the next request, unique over all processes and their restarts."""
+        """Return the name of the next request, unique over all processes and the restarts."""
         return f"{self.life}-{self.count + 1}"
 
     def open(self, request_id: str, waiting: Waiting) -> None:
-        """Enters a request."""
+        """Enter a request."""
         self._waiting[request_id] = waiting
         self._name[waiting.activity] = request_id
 
     def close(self, request_id: str) -> None:
-        """Takes a request out; a second reply, or one that comes too late, finds none."""
+        """Take out a request; a second or late reply finds none."""
         waiting = self._waiting.pop(request_id, None)
         if waiting is not None:
             del self._name[waiting.activity]
 
     def of_activity(self, activity: Activity) -> tuple[str, Waiting] | None:
-        """Returns the request of an activity, if it still waits."""
+        """Return the waiting request of an activity, if there is one."""
         name = self._name.get(activity)
         return None if name is None else (name, self._waiting[name])
 
     def get(self, request_id: str) -> Waiting | None:
-        """Returns who waits for the reply to a request."""
+        """Return the waiting entry of a request."""
         return self._waiting.get(request_id)
 
     def of_node(self, node: str) -> list[tuple[str, Waiting]]:
-        """Returns the requests that wait for a node."""
+        """Return the requests to a node."""
         return [(name, waiting) for name, waiting in self._waiting.items() if waiting.node == node]
 
     def given_up(self) -> list[tuple[str, Waiting]]:
-        """Returns the requests whose transition does not wait any more (its time was over)."""
+        """Return the requests without a waiting transition (the time was over)."""
         return [(name, w) for name, w in self._waiting.items() if w.activity not in w.executor.activities]
 
     def items(self) -> list[tuple[str, Waiting]]:
-        """Returns all requests that wait."""
+        """Return all waiting requests."""
         return list(self._waiting.items())

@@ -1,4 +1,4 @@
-"""The two streams between this process and another one: what was sent and is not acknowledged, and what was taken.
+"""The two streams between this process and another one: unacknowledged messages, and taken ones.
 
 A link tells its journal what happens to them as one of :data:`LinkEntry`, before it is done; :meth:`Peer.apply` does
 it, now and when a journal is replayed.
@@ -58,14 +58,14 @@ class MessageRefused(NamedTuple):
 
 
 class MessageVoided(NamedTuple):
-    """Nobody needs a message any more that was not acknowledged."""
+    """Entry: an unacknowledged message is needed no more."""
 
     node: str
     number: int
 
 
 class LifeBegun(NamedTuple):
-    """A process is in another life, and says whether it keeps a journal."""
+    """Entry: a process is in another incarnation, with or without a journal."""
 
     node: str
     epoch: int
@@ -80,7 +80,7 @@ class NumbersSkipped(NamedTuple):
 
 
 class EpochRaised(NamedTuple):
-    """This process is in another life."""
+    """Entry: this process is in another incarnation."""
 
     epoch: int
 
@@ -93,7 +93,7 @@ LinkEntry = PeerEntry | EpochRaised
 
 @dataclass(slots=True)
 class Sent:
-    """A message that is not acknowledged.
+    """Message without an acknowledgement.
 
     Attributes:
         text: The message with its number, as JSON.
@@ -106,11 +106,11 @@ class Sent:
     interval: float = RESEND_AFTER_S
 
     def message(self) -> Message:
-        """Returns the message."""
+        """Return the message."""
         return decode_message(json.loads(self.text)[1:])
 
     def again(self, now: float) -> str:
-        """Returns the text to send now, and notes when it is sent again."""
+        """Return the text to send now, and note the time of the next repetition."""
         self.due, self.interval = now + self.interval, min(2.0 * self.interval, RESEND_AT_MOST_S)
         return self.text
 
@@ -135,26 +135,26 @@ class Outgoing:
     asked_at: int = 0
 
     def ask(self) -> None:
-        """Has the other process asked how far it has taken: this one may have forgotten that it sent more."""
+        """Ask the other process for the last taken number: this process may have forgotten later ones."""
         self.question, self.asked_at = Sent(numbered(self.floor, VOID)), self.last
 
     def most(self) -> int:
-        """Returns the largest number that may be on its way."""
+        """Return the largest possible number under way."""
         window = self.floor + WINDOW
         return window if self.question is None else min(window, self.asked_at)
 
     def acknowledge(self, floor: int) -> None:
-        """Drops all messages up to a number."""
+        """Drop all messages up to a number."""
         for number in range(self.floor + 1, floor + 1):
             self.waiting.pop(number, None)
         self.floor = max(floor, self.floor)
 
     def void(self, number: int) -> None:
-        """Puts nothing in the place of a message that nobody needs any more."""
+        """Replace an unneeded message by an empty one."""
         self.waiting[number].text = numbered(number, VOID)
 
     def due(self, now: float) -> list[str]:
-        """Returns the messages to send now, oldest first, and notes when they are sent again."""
+        """Return the messages to send now, oldest first, and note the times of the next repetitions."""
         texts: list[str] = []
         end = self.most()
         if self.question is not None and now >= self.question.due:
@@ -196,13 +196,13 @@ class Incoming:
     parted: bool = False
 
     def begin(self, epoch: int) -> None:
-        """Begins anew with another epoch of the sender."""
+        """Begin anew with another epoch of the sender."""
         self.epoch, self.floor, self.untold, self.ack_at, self.parted = epoch, 0, 0, None, False
         self.refused.clear()
         self.early.clear()
 
     def move(self, floor: int) -> None:
-        """Waits for nothing up to a number any more."""
+        """Stop waiting for messages up to a number."""
         self.floor, self.parted = floor, False
         self.early = {number: fields for number, fields in self.early.items() if number > floor}
 
@@ -224,12 +224,12 @@ class Incoming:
         return self.ack_at is not None and now >= self.ack_at
 
     def told(self, base: int) -> None:
-        """Forgets refusals that the sender has been told of: it waits for none before ``base``."""
+        """Forget refusals known to the sender: it waits for none before ``base``."""
         if self.refused:
             self.refused = {number: why for number, why in self.refused.items() if number >= base}
 
     def acknowledgement(self) -> str:
-        """Returns what to tell the sender, as JSON."""
+        """Return the acknowledgement for the sender, as JSON."""
         self.untold, self.ack_at = 0, None
         if not self.refused:
             return f"[{self.floor},[]]"
@@ -267,12 +267,12 @@ class Peer:
         self.unreached = False
 
     def in_flight(self) -> list[tuple[int, Message]]:
-        """Returns the messages not acknowledged, with their numbers."""
+        """Return the unacknowledged messages, with the numbers."""
         messages = ((number, sent.message()) for number, sent in self.outgoing.waiting.items())
         return [(number, message) for number, message in messages if message.kind is not MessageKind.VOID]
 
     def apply(self, entry: PeerEntry, clock: Callable[[], float]) -> None:
-        """Does what an entry tells.
+        """Apply an entry.
 
         Args:
             entry: What happens to one of the streams.

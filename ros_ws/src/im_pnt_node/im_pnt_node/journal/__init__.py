@@ -1,4 +1,4 @@
-"""Journal of a process that runs nets: written ahead, checksummed, compacted; brings everything back after a kill.
+"""Journal of a process with nets: written ahead, checksummed, compacted; restores everything after a kill.
 
 :class:`Journal` collects what nets, exchange and link tell it, written as :mod:`.codec` says, and appends it to the
 :mod:`.log` in a :mod:`.folder`; :mod:`.state` has the snapshots that a log begins with.

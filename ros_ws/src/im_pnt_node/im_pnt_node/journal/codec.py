@@ -111,7 +111,7 @@ _quoted = functools.lru_cache(maxsize=4096)(encode_json)
 
 
 def net_encoder(net: str) -> Callable[[NetEntry], str]:
-    """Returns what writes the entries of a net; nearly all are firings and tokens, which are written from templates.
+    """Return a writer for the entries of a net; templates write firings and tokens, nearly all of them.
 
     Args:
         net: Its name.
@@ -153,7 +153,7 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
 
 
 def encode_net_entry(entry: NetEntry) -> list[object]:
-    """Writes an entry of a net, as :func:`decode_net_entry` reads it.
+    """Write an entry of a net, as :func:`decode_net_entry` reads it.
 
     Raises:
         NetError: JSON cannot carry the arguments of a command or request.
@@ -186,7 +186,7 @@ def encode_net_entry(entry: NetEntry) -> list[object]:
 
 
 def decode_net_entry(content: object) -> NetEntry:
-    """Reads an entry of a net.
+    """Read an entry of a net.
 
     Raises:
         NetError: It is none.
@@ -224,7 +224,7 @@ def decode_net_entry(content: object) -> NetEntry:
 
 
 def encode_delivery(event: Delivery) -> list[object]:
-    """Writes an event that an exchange has put into the inbox of a net.
+    """Write an event in the inbox of a net, from an exchange.
 
     Raises:
         NetError: JSON cannot carry the arguments of a request.
@@ -250,7 +250,7 @@ def encode_delivery(event: Delivery) -> list[object]:
 
 
 def decode_delivery(content: object) -> Delivery:
-    """Reads an event that an exchange has put into the inbox of a net.
+    """Read an event in the inbox of a net, from an exchange.
 
     Raises:
         ValueError: It is none.
@@ -279,7 +279,7 @@ def decode_delivery(content: object) -> Delivery:
 
 
 def encode_owner(owner: Owner) -> list[object]:
-    """Writes whose a token is that has crossed.
+    """Write the owner of a token from another net.
 
     Raises:
         NetError: JSON cannot carry the arguments.
@@ -289,7 +289,7 @@ def encode_owner(owner: Owner) -> list[object]:
 
 
 def decode_owner(content: object) -> Owner:
-    """Reads whose a token is that has crossed.
+    """Read the owner of a token from another net.
 
     Raises:
         ValueError: It is nobody.
@@ -349,7 +349,7 @@ def _reason(content: object) -> ImError:
 
 
 def encode_command(command: Command) -> list[object]:
-    """Writes a command.
+    """Write a command.
 
     Raises:
         NetError: JSON cannot carry its arguments.
@@ -378,7 +378,7 @@ def decode_command(content: object) -> Command:
 
 
 def encode_request(request: Request) -> list[object]:
-    """Writes a request.
+    """Write a request.
 
     Raises:
         NetError: JSON cannot carry its arguments.
@@ -396,7 +396,7 @@ def encode_request(request: Request) -> list[object]:
 
 
 def decode_request(content: object) -> Request:
-    """Reads a request.
+    """Read a request.
 
     Raises:
         ValueError: It is none.
@@ -411,7 +411,7 @@ def decode_request(content: object) -> Request:
 
 
 def encode_exchange_entry(entry: ExchangeEntry) -> str:
-    """Writes an entry of an exchange.
+    """Write an entry of an exchange.
 
     Raises:
         NetError: It has a part that JSON cannot carry.
@@ -440,7 +440,7 @@ def _posted_token(net: str, place: str, count: int) -> str:
 
 
 def decode_exchange_entry(content: object) -> ExchangeEntry:
-    """Reads an entry of an exchange.
+    """Read an entry of an exchange.
 
     Raises:
         ValueError: It is none.
@@ -466,7 +466,7 @@ def decode_exchange_entry(content: object) -> ExchangeEntry:
 
 
 def encode_link_entry(entry: LinkEntry) -> str:
-    """Writes an entry of a link."""
+    """Write an entry of a link."""
     if isinstance(entry, MessageTaken):  # the first two come with every message
         why = encode_json(entry.refusal) if entry.refusal else '""'
         return f'["link",["in",{_quoted(entry.node)},{entry.number},{why}]]'
@@ -488,7 +488,7 @@ def encode_link_entry(entry: LinkEntry) -> str:
 
 
 def decode_link_entry(content: object) -> LinkEntry:
-    """Reads an entry of a link.
+    """Read an entry of a link.
 
     Raises:
         ValueError: It is none.

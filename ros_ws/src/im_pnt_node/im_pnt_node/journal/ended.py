@@ -1,4 +1,4 @@
-"""How the last commands of a node have ended, in memory and in a file that outlives its journal.
+"""Results of the last commands of a node, in memory and in a file that outlives the journal.
 
 What has ended is written before the journal has it. A node that dies in between has the command under way when it is
 back, and the command ends once more, which counts. Whoever waits for a command asks its node again when that is back,
@@ -56,7 +56,7 @@ class EndedCommand(pydantic.BaseModel):
 
 
 class _Kept(NamedTuple):
-    """A command as its line in the file: what a calibration returned is three times as large where it is read."""
+    """Ended command as the line in the file: the result of a calibration is three times as large in memory."""
 
     symbol: str
     time: float
@@ -64,7 +64,7 @@ class _Kept(NamedTuple):
 
 
 class EndedCommands:
-    """The commands that have ended, of all lives of a node."""
+    """Ended commands of all incarnations of a node."""
 
     def __init__(self) -> None:
         self._file: Path | None = None
@@ -73,7 +73,7 @@ class EndedCommands:
         self._written = 0
 
     def keep_in(self, file: Path, *, sync: bool) -> None:
-        """Has them kept in a file, with those that are there.
+        """Keep the commands in a file, with those in it.
 
         Args:
             file: The file.
@@ -86,25 +86,25 @@ class EndedCommands:
         self._write_anew()
 
     def __contains__(self, number: int) -> bool:
-        """Whether it is known how the command of a number has ended."""
+        """Return whether the end of the command of a number is known."""
         self._forget()
         return number in self._known
 
     def __getitem__(self, number: int) -> EndedCommand:
-        """Returns how the command of a number has ended."""
+        """Return the end of the command of a number."""
         return EndedCommand.model_construct(**json.loads(self._known[number].line))
 
     def largest(self) -> int:
-        """Returns the largest number of those that are known, 0 if none is."""
+        """Return the largest known number, 0 if there is none."""
         return max(self._known, default=0)
 
     def last(self, symbol: str) -> EndedCommand | None:
-        """Returns how the last command of a symbol has ended, if it is known."""
+        """Return the end of the last command of a symbol, if it is known."""
         self._forget()
         return next((self[number] for number in reversed(self._known) if self._known[number].symbol == symbol), None)
 
     def add(self, ended: EndedCommand) -> None:
-        """Keeps how a command has ended; where the disk does not take it, until the node dies."""
+        """Keep the end of a command; on a full disk until the death of the node."""
         line = self._keep(ended)
         self._forget()
         if self._file is None:
@@ -134,7 +134,7 @@ class EndedCommands:
             self._keep(EndedCommand.model_validate_json(line))
 
     def _keep(self, ended: EndedCommand) -> bytes:
-        """Keeps one as the newest; returns its line."""
+        """Keep a command as the newest; return the line."""
         try:
             text = json.dumps(ended.model_dump())  # pydantic's JSON refuses halves of characters
         except (TypeError, ValueError, RecursionError):  # results that are no JSON could be told to nobody
@@ -153,7 +153,7 @@ class EndedCommands:
 
 
 def _append(file: FileIO, line: bytes) -> bool:
-    """Writes a line whole or not at all; returns whether. A part of one would spoil the next, too.
+    """Write a line whole or not at all, and return whether it was written: a part of it would spoil the next one.
 
     Raises:
         OSError: It cannot be written.

@@ -1,4 +1,4 @@
-"""The files of a journal: a folder that one process holds, with files that only grow."""
+"""The files of a journal: a folder held by one process, with files that only grow."""
 
 import contextlib
 import fcntl
@@ -14,24 +14,24 @@ LOCK = "lock"
 
 
 class Growing(Protocol):
-    """A file that is open for appending."""
+    """File open for appending."""
 
     def write(self, data: bytes) -> None:
-        """Hands bytes to the operating system, where they outlive the process.
+        """Hand bytes to the operating system, where they outlive the process.
 
         Raises:
             OSError: They were not all taken; the file is as long as before.
         """
 
     def sync(self) -> None:
-        """Returns when all that was written is on the disk."""
+        """Wait until all written bytes are on the disk."""
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
 
 
 class Files(Protocol):
-    """What a journal needs of a file system.
+    """File system of a journal.
 
     Attributes:
         name: Where it is, for messages.
@@ -40,35 +40,35 @@ class Files(Protocol):
     name: str
 
     def lock(self) -> None:
-        """Takes the folder for this process.
+        """Take the folder for this process.
 
         Raises:
             JournalError: Another process has it; names its id.
         """
 
     def unlock(self) -> None:
-        """Gives the folder back."""
+        """Give the folder back."""
 
     def names(self) -> list[str]:
-        """Returns the names of the files, sorted."""
+        """Return the names of the files, sorted."""
 
     def read(self, name: str) -> bytes:
-        """Returns the content of a file."""
+        """Return the content of a file."""
 
     def create(self, name: str) -> Growing:
-        """Makes an empty file, in the place of one of that name."""
+        """Make an empty file, in the place of one of the name."""
 
     def extend(self, name: str, size: int) -> Growing:
-        """Opens a file to write behind its first ``size`` bytes; drops what is there."""
+        """Open a file for writing behind the first ``size`` bytes; drop the rest."""
 
     def rename(self, name: str, new: str) -> None:
-        """Renames a file, at once for whoever looks, and durably."""
+        """Rename a file, atomically and durably."""
 
     def remove(self, name: str) -> None:
-        """Removes a file."""
+        """Remove a file."""
 
     def move_aside(self, names: list[str], folder: str) -> None:
-        """Moves files into a new folder inside this one."""
+        """Move files into a new folder inside this one."""
 
 
 class _File:
@@ -99,7 +99,7 @@ class _File:
 
 
 class Folder:
-    """Files of a real folder, which is made if it is not there.
+    """Files of a real folder, made where missing.
 
     Args:
         path: The folder.
@@ -118,7 +118,7 @@ class Folder:
             raise JournalError(f"no journal can be kept: {error.message}", file=self.name) from error
 
     def lock(self) -> None:
-        """Takes the folder for this process, until it ends.
+        """Take the folder for this process, until the end.
 
         Raises:
             JournalError: Another process has it; names its id.
@@ -140,38 +140,38 @@ class Folder:
         self._lock = lock
 
     def unlock(self) -> None:
-        """Gives the folder back."""
+        """Give the folder back."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
     def names(self) -> list[str]:
-        """Returns the names of the files, sorted."""
+        """Return the names of the files, sorted."""
         return sorted(entry.name for entry in self.path.iterdir() if entry.is_file() and entry.name != LOCK)
 
     def read(self, name: str) -> bytes:
-        """Returns the content of a file."""
+        """Return the content of a file."""
         return (self.path / name).read_bytes()
 
     def create(self, name: str) -> Growing:
-        """Makes an empty file, in the place of one of that name."""
+        """Make an empty file, in the place of one of the name."""
         return _File(self.path / name, 0, os.O_TRUNC)
 
     def extend(self, name: str, size: int) -> Growing:
-        """Opens a file to write behind its first ``size`` bytes; drops what is there."""
+        """Open a file for writing behind the first ``size`` bytes; drop the rest."""
         return _File(self.path / name, size, 0)
 
     def rename(self, name: str, new: str) -> None:
-        """Renames a file, at once for whoever looks, and durably."""
+        """Rename a file, atomically and durably."""
         (self.path / name).rename(self.path / new)
         synchronise_names(self.path)
 
     def remove(self, name: str) -> None:
-        """Removes a file."""
+        """Remove a file."""
         (self.path / name).unlink(missing_ok=True)
 
     def move_aside(self, names: list[str], folder: str) -> None:
-        """Moves files into a new folder inside this one."""
+        """Move files into a new folder inside this one."""
         (self.path / folder).mkdir(parents=True)
         for name in names:
             (self.path / name).rename(self.path / folder / name)

@@ -1,4 +1,4 @@
-"""The journal of a process: its nets, its exchange and its link, in one log, written before anything leaves.
+"""The journal of a process: the nets, the exchange and the link, in one log, written before any effect leaves.
 
 What happens is collected, and written as one batch before the next effect: before an action begins (:meth:`guard`) and
 before messages, acknowledgements and answers leave (:meth:`commit`). A batch is written whole or not at all, so what a
@@ -47,7 +47,7 @@ _FIRINGS = frozenset((TransitionFired, EndFired))
 
 
 class Journal:
-    """The journal of one process; holds its folder until :meth:`close`.
+    """Journal of one process; holds the folder until :meth:`close`.
 
     Args:
         files: The folder, by its path, or what stands for one.
@@ -104,7 +104,7 @@ class Journal:
     # What the nets, the exchange and the link of the process need to be given.
 
     def recorder(self, net: str, told: Callable[[str], None] = lambda _: None) -> Record:
-        """Returns what an executor is given to record its events and firings.
+        """Return the recorder of events and firings for an executor.
 
         Args:
             net: Its net.
@@ -122,13 +122,13 @@ class Journal:
         return record
 
     def guard(self, runner: Runner) -> Runner:
-        """Returns a runner that begins an action when the journal has been written; requests wait for a commit."""
+        """Return a runner that begins actions after the write of the journal; requests wait for a commit."""
         return GuardedRunner(runner, self.write)
 
     # Beginning.
 
     def start(self, exchange: Exchange, link: Link, held: bool | None = None) -> bool:
-        """Brings everything back as it was, or begins a journal.
+        """Restore the state of the journal, or begin a journal.
 
         Args:
             exchange: With its nets, whose executors have their recorders; nothing has happened yet.
@@ -162,7 +162,7 @@ class Journal:
         return recovered is not None
 
     def _recover(self) -> Recovered | None:
-        """What the folder holds. A damaged journal is kept beside, and this process begins as if there had been none.
+        """Return the content of the folder; set a damaged journal aside and begin without one.
 
         The others learn from the new life of this process that it has forgotten what they asked each other.
         """
@@ -178,7 +178,7 @@ class Journal:
             return None
 
     def _look_at(self, recovered: Recovered) -> None:
-        """Reads the header, and tells of what was not written whole."""
+        """Read the header, and report an incomplete end."""
         header = recovered.header
         match header:
             case {"node": str(node), "nets": dict(nets)}:
@@ -197,7 +197,7 @@ class Journal:
             )
 
     def _compare(self, recovered: Recovered) -> None:
-        """Checks that the nets are those of the journal."""
+        """Check whether the nets are those of the journal."""
         assert self._exchange is not None
         known = self._header()["nets"]
         there = recovered.header["nets"]
@@ -219,7 +219,7 @@ class Journal:
     # Writing.
 
     def write(self) -> None:
-        """Writes what has happened; returns when it is safe.
+        """Write all events so far; return once they are safe.
 
         Raises:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
@@ -234,11 +234,11 @@ class Journal:
 
     @property
     def unwritten(self) -> bool:
-        """Whether something has happened that is not on file."""
+        """Whether an event is not on file."""
         return bool(self._entries) or self._outdated
 
     def require_writable(self) -> None:
-        """Writes what has happened, an empty batch if nothing has: who asks for something new hears of a full disk now.
+        """Write all events so far, or an empty batch: the sender of a new request hears of a full disk now.
 
         Raises:
             JournalError: As :meth:`write`.
@@ -249,7 +249,7 @@ class Journal:
             self._log.append("[]")
 
     def commit(self) -> None:
-        """Writes what has happened, and lets the messages go that depend on it; call it when the nets have been pumped.
+        """Write all events so far, and release the messages that depend on them; call it after the nets were pumped.
 
         Raises:
             JournalError: As :meth:`write`.
@@ -268,7 +268,7 @@ class Journal:
                 self._observer.troubled("", f"the journal is not compacted now: {error}")
 
     def renew(self) -> None:
-        """Begins a new file for a net that has taken the place of one that goes on; nothing is written to the old one.
+        """Begin a new file for a net in the place of the predecessor; nothing more is written to the old one.
 
         Raises:
             JournalError: As :meth:`compact`; it is tried again with the next write.
@@ -278,7 +278,7 @@ class Journal:
         self.compact()
 
     def compact(self) -> None:
-        """Begins a new file with a snapshot; also to be called when a net was added or has gone.
+        """Begin a new file with a snapshot; call it also after a net was added or removed.
 
         Raises:
             JournalError: It cannot be written; the old file is still in use.
@@ -296,7 +296,7 @@ class Journal:
         self._compacted_at = clock.monotonic()
 
     def close(self) -> None:
-        """Writes what has happened, and gives the folder back."""
+        """Write all events so far, and give the folder back."""
         try:
             self.write()
         finally:
@@ -305,7 +305,7 @@ class Journal:
 
     @staticmethod
     def discard(folder: Path) -> str | None:
-        """Moves a journal aside, so that the next start begins anew; nothing is deleted.
+        """Move a journal aside, so the next start begins anew; nothing is deleted.
 
         Returns:
             Where it is now; None if there was none.
@@ -347,7 +347,7 @@ class GuardedRunner:
         self.watch, self.waits, self.ask = runner.watch, runner.waits, runner.ask
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
-        """Starts an action; one that cannot be journalled fails."""
+        """Start an action; one that cannot be journalled fails."""
         if not isinstance(activity.action, RequestAction):
             try:
                 self._write()
@@ -357,7 +357,7 @@ class GuardedRunner:
         self._runner.start(owner, activity, context)
 
     def direct(self, action: Action) -> ActionFunction | None:
-        """Returns the function that does an action when it is called."""
+        """Return the function of an action for a direct call."""
         function = self._runner.direct(action)
         if function is None:
             return None
@@ -373,7 +373,7 @@ class GuardedRunner:
 
 
 def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
-    """Brings everything back as it was when the last batch was written.
+    """Restore the state after the last written batch.
 
     Raises:
         JournalError: A record does not fit; names file, offset and number.
@@ -445,7 +445,7 @@ _ADDED: Mapping[str, object] = {
 
 
 def fingerprint(net: Net) -> str:
-    """Returns 16 hexadecimal digits that differ for nets that behave differently.
+    """Return 16 hexadecimal digits that differ for nets of different behaviour.
 
     Args:
         net: The net, as written; where it was written, and its description, do not count.

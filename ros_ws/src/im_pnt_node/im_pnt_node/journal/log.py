@@ -1,4 +1,4 @@
-"""The log of a journal: a file of records, with a header, a snapshot and what happened since; a new one replaces it.
+"""The log of a journal: a file of records, with a header, a snapshot and later events; a new one replaces it.
 
 A record is a line with its length and a checksum that covers all records before it, ``00000042 9ae0daaf [...]``: bytes
 of the body in decimal, CRC-32 in hexadecimal, the body (JSON without line breaks), a line feed. A process that is
@@ -40,7 +40,7 @@ encode_json = json.JSONEncoder(separators=(",", ":")).encode
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A record that was read.
+    """Record of a log.
 
     Attributes:
         number: Counts the records of the file from 1.
@@ -55,7 +55,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """What a file holds.
+    """Content of a file.
 
     Attributes:
         records: Its whole records.
@@ -71,7 +71,7 @@ class Scan:
 
 
 def frame(body: bytes, checksum: int) -> tuple[bytes, int]:
-    """Makes a record.
+    """Make a record.
 
     Args:
         body: JSON without line feeds, at most :data:`MOST_BYTES`.
@@ -85,7 +85,7 @@ def frame(body: bytes, checksum: int) -> tuple[bytes, int]:
 
 
 def scan(data: bytes, file: str, sync: "Sync") -> Scan:
-    """Reads all records of a file.
+    """Read all records of a file.
 
     Args:
         data: Content of the file.
@@ -119,7 +119,7 @@ def scan(data: bytes, file: str, sync: "Sync") -> Scan:
 
 
 def _damage(line: bytes, checksum: int, torn: bool) -> str:
-    """Why a line is no record, or no beginning of one; empty if it is."""
+    """Return the fault of a line as a record or the beginning; empty for a good one."""
     head = line[:HEAD_BYTES]
     if not _HEAD.match(head) and not all(_fits(byte, place) for place, byte in enumerate(head)):
         return f"it begins with {bytes(head)!r}, not with a length and a checksum"
@@ -133,7 +133,7 @@ def _damage(line: bytes, checksum: int, torn: bool) -> str:
 
 
 def _unfilled(data: bytes, offset: int) -> bool:
-    """Whether a sector behind an offset was not filled: it ends with a zero byte."""
+    """Return whether a sector behind an offset was not filled: it ends with a zero byte."""
     return b"\0" in data[offset | _SECTOR - 1 :: _SECTOR] + data[-1:]
 
 
@@ -157,7 +157,7 @@ class Sync(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What a log held when it was opened.
+    """Content of a log at the opening.
 
     Attributes:
         file: The file, for messages.
@@ -177,7 +177,7 @@ class Recovered:
 
 
 class Log:
-    """A log that is open for writing.
+    """Log, open for writing.
 
     Args:
         files: Its folder, locked by this process.
@@ -193,7 +193,7 @@ class Log:
         self.size = 0
 
     def recover(self) -> Recovered | None:
-        """Reads what the folder holds, and goes on writing there.
+        """Read the content of the folder, and go on writing there.
 
         Returns:
             What was found; None if there is no log yet: begin with :meth:`replace`.
@@ -215,7 +215,7 @@ class Log:
         return recovered
 
     def replace(self, header: Mapping[str, object], state: Mapping[str, object]) -> None:
-        """Begins a new file with a snapshot; what was written before it is not needed any more.
+        """Begin a new file with a snapshot; older records are not needed any more.
 
         Args:
             header: What the journal belongs to.
@@ -250,7 +250,7 @@ class Log:
         self._remove_others()
 
     def append(self, batch: str) -> None:
-        """Writes a batch, whole or not at all.
+        """Write a batch, whole or not at all.
 
         Args:
             batch: JSON list of entries, without line feeds.
@@ -273,7 +273,7 @@ class Log:
             self._synchronise()
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -304,7 +304,7 @@ class Log:
 
 
 def look(files: Files) -> Recovered | None:
-    """Reads a log that another process may be writing; nothing is changed.
+    """Read a log during the writing of another process; nothing is changed.
 
     Returns:
         What it holds; None if there is none.
@@ -320,7 +320,7 @@ def look(files: Files) -> Recovered | None:
 
 
 def _newest(files: Files) -> str | None:
-    """Returns the name of the last file that is whole."""
+    """Return the name of the last whole file."""
     names = [match for name in files.names() if (match := _NAME.fullmatch(name)) and match[2] == "journal"]
     return max(names, key=lambda match: int(match[1]))[0] if names else None
 
@@ -332,7 +332,7 @@ def _read(files: Files, name: str, sync: Sync) -> tuple[Scan, Recovered]:
 
 
 def discard(files: Files, stamp: Callable[[], str] = stamp_name) -> str | None:
-    """Moves a journal aside, so that the next start begins anew; nothing is deleted.
+    """Move a journal aside, so the next start begins anew; nothing is deleted.
 
     Args:
         files: Its folder; no process may be using it.
@@ -352,7 +352,7 @@ def discard(files: Files, stamp: Callable[[], str] = stamp_name) -> str | None:
 
 
 def set_aside(files: Files, why: str, stamp: Callable[[], str] = stamp_name) -> str | None:
-    """Moves a journal aside; nothing is deleted.
+    """Move a journal aside; nothing is deleted.
 
     Args:
         files: Its folder, locked by this process, which has none of its files open.
@@ -418,7 +418,7 @@ def _bad(file: str, number: int, offset: int, why: str) -> DamagedJournalError:
 
 
 def _foreign(file: str, why: str) -> JournalError:
-    """Of a file that is whole, and none that this program wrote: whose it is, only a person knows."""
+    """Return the error for a whole file of another program: a person must decide on it."""
     return JournalError(
         f"{file}: {why}; nothing was started. Put the right file there, or {DISCARD}", file=file, offset=0, record=1
     )

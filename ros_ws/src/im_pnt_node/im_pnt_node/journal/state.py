@@ -31,7 +31,7 @@ from im_pnt_node.journal.codec import (
 
 
 def net_state(executor: Executor) -> dict[str, object]:
-    """Returns what a net is in the middle of; to be called between two calls of ``pump``.
+    """Return the state of a net; call it between two calls of ``pump``.
 
     Raises:
         NetError: A job holds something that JSON cannot carry.
@@ -62,7 +62,7 @@ def net_state(executor: Executor) -> dict[str, object]:
 
 
 def restore_net(executor: Executor, state: Mapping[str, object]) -> None:
-    """Takes a state back, before anything has happened.
+    """Restore a state, before any event.
 
     Raises:
         NetError: It is no state of this net.
@@ -178,7 +178,7 @@ def _job_of(content: object) -> tuple[Job, bool]:
 
 
 def _cross(job: Job, content: object) -> None:
-    """Gives a job back what is known of its tokens that have crossed between nets."""
+    """Restore the record of a job's tokens between nets."""
     match content:
         case dict():
             pass
@@ -229,7 +229,7 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
 
 
 def taken_over(executor: Executor, net: Net) -> dict[str, object]:
-    """Returns the state of a net that goes on, for one that takes its place.
+    """Return the state of a running net for the successor.
 
     Args:
         executor: The present net, all of whose events have been taken.
@@ -256,7 +256,7 @@ def taken_over(executor: Executor, net: Net) -> dict[str, object]:
 
 
 def exchange_state(exchange: Exchange) -> dict[str, object]:
-    """Returns an exchange as JSON data."""
+    """Return an exchange as JSON data."""
     book, inboxes = exchange.book, exchange.inboxes
     posted = {net: inboxes.not_late(net, events) for net, events in inboxes.deliveries.waiting().items()}
     return {
@@ -269,7 +269,7 @@ def exchange_state(exchange: Exchange) -> dict[str, object]:
 
 
 def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
-    """Brings an exchange back whose nets have been brought back.
+    """Restore an exchange with restored nets.
 
     Raises:
         ValueError: It is no state of an exchange.
@@ -307,12 +307,12 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
 
 
 def link_state(link: Link) -> dict[str, object]:
-    """Returns a link as JSON data."""
+    """Return a link as JSON data."""
     return {"epoch": link.epoch, "peers": {node: _peer(peer) for node, peer in link.peers.items()}}
 
 
 def restore_link(link: Link, state: Mapping[str, object]) -> None:
-    """Brings the streams of a link back; everything that was not acknowledged is sent again.
+    """Restore the streams of a link; all unacknowledged messages are sent again.
 
     Raises:
         ValueError: It is no state of a link.

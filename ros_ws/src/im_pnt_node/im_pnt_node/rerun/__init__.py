@@ -1,4 +1,4 @@
-"""A mission run again from what was recorded of it: no robot, no ROS node (``docs/replay.md``).
+"""Re-run of a recorded mission: no robot, no ROS node (``docs/replay.md``).
 
 :mod:`.log` is what a node tells while it runs, :mod:`.host` what functions of nets may use of their node so that they
 can be run again, :mod:`.stream` reads what was told, :mod:`.rerun` runs the nets on it, firing by firing. For that

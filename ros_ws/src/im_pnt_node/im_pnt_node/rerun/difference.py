@@ -1,4 +1,4 @@
-"""Where a mission that is run again leaves what was recorded."""
+"""First difference between a re-run and the recording."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ class Difference(BaseException):  # nothing that catches what foreign code raise
 
 
 def first_difference(recorded: object, now: object, where: str = "") -> str:
-    """Says where JSON data differ first: ``memory.loop[1]: 4, now 5``; empty where they are equal."""
+    """Return the first difference of JSON data: ``memory.loop[1]: 4, now 5``; empty for equal data."""
     if isinstance(recorded, dict) and isinstance(now, dict):
         for key in [*recorded, *(key for key in now if key not in recorded)]:
             if key not in now or key not in recorded:

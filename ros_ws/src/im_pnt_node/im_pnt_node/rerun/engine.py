@@ -1,4 +1,4 @@
-"""How actions of a mission that is run again begin and end."""
+"""Begin and end of actions in a re-run."""
 
 from collections.abc import Awaitable, Callable, Mapping
 from copy import deepcopy
@@ -19,12 +19,12 @@ ENDED = "its recorded end"
 
 
 class ActionsAgain(Protocol):
-    """How actions that reach other tasks are done again; made for each life of a node."""
+    """Repetition of actions on other tasks; made for each incarnation of a node."""
 
     def performers(
         self, script: Script, functions: Functions, keep: Callable[[Activity], None]
     ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
-        """Returns what carries out the actions of each kind, and what finds out what became of them.
+        """Return the performer of each kind of action, and the question after a doubt.
 
         Args:
             script: Gives what was read.
@@ -33,14 +33,14 @@ class ActionsAgain(Protocol):
         """
 
     def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
-        """Returns the data objects of expressions."""
+        """Return the data objects of expressions."""
 
     def heard(self, kind: str, data: str) -> object:
-        """Returns a message that was heard."""
+        """Return a recorded message."""
 
 
 class RerunExecutor(Executor):
-    """A net that is run again: actions end when the recording says so.
+    """Net of a re-run: actions end at the recorded place.
 
     Attributes:
         completions: How actions have ended that the recording has not come to yet, by their numbers.
@@ -49,7 +49,7 @@ class RerunExecutor(Executor):
     completions: dict[int, Reply]
 
     def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
-        """Keeps how an action has ended."""
+        """Keep the end of an action."""
         self.completions[activity.number] = Reply(error, results or {})
 
 
@@ -68,7 +68,7 @@ class NotDoneAgain:
         self.known: set[str] = set()
 
     def functions(self, *, others_made: bool) -> dict[str, Callable[..., object]]:
-        """Returns what stands for actions that nets name as ``module:function``.
+        """Return the stand-ins for actions of nets named ``module:function``.
 
         Args:
             others_made: Whether the node says what makes those that it has registered.
@@ -90,7 +90,7 @@ class NotDoneAgain:
         return found
 
     def leave(self, activity: Activity, ended: ActivityEnded) -> None:
-        """Leaves in a job what an action that is not done again has left, as its end was recorded."""
+        """Write the recorded results of an action without repetition into the job."""
         job = activity.lineage.job
         if ended.data is not None and job is not None:
             before = deepcopy(job.recorded)
@@ -99,7 +99,7 @@ class NotDoneAgain:
 
 
 async def forever(_: ActionContext) -> None:
-    """Stands for an action that is not done again: it ends when it ended then."""
+    """Wait, as an action without repetition: the end is the recorded one."""
     await Reading(ENDED)
 
 
@@ -111,11 +111,11 @@ class Labelled(FunctionRunner):
         self._script = script
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
-        """Begins an action."""
+        """Begin an action."""
         self._script.label = activity
         super().start(owner, activity, context)
 
     def watch(self, owner: ActionOwner, activity: Activity, work: Awaitable[object]) -> None:
-        """Waits for what a function has left to do."""
+        """Wait for the remaining work of a function."""
         self._script.label = activity
         super().watch(owner, activity, work)

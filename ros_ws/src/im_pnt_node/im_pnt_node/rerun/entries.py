@@ -1,4 +1,4 @@
-"""Entries of a net as they were recorded, beside those of now."""
+"""Recorded entries of a net, beside the present ones."""
 
 import json
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ BY_TIME = frozenset(("timeout", "in_doubt"))
 
 
 class Entries:
-    """What was recorded of a net, and how much of it has happened again.
+    """Recorded entries of a net, and the number of repeated ones.
 
     Attributes:
         recorded: The entries, each with the turn of the loop in which it was told.
@@ -46,7 +46,7 @@ class Entries:
         self._early: set[int] = set()
 
     def advance(self, now: list[object]) -> bool:
-        """Takes note that an entry has happened again; returns whether it is one that was to come.
+        """Note a repeated entry; return whether it was an expected one.
 
         What makes a message may be done a little earlier than it was: the loop had something else to do first.
         """
@@ -63,19 +63,19 @@ class Entries:
         return True
 
     def next(self) -> list[object] | None:
-        """Returns what comes next; None: nothing."""
+        """Return the next expected entry; None: there is none."""
         return self.recorded[self.reached][0] if self.reached < len(self.recorded) else None
 
 
 def plain(content: list[object]) -> list[object]:
-    """Returns an entry as it is read from a bag."""
+    """Return an entry as read from a bag."""
     copy = json.loads(encode_json(content))
     assert isinstance(copy, list)
     return copy
 
 
 def error_of(content: object) -> ImError | None:
-    """Returns an error that was recorded.
+    """Return a recorded error.
 
     Raises:
         DataError: It is none.
@@ -87,7 +87,7 @@ def error_of(content: object) -> ImError | None:
 
 
 def _same(recorded: list[object], now: list[object]) -> bool:
-    """Whether entries differ in nothing but the sentence of a time-out, which says how long it was."""
+    """Return whether entries are equal, up to the duration in the sentence of a time-out."""
     if recorded == now:
         return True
     match recorded, now:
@@ -101,7 +101,7 @@ def _same(recorded: list[object], now: list[object]) -> bool:
 
 
 def transition_of(content: Sequence[object]) -> str:
-    """Returns which transition an entry tells of; empty: none."""
+    """Return the transition of an entry; empty: none."""
     match content:
         case ["fire", str(name), *_] | ["end" | "phase", _, str(name), *_]:
             return name
@@ -109,7 +109,7 @@ def transition_of(content: Sequence[object]) -> str:
 
 
 def shown(content: Sequence[object]) -> str:
-    """Returns an entry in words."""
+    """Return an entry in words."""
     match content:
         case ["fire", str(name), *_]:
             return f"{name} fires"
@@ -126,17 +126,17 @@ def shown(content: Sequence[object]) -> str:
 
 
 def left_of(data: object) -> object:
-    """What an action has left, by name."""
+    """Return the results of an action, by name."""
     return dict(zip(("memory", "results", "progress"), data, strict=False)) if isinstance(data, list) else data
 
 
 def told_of(error: ImError | None) -> str:
-    """Returns how an action ended, in words."""
+    """Return the end of an action, in words."""
     return "well" if error is None else f"with failure {error.code}: {error.message}"
 
 
 def reply_difference(recorded: Reply, now: Reply) -> str:
-    """Says how ends of an action differ; empty where they do not, or only in how long something took."""
+    """Return the difference of two ends of an action; empty for equal ones, up to durations."""
     then, again = encode_error(recorded.error), encode_error(now.error)
     if then != again and not (then and again and then[0] == again[0] and then[0] in BY_TIME):
         return "its function ends otherwise"

@@ -1,4 +1,4 @@
-"""What functions of nets use of the node that runs them, so that they can be run again without it."""
+"""The node as functions of nets use it, replaceable in a re-run."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
@@ -11,26 +11,26 @@ MessageT = TypeVar("MessageT")
 
 
 class HostObjects(Protocol):
-    """Data objects, as :class:`im_core.ros.dom.DomClient` has them; all raise ImError where they are refused."""
+    """Data objects, as :class:`im_core.ros.dom.DomClient` has them; every refusal raises ImError."""
 
     async def get(self, name: str, message_type: type[MessageT]) -> MessageT:
-        """Returns an object."""
+        """Return an object."""
 
     async def put(self, name: str, message: object, place: str = "") -> int:
-        """Stores an object; returns its version."""
+        """Store an object; return the version."""
 
     async def append(self, name: str, message: object) -> int:
-        """Appends to the sequences of an object those of a message of its type; returns its version."""
+        """Append the sequences of a message to those of an object of the type; return the version."""
 
     async def is_valid(self, name: str) -> bool:
-        """Whether there is a valid object of that name."""
+        """Return whether there is a valid object of a name."""
 
     async def invalidate(self, name: str) -> None:
-        """Declares an object invalid."""
+        """Declare an object invalid."""
 
 
 class Host(Protocol):
-    """The node, or what stands for it when its nets are run again.
+    """The node, or the stand-in in a re-run.
 
     What a function learns from outside, it learns here; whatever else it uses must depend on its arguments only.
 
@@ -44,22 +44,22 @@ class Host(Protocol):
 
     @property
     def recorded(self) -> bool:
-        """Whether the mission is being recorded: what a function keeps of what it read may be from before that.
+        """Whether the mission is being recorded: a function may hold values read before the recording.
 
         Who keeps something reads it all the same then, so that the recording has it wherever it begins.
         """
 
     def last(self, topic: str) -> Any:
-        """Returns the last message of a topic that the node follows, None before the first."""
+        """Return the last message of a topic followed by the node, None before the first."""
 
     def parameter(self, name: str) -> Any:
-        """Returns a parameter of the node."""
+        """Return a parameter of the node."""
 
     def life(self, task: str) -> int | None:
-        """Returns the present life of a task, None before its first heartbeat was heard."""
+        """Return the present incarnation of a task, None before the first heartbeat."""
 
     async def ask(self, service_type: type, service: str, request: object, task: str, what: str) -> Any:
-        """Returns the answer of a service that has no effect, asked again where an answer was lost.
+        """Return the answer of a service without an effect; ask again where an answer was lost.
 
         Args:
             service_type: Its type.
@@ -73,22 +73,22 @@ class Host(Protocol):
         """
 
     async def pause(self, seconds: float) -> None:
-        """Lets wall time pass [s]."""
+        """Let wall time pass [s]."""
 
     def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what is computed from the world outside, such as a time or a folder; JSON data.
+        """Return a value computed from the world outside, such as a time or a folder; JSON data.
 
         When a mission is run again, this is what was recorded, and nothing is computed.
         """
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Does the same in a thread of its own, for what takes long."""
+        """Return a value computed from the world outside, in a thread of its own, for slow work."""
 
     def warn(self, text: str) -> None:
-        """Writes a line to the log."""
+        """Write a line to the log."""
 
     def executor(self, net: str) -> Executor:
-        """Returns a net of the node in execution."""
+        """Return a net of the node in execution."""
 
     def nets(self) -> Sequence[Net]:
-        """Returns the nets of the node, as written."""
+        """Return the nets of the node, as written."""

@@ -1,4 +1,4 @@
-"""A life of a node that is run again: how far its nets have come, and where they do something else."""
+"""Incarnation of a node in a re-run: progress of the nets, and the differences."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from im_pnt_node.rerun.stream import NodeStream
 
 
 class Life:
-    """What was recorded of the nets of a node, and how much of it has happened again.
+    """Recorded entries of the nets of a node, and the repeated ones among them.
 
     Args:
         stream: What was recorded.
@@ -42,7 +42,7 @@ class Life:
                         self.entries.setdefault(net, Entries())
 
     def pump(self, executor: Executor) -> bool:
-        """Lets a net take what has arrived until something happens, or fire once; returns whether anything happened.
+        """Let a net take arrived events up to the first effect, or fire once; return whether it had an effect.
 
         Of two actions that have ended, the second may have been taken after what the first one let fire, or before.
         """
@@ -61,7 +61,7 @@ class Life:
             self.gone[executor.net.name, activity.number] = activity
 
     def compare(self, name: str, entry: NetEntry) -> None:
-        """Compares what a net does with what it did.
+        """Compare the present event of a net with the recorded one.
 
         Raises:
             Difference: It is something else.
@@ -83,7 +83,7 @@ class Life:
         raise self._difference(name, transition, executor, recorded or now, then, shown(now), why)
 
     def missing(self, name: str) -> Difference:
-        """Makes the difference of a net that fires nothing where it did."""
+        """Make the difference of a net that fires nothing in place of a recorded firing."""
         entries = self.entries[name]
         recorded = entries.next()
         assert recorded is not None
@@ -104,7 +104,7 @@ class Life:
         return Difference(self.node, name, transition, command, self.turn.stamp, then, now, why)
 
     def differs(self, activity: Activity | None, then: str, now: str, why: str) -> Difference:
-        """Makes a difference of an action."""
+        """Make a difference of an action."""
         if activity is None:
             return Difference(self.node, "", "", 0, self.turn.stamp, then, now, why)
         command = _command(activity.lineage)
@@ -127,7 +127,7 @@ class Life:
         return executor.hindrance(transition_of(recorded)) or first
 
     def drawn(self, name: str, names: Sequence[str]) -> int:
-        """Returns which of several transitions was taken then; the first where that is none of them."""
+        """Return the recorded choice among several transitions; the first one without a record."""
         match self.entries[name].next():
             case ["fire", str(taken), *_] if taken in names:
                 return names.index(taken)
@@ -135,12 +135,12 @@ class Life:
 
 
 def _ends_too(recorded: list[object], now: list[object]) -> bool:
-    """Whether the same action ends: how, and with what answer, has been compared when it did."""
+    """Return whether the same action ends: kind and answer of the end were compared then."""
     return recorded[0] == now[0] == "ended" and recorded[1] == now[1]
 
 
 def in_doubt(executor: Executor, number: int) -> bool:
-    """Whether it is not known what became of an action."""
+    """Return whether the outcome of an action is unknown."""
     activity = executor.rule.activities.get(number)
     return activity is not None and activity.state is ActivityState.IN_DOUBT
 
@@ -150,7 +150,7 @@ def _command(lineage: Lineage) -> int:
 
 
 def _next_command(executor: Executor, transition: str) -> int:
-    """Returns for which command a transition would fire next."""
+    """Return the command of the next firing of a transition."""
     index = executor.rule.number.get(transition)
     if index is None or not executor.rule.enabling.allows(index):
         return 0

@@ -1,4 +1,4 @@
-"""What a node tells of its nets so that they can be run again: all that reaches them, and all that they do, in order.
+"""Events of a node for a re-run: all inputs of the nets, and all the effects, in order.
 
 Items are JSON lists::
 
@@ -27,7 +27,7 @@ Key = Sequence[object]
 
 
 class MissionLog:
-    """Collects what is to be told.
+    """Collector of events for a re-run.
 
     Attributes:
         items: Not told yet, as JSON texts.
@@ -39,11 +39,11 @@ class MissionLog:
         self.recorded = False
 
     def add(self, *item: object) -> None:
-        """Takes an item."""
+        """Add an item."""
         self.items.append(encode_json(list(item)))
 
     def noted(self, key: Key, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what is computed from the world outside, such as a time; JSON data. Its failure is noted, too.
+        """Return a value computed from the world outside, such as a time; JSON data. A failure is noted, too.
 
         Raises:
             ImError: As ``compute`` does.
@@ -57,7 +57,7 @@ class MissionLog:
         return value
 
     async def read(self, key: Key, work: Awaitable[ValueT], content: Callable[[ValueT], object]) -> ValueT:
-        """Waits for something from outside, and notes it, or why it does not come.
+        """Wait for an input from outside, and note it, or the failure.
 
         Args:
             key: What it is.
@@ -76,10 +76,10 @@ class MissionLog:
         return value
 
     def sent(self, key: Key, content: object) -> None:
-        """Notes what is asked for, JSON data."""
+        """Note a request, JSON data."""
         self.add("sent", key, content)
 
 
 def packed(kind: str, data: bytes) -> list[str]:
-    """Returns a message as JSON data: its type, and its CDR in base64."""
+    """Return a message as JSON data: the type, and the CDR in base64."""
     return [kind, b64encode(data).decode()]

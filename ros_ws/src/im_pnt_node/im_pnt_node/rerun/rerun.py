@@ -40,7 +40,7 @@ SLACK_S = 1.0
 
 @dataclass
 class Compared:
-    """What was compared.
+    """Summary of a comparison.
 
     Attributes:
         nets: Names of the nets.
@@ -81,7 +81,7 @@ class NodeRerun:
         self._compared = Compared(set(), 0, 0, set())
 
     def run(self) -> Compared:
-        """Runs the nets.
+        """Run the nets.
 
         Returns:
             What was compared: all was equal.
@@ -119,13 +119,13 @@ class NodeRerun:
 
     @property
     def _all_again(self) -> bool:
-        """Whether all that was done is done again: nothing was under way before, and nothing may move something."""
+        """Whether every action is repeated: none was under way before, and none may move something."""
         return not any(self._before.values()) and not self._not_again.known
 
     # Nets.
 
     def _load(self, turn: Turn) -> None:
-        """Takes the nets in that a turn tells of; of those that run already it only repeats the state."""
+        """Take in the nets of a turn; for running nets the turn only repeats the state."""
         again = bool(self._life.executors) and any(item[:1] == ["node"] for item in turn.items)
         states = [
             item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._life.executors)
@@ -241,7 +241,7 @@ class NodeRerun:
             self._end(executor, event)
 
     def _end(self, executor: Executor, event: ActivityEnded) -> None:
-        """Ends an action as it ends now, if that is as it ended then."""
+        """End an action now, if the end equals the recorded one."""
         assert isinstance(executor, RerunExecutor)
         name, number = executor.net.name, event.number
         activity = executor.rule.activities.get(number) or self._life.gone.get((name, number))
@@ -273,13 +273,13 @@ class NodeRerun:
         executor.post(ActionEnded(activity, now.error, now.results))
 
     def _fire(self, executor: Executor, entries: Entries, number: int) -> None:
-        """Has a net do what was recorded."""
+        """Let a net repeat a recorded firing."""
         while entries.reached <= number:
             if not (self._life.pump(executor) or self._pump_stuck(executor, entries)):
                 raise self._life.missing(executor.net.name)
 
     def _pump_stuck(self, executor: Executor, entries: Entries) -> bool:
-        """Has guards asked again, then lets time strike, then takes what a former life had begun as it was recorded."""
+        """Ask guards again, then let timers strike, then end actions of a former incarnation as recorded."""
         executor.post(GuardsChanged())
         if self._life.pump(executor):
             return True
@@ -297,14 +297,14 @@ class NodeRerun:
     # What the nets send.
 
     def _keep(self, activity: Activity) -> None:
-        """Compares what a builder has left with what it left."""
+        """Compare the notes of a builder with the recorded ones."""
         self._life.executors[activity.net].built(activity)
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
-        """Compares a request with what was asked."""
+        """Compare a request with the recorded one."""
         self._script.label = activity
         self._script.sent(["request", activity.net, activity.number], [str(activity.action), arguments])
 
     def awaits_reply(self, activity: Activity) -> bool:
-        """Whether a reply is still to come: until the recording has it."""
+        """Return whether a reply is still to come in the recording."""
         return True

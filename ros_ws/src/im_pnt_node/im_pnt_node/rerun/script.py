@@ -1,4 +1,4 @@
-"""What stands for the world when functions of nets are run again: what they read comes from the recording."""
+"""Stand-in for the world in a re-run: functions of nets read from the recording."""
 
 from collections import deque
 from collections.abc import Callable, Collection, Coroutine, Generator
@@ -22,35 +22,35 @@ Differs = Callable[[Activity | None, str, str, str], BaseException]
 
 
 class Messages(Protocol):
-    """Messages and the JSON data that stand for them."""
+    """Messages and the JSON data."""
 
     def packed(self, message: object) -> list[str]:
-        """Returns the data of a message."""
+        """Return the data of a message."""
 
     def unpacked(self, data: str, kind: type[MessageT]) -> MessageT:
-        """Returns the message of CDR in base64."""
+        """Return the message of CDR in base64."""
 
     def difference(self, recorded: object, now: object) -> str:
-        """Says where JSON data differ first, and those of messages as these do; empty where they are equal."""
+        """Return the first difference of JSON data, with messages compared as messages; empty for equal data."""
 
 
 class Reading:
-    """Stands for what is waited for."""
+    """Placeholder of an awaited input."""
 
     def __init__(self, key: str) -> None:
         self.key = key
 
     def __await__(self) -> Generator["Reading", object, object]:
-        """Gives itself to the script, and gets the value from it."""
+        """Yield this placeholder to the script, and return the value."""
         return (yield self)
 
 
 class _NotRecorded(BaseException):
-    """An action goes on to what the recording, which ends before it does, may not have."""
+    """Signal of a step beyond the recording, which may end before the action does."""
 
 
 class Script:
-    """Runs coroutines, each of which goes on when the recording has come to what it waits for.
+    """Runner of coroutines; each goes on once the recording has come to the awaited input.
 
     One whose action has not ended where the recording does goes as far as that tells what it did.
 
@@ -92,16 +92,16 @@ class Script:
     # For the one who runs the nets.
 
     def spawn(self, work: Work) -> None:
-        """Has a coroutine run from the next turn on, for the action that is begun now."""
+        """Run a coroutine from the next turn on, for the action under way."""
         self._ready.append((work, self.label))
 
     def step(self) -> None:
-        """Runs what was spawned until it waits."""
+        """Run spawned coroutines until they wait."""
         while self._ready:
             self._advance(*self._ready.popleft(), None, None)
 
     def resume(self, key: Key, value: object, error: ImError | None) -> None:
-        """Gives what was read then to who waits for it."""
+        """Resume the waiting coroutine with the recorded input."""
         name = named(key)
         if waiting := self._waiting.get(name):
             self._advance(*waiting.popleft(), value, error)
@@ -109,17 +109,17 @@ class Script:
             self._spare.setdefault(name, deque(maxlen=100)).append((value, error))
 
     def waits_for(self, activity: Activity) -> str:
-        """Returns what an action waits for; empty: nothing."""
+        """Return the awaited input of an action; empty: none."""
         found = (key for key, waiting in self._waiting.items() if any(label is activity for _, label in waiting))
         return " ".join(next(found, "").split("\x00"))
 
     def left_unsent(self, kind: str, activity: Activity) -> object | None:
-        """Returns what was asked for then, and is not now."""
+        """Return the recorded requests without a present counterpart."""
         left = self._sent.get(named([kind, activity.net, activity.number]))
         return left[0][1] if left else None
 
     def never_sent(self, kinds: Collection[str]) -> tuple[str, object] | None:
-        """Returns what of some kinds was asked for then, and has not been again, in words; None: nothing."""
+        """Return the recorded requests of some kinds without a present counterpart, in words; None: there are none."""
         for name, left in self._sent.items():
             words = name.split("\x00")
             if left and words[0] in kinds:
@@ -127,7 +127,7 @@ class Script:
         return None
 
     def forget_unasked(self) -> None:
-        """Forgets what was read and asked for then up to here, and is not now: who did so is not run again."""
+        """Forget recorded inputs and requests without a present counterpart: the origin is not repeated."""
         self._spare.clear()
         for noted in self._noted.values():
             while noted and noted[0][0] < self.at:
@@ -139,7 +139,7 @@ class Script:
     # For who stands for the node.
 
     async def wait(self, key: Key) -> Any:
-        """Returns what was read then, when it comes to that.
+        """Wait for the recorded input at the place, and return it.
 
         Raises:
             ImError: Why it was not read, if so.
@@ -147,7 +147,7 @@ class Script:
         return await Reading(named(key))
 
     def noted(self, key: Key) -> Any:
-        """Returns what was computed then.
+        """Return a recorded value.
 
         Raises:
             ImError: Why it could not be, if so.
@@ -163,7 +163,7 @@ class Script:
         return value
 
     def sent(self, key: Key, content: object) -> None:
-        """Compares what is asked for with what was."""
+        """Compare a request with the recorded one."""
         known, what = self._sent.get(named(key)), " ".join(map(str, key))
         if not known:
             self._require_ended()
@@ -175,7 +175,7 @@ class Script:
             raise self._differs(self.label, f"{what}: {then}", now, "another request")
 
     def _require_ended(self) -> None:
-        """Goes no further with an action that had not ended where the recording did; nobody knows what it did then."""
+        """Stop at an action without a recorded end: the later steps are unknown."""
         if self._advancing and self.label is not None and (self.label.net, self.label.number) not in self._ended:
             raise _NotRecorded
 
@@ -197,23 +197,23 @@ class Script:
 
 
 class ScriptObjects:
-    """Data objects as they were recorded."""
+    """Data objects of the recording."""
 
     def __init__(self, script: Script, messages: Messages) -> None:
         self._script, self._messages = script, messages
 
     async def get(self, name: str, message_type: type[MessageT]) -> MessageT:
-        """Returns the object that was got then."""
+        """Return the object read in the recording."""
         _, data = await self._script.wait(["get", name])
         return self._messages.unpacked(data, message_type)
 
     async def put(self, name: str, message: object, place: str = "") -> int:
-        """Compares what is stored with what was."""
+        """Compare a stored object with the recorded one."""
         self._script.sent(["put", name], self._messages.packed(message))
         return int(await self._script.wait(["put", name]))
 
     async def append(self, name: str, message: object) -> int:
-        """Compares what is appended with what was."""
+        """Compare an appended message with the recorded one."""
         self._script.sent(["append", name], self._messages.packed(message))
         return int(await self._script.wait(["append", name]))
 
@@ -222,7 +222,7 @@ class ScriptObjects:
         return bool(await self._script.wait(["valid", name]))
 
     async def invalidate(self, name: str) -> None:
-        """Has an object invalidated, if it was."""
+        """Declare an object invalid, if the recording does."""
         self._script.sent(["invalidate", name], None)
         await self._script.wait(["invalidate", name])
 
@@ -253,46 +253,46 @@ class ScriptHost:
         self._executors, self._nets = executors, nets
 
     def last(self, topic: str) -> Any:
-        """Returns the last message of a topic, None before the first."""
+        """Return the last message of a topic, None before the first."""
         return self.heard.get(topic)
 
     def parameter(self, name: str) -> Any:
-        """Returns a parameter as it was."""
+        """Return a recorded parameter."""
         return self._script.noted(["parameter", name])
 
     def life(self, task: str) -> int | None:
-        """Returns the life of a task as it was."""
+        """Return the recorded incarnation of a task."""
         life: int | None = self._script.noted(["life", task])
         return life
 
     async def ask(self, service_type: type, service: str, request: object, task: str, what: str) -> Any:
-        """Returns what was answered then, if it is asked the same now."""
+        """Return the recorded answer, for an unchanged question."""
         self._script.sent(["ask", service], self._messages.packed(request))
         _, data = await self._script.wait(["ask", service])
         response: Any = service_type
         return self._messages.unpacked(data, response.Response)
 
     async def pause(self, seconds: float) -> None:
-        """Lets as much happen as did then."""
+        """Let the recorded events of the pause happen."""
         await self._script.wait(["pause"])
 
     def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what was computed then."""
+        """Return a recorded value."""
         value: ValueT = self._script.noted([key])
         return value
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Returns what was computed then."""
+        """Return a recorded value."""
         value: ValueT = await self._script.wait([key])
         return value
 
     def warn(self, text: str) -> None:
-        """Says nothing: it was said then."""
+        """Write nothing: the recorded run has written the line."""
 
     def executor(self, net: str) -> Executor:
-        """Returns a net in execution."""
+        """Return a net in execution."""
         return self._executors[net]
 
     def nets(self) -> list[Net]:
-        """Returns the nets, as written."""
+        """Return the nets, as written."""
         return list(self._nets.values())

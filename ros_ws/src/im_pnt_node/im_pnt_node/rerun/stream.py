@@ -1,4 +1,4 @@
-"""What a node has told of a mission, out of a bag: one stream for each life of each node."""
+"""Events of a node in a bag: one stream for each incarnation of each node."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -41,7 +41,7 @@ class Turn:
 
 @dataclass
 class NodeStream:
-    """A life of a node, from when it was recorded.
+    """Recorded incarnation of a node.
 
     Attributes:
         node: Its full name.
@@ -55,7 +55,7 @@ class NodeStream:
 
 
 def streams_of(texts: Iterable[str]) -> list[NodeStream]:
-    """Sorts what was told by nodes and their lives, in the order in which they began.
+    """Sort recorded events by nodes and the incarnations, in the order of the beginnings.
 
     Args:
         texts: The messages, in the order of each node.
@@ -97,5 +97,5 @@ def streams_of(texts: Iterable[str]) -> list[NodeStream]:
 
 
 def named(key: Key) -> str:
-    """Returns the name under which a key is looked up."""
+    """Return the name for the lookup of a key."""
     return "\x00".join(map(str, key))

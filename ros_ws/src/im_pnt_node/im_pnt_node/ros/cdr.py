@@ -1,4 +1,4 @@
-"""Messages that come by thousands, as the bytes that travel (CDR): no object need be made of them on the way.
+"""Frequent messages as the bytes in transit (CDR), without objects on the way.
 
 A ``TokenPacket`` is one string. Of the firings of a transition only stamp, number, duration and progress differ, as
 long as nothing belongs to its tokens: the rest is made once.
@@ -16,13 +16,13 @@ _HEAD = 8
 
 
 def encode_packet(text: str) -> bytes:
-    """Writes a packet."""
+    """Write a packet."""
     data = text.encode()
     return b"%b%b%b\0" % (_LITTLE_ENDIAN, (len(data) + 1).to_bytes(4, "little"), data)
 
 
 def decode_packet(data: bytes) -> str:
-    """Reads a packet.
+    """Read a packet.
 
     Raises:
         NetError: It is none.
@@ -39,7 +39,7 @@ def decode_packet(data: bytes) -> str:
 
 
 def encode_firing(firing: Firing, seconds: int, nanoseconds: int) -> bytes:
-    """Writes a ``Firing``.
+    """Write a ``Firing``.
 
     Args:
         firing: The firing.
@@ -59,7 +59,7 @@ _STAMP, _SEQUENCE, _FRACTIONS = struct.Struct("<iI").pack, struct.Struct("<Q").p
 def _unchanging(
     net: str, transition: str, phase: int, symbol: str, command_id: int, message: str
 ) -> tuple[bytes, bytes]:
-    """Returns what a firing has between its stamp and its number, and between that and its duration."""
+    """Return the constant bytes of a firing between stamp and number, and between number and duration."""
     names = _padded(_string(net), 4) + _string(transition)
     rest = _padded(bytes((phase,)), 4) + _string(symbol)
     return _padded(names, 8), _padded(_padded(rest, 8) + _SEQUENCE(command_id) + _string(message), 8)
@@ -71,5 +71,5 @@ def _string(text: str) -> bytes:
 
 
 def _padded(data: bytes, size: int) -> bytes:
-    """Fills up to a multiple of a size; what follows is aligned, for stamp and number are 8 bytes long."""
+    """Pad to a multiple of a size; stamp and number behind it are 8 bytes long and aligned."""
     return data + bytes(-len(data) % size)

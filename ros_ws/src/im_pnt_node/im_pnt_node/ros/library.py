@@ -1,4 +1,4 @@
-"""The nets that a node runs and those that it knows of, whether they may run together, and how one replaces another.
+"""The nets of a node and the known ones of others, the verification together, and the replacement.
 
 A net that is loaded at run time is verified, alone and together, then takes its place when the present one is at rest.
 """
@@ -54,20 +54,20 @@ class Library:
         self._reading = False
 
     def begin_with(self, files: Sequence[Path]) -> None:
-        """Says which net files the node begins with."""
+        """Set the first net files of the node."""
         self._files = list(files)
 
     def keep_in(self, folder: Path) -> None:
-        """Has nets that came later kept in a folder, where a node that died finds them."""
+        """Keep later nets in a folder for a restart of the node."""
         self._kept = make_folder(folder)
 
     def follow(self, node: ManagedNode) -> None:
-        """Learns the nets of other nodes; to read one may take seconds, in which the loop goes on."""
+        """Learn the nets of other nodes; the reading may take seconds, and the loop goes on meanwhile."""
         self._node = node
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def nets(self, found: Mapping[str, str]) -> list[Net]:
-        """Loads the nets to begin with.
+        """Load the first nets.
 
         Args:
             found: The nets of the journal, with the files they came from; empty: those the node was made with.
@@ -80,7 +80,7 @@ class Library:
         return list(nets_by_name(map(load_net, files)).values())
 
     def kept(self, net: Net) -> Net:
-        """Writes a net down, if nets are kept; returns it with its new source."""
+        """Write a net down, if nets are kept; return it with the new source."""
         if self._kept is None:
             return net
         path = self._kept / f"{net.name}-{fingerprint(net)}.yaml"
@@ -88,7 +88,7 @@ class Library:
         return replace(net, source=str(path))
 
     def tidy(self, nets: Iterable[Net]) -> None:
-        """Removes the oldest files that are kept, where they are too many.
+        """Remove the oldest kept files beyond the largest number.
 
         Args:
             nets: The nets that run, which the journal names; their files stay.
@@ -103,7 +103,7 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Returns a net with those that it talks to, or that talk to it, and so on, as far as they are known.
+        """Return a net with all the known partners, and theirs, and so on.
 
         Args:
             net: The net.
@@ -112,7 +112,7 @@ class Library:
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Returns a net with those that it asks or sends tokens to, and so on, as far as they are known.
+        """Return a net with the known receivers of the requests and tokens, and theirs, and so on.
 
         Args:
             net: The net.
@@ -129,7 +129,7 @@ class Library:
         return list(together.values())
 
     def verify(self, nets: Sequence[Net]) -> Verification:
-        """Verifies nets, alone or composed.
+        """Verify nets, alone or composed.
 
         Raises:
             NetError: They do not fit together.
@@ -147,7 +147,7 @@ class Library:
             self._node.spawn(self._read())
 
     async def _read(self) -> None:
-        """Reads what has been told, the last that each node has told of each net."""
+        """Read the descriptions of nets, the last one of each node for each net."""
         while self._unread:
             net, node = key = next(iter(self._unread))
             told = self._unread.pop(key)
@@ -167,13 +167,13 @@ class Library:
         self._known[net.name], self._nodes[net.name] = net, node
 
     def _forget(self, net: str, node: str) -> None:
-        """Takes a net out that a node has no more; another node may have taken it over."""
+        """Remove a net that the node has no more; another node may have taken it over."""
         if self._nodes.get(net) == node:
             del self._known[net], self._nodes[net]
 
 
 class Loader:
-    """Finds out whether a net may run, and waits until it may take its place.
+    """Loader of nets: verifies a net, and waits until it may take the place.
 
     Args:
         node: The node.
@@ -190,7 +190,7 @@ class Loader:
     async def prepare(
         self, net: Net, patience_s: float, beside: Sequence[Net] = ()
     ) -> tuple[Verification, dict[str, object] | None]:
-        """Verifies a net, alone and with those it talks to, and waits until the present one of its name is at rest.
+        """Verify a net, alone and with the partners, and wait until the present net of the name is at rest.
 
         Args:
             net: The net.
@@ -220,7 +220,7 @@ class Loader:
         return report, net_state(present)
 
     async def until_it_may_go(self, name: str, patience_s: float, beside: Sequence[Net] = ()) -> None:
-        """Waits until a net may be taken out.
+        """Wait until a net may be taken out.
 
         Args:
             name: Its name.
@@ -241,7 +241,7 @@ class Loader:
         await self._until_rest(self._nets[name], patience_s)
 
     async def verified(self, net: Net, beside: Sequence[Net] = (), without: str = "") -> Verification:
-        """Verifies a net, alone and with those it talks to.
+        """Verify a net, alone and with the partners.
 
         Args:
             net: The net.
@@ -262,7 +262,7 @@ class Loader:
         return alone if alone.unproved else composed
 
     async def verified_alone(self, net: Net) -> Verification:
-        """Verifies a net by itself: a fault of its own is shown with its own way there, and soon.
+        """Verify a net by itself: its own faults show with their own shortest sequence, and soon.
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
@@ -290,7 +290,7 @@ class Loader:
 
 
 def carried_over(executor: Executor, net: Net) -> Net:
-    """Returns a net with the tokens of the one at rest whose place it takes; as it is, if that one is as it began.
+    """Return a net with the tokens of the resting net it replaces; unchanged where no token of that net has moved.
 
     Raises:
         NetError: A place that is marked is not in the new net.

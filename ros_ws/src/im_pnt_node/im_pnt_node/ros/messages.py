@@ -19,10 +19,10 @@ _PARTS = ("_Request", "_Response", "_Goal", "_Result")
 
 
 class RosTypes:
-    """Looks up the fields of the messages that are installed."""
+    """Field types of the installed messages."""
 
     def fields(self, message: str) -> Mapping[str, ValueType] | None:
-        """Returns the types of the fields of a message, request, response, goal or result.
+        """Return the types of the fields of a message, request, response, goal or result.
 
         Raises:
             ConfigError: There is no such type.
@@ -44,12 +44,12 @@ def _fields(message: str) -> Mapping[str, ValueType]:
 
 
 def packed_message(message: object) -> list[str]:
-    """Returns a message as JSON data."""
+    """Return a message as JSON data."""
     return packed(type_name(type(message)), serialize_message(message))
 
 
 def plain_fields(message: Any, ways: Sequence[tuple[str, ...]], where: str) -> dict[str, object]:
-    """Returns some fields of a message as JSON data.
+    """Return some fields of a message as JSON data.
 
     Args:
         message: The message.
@@ -98,7 +98,7 @@ def _plain(value: Any, where: str) -> object:
 
 
 def fill(message: Any, fields: Mapping[str, object], where: str) -> Any:
-    """Sets fields of a message from plain data or from messages; returns the message.
+    """Set fields of a message from plain data or from messages; return the message.
 
     Args:
         message: A message, request or goal.
@@ -137,6 +137,6 @@ def _fitted(present: Any, type_name: str, value: Any, where: str) -> Any:
 
 
 def _number(value: Any, type_name: str) -> Any:
-    """YAML writes 1 where a message wants 1.0."""
+    """Convert an integer of YAML for a field of type float."""
     whole = isinstance(value, int) and not isinstance(value, bool)
     return float(value) if whole and type_name in ("double", "float") else value

@@ -1,4 +1,4 @@
-"""``pnt_node``: runs nets in a node of their own, on any robot."""
+"""``pnt_node``: run nets in a node of their own, on any robot."""
 
 import argparse
 import json
@@ -49,7 +49,7 @@ DOM_S = 5.0
 
 
 def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> int:
-    """Runs ``pnt_node``.
+    """Run ``pnt_node``.
 
     Args:
         arguments: Command line without the program's name; None: that of the process.
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> i
 def _run(
     options: argparse.Namespace, nets: Sequence[Net], verifier: Verifier, order: Order | None, ros: list[str]
 ) -> int:
-    """Spins the node, and the page beside it, until it has done what was asked for."""
+    """Spin the node, and the page beside it, until the request is done."""
     try:
         rclpy.init(args=ros, signal_handler_options=SignalHandlerOptions.NO)
     except (_rclpy.RCLError, _rclpy.UnknownROSArgsError) as error:
@@ -105,7 +105,7 @@ def _run(
 
 
 def _check_name(name: str) -> None:
-    """Raises what is wrong with the name of a node."""
+    """Raise the fault in the name of a node."""
     try:
         validate_node_name(name)
     except InvalidNodeNameException as error:
@@ -113,7 +113,7 @@ def _check_name(name: str) -> None:
 
 
 class RunNode(PntNode):
-    """Nets of a command line, and perhaps one command of them.
+    """Node with the nets of a command line, and perhaps one command for them.
 
     Args:
         name: Name of the node.
@@ -143,7 +143,7 @@ class RunNode(PntNode):
         self._began = monotonic()
 
     def phase_start(self) -> None:
-        """Starts the nets, offers their commands, and begins the one that was ordered."""
+        """Start the nets, offer the commands, and begin the requested one."""
         super().phase_start()
         self.offer_commands()
         self._look_for_objects()
@@ -154,13 +154,13 @@ class RunNode(PntNode):
             self.get_logger().info(f"action /{self.task_name}/execute takes commands: {known}")
 
     def fail(self, error: ImError) -> None:
-        """Ends with what went wrong at the start."""
+        """End with the fault of the start."""
         super().fail(error)
         self.exit_code = REFUSED if error.code == "net_refused" else BAD_INPUT
         self.finished()
 
     def interrupt(self) -> None:
-        """Cancels what runs and ends when it has ended; the second time ends at once. From signal handlers."""
+        """Cancel running commands and end after them; end at once the second time. Called by signal handlers."""
         if self._ending or not self.ready:
             self.finished()
         self._ending = True
@@ -218,7 +218,7 @@ class RunNode(PntNode):
             self.spawn(self._find_objects(", ".join(names)))
 
     async def _find_objects(self, names: str) -> None:
-        """Warns where nobody keeps the data objects of the nets."""
+        """Warn where no node keeps the data objects of the nets."""
         deadline = monotonic() + DOM_S
         while monotonic() < deadline:
             if any(name == "/dom/get" for name, _ in self.get_service_names_and_types()):

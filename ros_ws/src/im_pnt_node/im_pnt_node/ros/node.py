@@ -1,4 +1,4 @@
-"""Base class of the nodes that execute nets: the Dispatcher and the Coordinators."""
+"""Base class of the nodes with nets: the Dispatcher and the Coordinators."""
 
 import gc
 import inspect
@@ -172,7 +172,7 @@ class PntNode(ManagedNode):
     # For subclasses.
 
     def phase_configure(self) -> None:
-        """Loads and verifies the nets, and brings back what their journal tells.
+        """Load and verify the nets, and restore the state in the journal.
 
         Raises:
             ImError: A net file is wrong, a net is refused, or the journal is damaged.
@@ -214,7 +214,7 @@ class PntNode(ManagedNode):
         self._library.follow(self)
 
     def completed(self, nets: list[Net]) -> list[Net]:
-        """Returns the nets to begin with: those of files or of a journal, and what a subclass makes of them.
+        """Return the first nets, of files or of a journal, completed by a subclass.
 
         Raises:
             NetError: They cannot be together.
@@ -223,7 +223,7 @@ class PntNode(ManagedNode):
         return nets
 
     def require_together(self, nets: Iterable[Net]) -> None:
-        """Makes sure that nets can run in this node together.
+        """Check whether nets can run in this node together.
 
         Raises:
             NetError: They cannot.
@@ -231,7 +231,7 @@ class PntNode(ManagedNode):
         require_one_reader(nets)
 
     def phase_start(self) -> None:
-        """Begins to fire."""
+        """Begin to fire."""
         ControlService(self, self.exchange.nets, self._on_file)
         self.create_timer(TIDY_PERIOD_S, self._tidy, clock=self.steady_clock)
         self.spawn(self._begin())
@@ -239,20 +239,20 @@ class PntNode(ManagedNode):
         gc.freeze()  # what is there now stays: the garbage collector need not look at it again, which takes 20 ms
 
     def phase_shutdown(self) -> None:
-        """Ends what is open."""
+        """End open work."""
         self._notes.write_last()
         error = ImError(f"{self.task_name} is shutting down", code="cancelled")
         for executor in self.exchange.nets.values():
             executor.post(CommandCancelled(None, error))
 
     def destroy_node(self) -> None:
-        """Gives back the journal; it stays on the disk."""
+        """Close the journal; the files stay on the disk."""
         if self._journal is not None:
             self._journal.close()
         super().destroy_node()
 
     async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
-        """Verifies a net, alone and with those it talks to, and takes it into execution.
+        """Verify a net, alone and with the partners, and take it into execution.
 
         Args:
             net: The net; it takes the place of one of the same name when that one is at rest.
@@ -298,7 +298,7 @@ class PntNode(ManagedNode):
         return report
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
-        """Takes a net out of execution when it is at rest.
+        """Take a net out of execution once it is at rest.
 
         Args:
             name: Its name.
@@ -339,7 +339,7 @@ class PntNode(ManagedNode):
         started: Callable[[int], None] | None = None,
         priority: int = 0,
     ) -> CommandOutcome:
-        """Writes a command to the input tape and waits until the net emits ``<symbol>_done`` or ``<symbol>_failed``.
+        """Write a command to the input tape and wait until the net emits ``<symbol>_done`` or ``<symbol>_failed``.
 
         Args:
             symbol: Symbol of the command.
@@ -364,7 +364,7 @@ class PntNode(ManagedNode):
         return await self.commands.wait(number, listener)
 
     def offer_commands(self, run: RunCommand | None = None) -> None:
-        """Offers the commands of the nets to everybody: action ``/<node>/execute``, list ``/<node>/commands``.
+        """Offer the commands of the nets: action ``/<node>/execute``, list ``/<node>/commands``.
 
         Args:
             run: Runs a command; None: :meth:`command`.
@@ -373,18 +373,18 @@ class PntNode(ManagedNode):
         self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run, self, self._written, self._on_file)
 
     def net_with_servers(self, name: str) -> list[Net]:
-        """Returns a net of this node as written, with the nets of all nodes that it needs, as far as they are known."""
+        """Return a net of this node as written, with the known nets of all nodes it needs."""
         own = [executor.written for executor in self.exchange.nets.values()]
         return self._library.with_servers(self.exchange.nets[name].written, own)
 
     def cancel(self, command_id: int, why: str = "cancelled by its client") -> None:
-        """Asks a command to end early, also one that is paused; the nets decide how."""
+        """Ask a command to end early, also a paused one; the nets decide how."""
         error = ImError(why, code="cancelled", command_id=command_id)
         for executor in self.exchange.nets.values():
             executor.post(CommandCancelled(command_id, error))
 
     def hold(self, command_id: int, held: bool) -> None:
-        """Has nothing more begun for a command (what runs for it ends), or has it go on.
+        """Begin nothing more for a command (running actions end), or let it go on.
 
         Raises:
             StateError: It is to be held, and has ended.
@@ -395,13 +395,13 @@ class PntNode(ManagedNode):
                 executor.post(CommandHeld(command_id, held, scope))
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """Returns what a command needs of what there is once, and what it waits for; here nothing is known of that."""
+        """Return the resources of a command, and those it waits for; this class knows of none."""
         return (), ""
 
     # Nets.
 
     def succeed(self, net: Net, report: Verification) -> None:
-        """Has a net take the place of one of its name that goes on: what is under way in that goes on in this.
+        """Replace a net in execution by another of the name, with the jobs.
 
         Data objects that only its guards are woken by count as not valid until ``/dom`` has answered.
 
@@ -436,7 +436,7 @@ class PntNode(ManagedNode):
         beside: Sequence[Net],
         around: Callable[[], AbstractContextManager[None]],
     ) -> Verification:
-        """Takes in a net that may run, when the present one of its name is at rest."""
+        """Take in a verified net, once the present net of the name is at rest."""
         while True:
             report, state = await self.loader.prepare(net, patience_s, beside)
             former = self.exchange.nets.get(net.name)
@@ -451,7 +451,7 @@ class PntNode(ManagedNode):
                 return report
 
     def _write_down(self, name: str, former: Executor | None) -> None:
-        """Has a net that has come in the journal; else it goes: nobody could come back from one of other nets.
+        """Write a new net into the journal, or take it out again: a journal of other nets restores nothing.
 
         Raises:
             JournalError: The journal cannot be written; all is as it was.
@@ -471,7 +471,7 @@ class PntNode(ManagedNode):
             raise
 
     def _take_out(self, name: str) -> None:
-        """Takes a net out of execution, and out of the journal.
+        """Take a net out of execution, and out of the journal.
 
         Raises:
             JournalError: The journal cannot be written; all is as it was.
@@ -491,7 +491,7 @@ class PntNode(ManagedNode):
         self._keep_sources()
 
     def _prepare_partners(self) -> None:
-        """Makes ready to write to the nets of other nodes that those of this node talk to."""
+        """Prepare the ways to the nets of other nodes, for all partners of the nets of this node."""
         nets = self.exchange.nets
         for partner in {name for executor in nets.values() for name in executor.written.partners()} - nets.keys():
             self._transport.prepare(partner)
@@ -547,12 +547,12 @@ class PntNode(ManagedNode):
         self._loop.wake()
 
     def _keep_sources(self) -> None:
-        """Has those objects followed no longer that only guards of a net spoke of which is not there."""
+        """Stop following the objects needed only by guards of removed nets."""
         nets = self.exchange.nets.values()
         self.sources.keep({source for executor in nets for source in self.functions.wakes(executor.written)})
 
     async def _run_apart(self, function: ActionFunction, context: ActionContext) -> None:
-        """Calls a function in a thread of its own, so that it may block."""
+        """Call a function in a thread of its own, so it may block."""
 
         def post(work: Callable[[], None]) -> None:
             self.spawn(calling(work))
@@ -568,7 +568,7 @@ class PntNode(ManagedNode):
             apart.leave()
 
     def _keep(self, activity: Activity) -> None:
-        """Has on file what the builder of an action has left in its job, before what it has built leaves.
+        """Write the notes of a builder in the job to the journal, before the request leaves.
 
         Raises:
             NetError: JSON cannot carry it.
@@ -589,7 +589,7 @@ class PntNode(ManagedNode):
     # The loop.
 
     async def _begin(self) -> None:
-        """Looks at the data objects that guards and marked places speak of; nothing fires before."""
+        """Read the data objects of guards and marked places; nothing fires before."""
         await self._compare_objects()
         self._looked = True
         self._mission.begin()
@@ -612,7 +612,7 @@ class PntNode(ManagedNode):
         return (self.ready and self._looked) or self._stopped
 
     def _tidy(self) -> None:
-        """Has requests given up that nobody waits for; what that leaves in the journal is written, and may leave."""
+        """Give up requests without a waiting job; the journal entries of this are written."""
         self.exchange.tidy()
         self._loop.turn()
 
@@ -622,7 +622,7 @@ class PntNode(ManagedNode):
         self._mission.publish()
 
     async def _written(self, longest_s: float = math.inf) -> None:
-        """Waits until what was asked for is in the journal, and noted for whoever starts the machine again.
+        """Wait until a request is in the journal, and noted for the next start of the machine.
 
         Args:
             longest_s: Longest wait for a journal that cannot be written [s].
@@ -675,7 +675,7 @@ class PntNode(ManagedNode):
             self._object_settled(name, valid)
 
     def _object_settled(self, name: str, valid: bool) -> None:
-        """Takes what is known of an object that has changed."""
+        """Take in the state of a changed data object."""
         self.log.add("object", name, valid)
         self.sources.object_changed(name, valid)
         if self._objects.forget(name):
@@ -685,7 +685,7 @@ class PntNode(ManagedNode):
 
 
 def _outcome_of(function: ActionFunction, context: ActionContext) -> object:
-    """Returns what a function returns, or the exception that it raises."""
+    """Return the result of a function, or the exception it raises."""
     try:
         return function(context)
     except FOREIGN as error:  # it is foreign code: whatever it raises is its failure

@@ -1,4 +1,4 @@
-"""The node as functions of its nets see it; what they learn from outside is noted, so that they can be run again."""
+"""The node as functions of the nets see it; outside facts are noted for a re-run."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -20,10 +20,10 @@ ANSWER_S, AGAIN_S = 40.0, 10.0
 
 
 class NodeHost:
-    """A :class:`im_pnt_node.rerun.host.Host`; functions take it before the node is made, and use it after."""
+    """Host (:class:`im_pnt_node.rerun.host.Host`) given to functions before the node exists, and used afterwards."""
 
     def attach(self, node: PntNode) -> None:
-        """Tells which node it stands for."""
+        """Set the node behind this host."""
         self._node, self._log = node, node.log
         self.name = node.get_fully_qualified_name()
         self.dom: HostObjects = node.objects
@@ -31,27 +31,27 @@ class NodeHost:
 
     @property
     def recorded(self) -> bool:
-        """Whether somebody records what the node tells."""
+        """Whether a recorder listens to the node."""
         return self._log.recorded
 
     def prepare(self, service_type: type, service: str) -> None:
-        """Makes the client of a service before it is needed: discovery takes time."""
+        """Create the client of a service before the first use: discovery takes time."""
         self._clients[service] = self._node.create_client(service_type, service)
 
     def last(self, topic: str) -> Any:
-        """Returns the last message of a topic that the node follows."""
+        """Return the last message of a topic followed by the node."""
         return self._node.sources.last(topic)
 
     def parameter(self, name: str) -> Any:
-        """Returns a parameter of the node."""
+        """Return a parameter of the node."""
         return self._log.noted(["parameter", name], lambda: self._node.get_parameter(name).value)
 
     def life(self, task: str) -> int | None:
-        """Returns the present life of a task."""
+        """Return the present incarnation of a task."""
         return self._log.noted(["life", task], lambda: self._node.heartbeats.incarnation(task))
 
     async def ask(self, service_type: type, service: str, request: object, task: str, what: str) -> Any:
-        """Returns the answer of a service, asked again where one was lost."""
+        """Return the answer of a service; ask again where an answer was lost."""
         if service not in self._clients:
             self.prepare(service_type, service)
 
@@ -67,25 +67,25 @@ class NodeHost:
         return await self._log.read(["ask", service], ask_again(ask, ANSWER_S, what), packed_message)
 
     async def pause(self, seconds: float) -> None:
-        """Lets wall time pass [s]."""
+        """Let wall time pass [s]."""
         await self._log.read(["pause"], pause(self._node, seconds), lambda _: None)
 
     def noted(self, key: str, compute: Callable[[], ValueT]) -> ValueT:
-        """Returns what is computed from the world outside, JSON data."""
+        """Return a value computed from the world outside, JSON data."""
         return self._log.noted([key], compute)
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Does the same in a thread of its own."""
+        """Return a value computed from the world outside, in a thread of its own."""
         return await self._log.read([key], run_in_thread(self._node, compute, *arguments), lambda value: value)
 
     def warn(self, text: str) -> None:
-        """Writes a line to the log."""
+        """Write a line to the log."""
         self._node.get_logger().warning(text)
 
     def executor(self, net: str) -> Executor:
-        """Returns a net of the node in execution."""
+        """Return a net of the node in execution."""
         return self._node.exchange.nets[net]
 
     def nets(self) -> Sequence[Net]:
-        """Returns the nets of the node, as written."""
+        """Return the nets of the node, as written."""
         return [executor.written for executor in self._node.exchange.nets.values()]

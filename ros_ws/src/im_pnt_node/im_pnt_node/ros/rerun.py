@@ -1,4 +1,4 @@
-"""``pnt mission``: runs the nets of a recorded mission again, and says where they first do something else."""
+"""``pnt mission``: run the nets of a recorded mission again, and name the first difference."""
 
 import argparse
 import math
@@ -51,19 +51,19 @@ MessageT = TypeVar("MessageT")
 
 
 class RosMessages:
-    """Messages and the JSON data that stand for them (:class:`im_pnt_node.rerun.script.Messages`)."""
+    """Messages and the JSON data (:class:`im_pnt_node.rerun.script.Messages`)."""
 
     def packed(self, message: object) -> list[str]:
-        """Returns the data of a message."""
+        """Return the data of a message."""
         return packed_message(message)
 
     def unpacked(self, data: str, kind: type[MessageT]) -> MessageT:
-        """Returns a message."""
+        """Return a message."""
         message: MessageT = decoded(b64decode(data), kind)
         return message
 
     def difference(self, recorded: object, now: object) -> str:
-        """Says where two messages differ first; the bytes between their fields may be any."""
+        """Return the first difference of two messages; padding bytes are ignored."""
         match recorded, now:
             case [str(then_type), str(then)], [str(now_type), str(again)] if then_type == now_type and "/" in now_type:
                 kind = interface_of(then_type)
@@ -73,7 +73,7 @@ class RosMessages:
 
 
 def _tree(value: Any) -> object:
-    """A message as data that can be compared; numbers that are none are equal."""
+    """Return a message as comparable data; all NaN are equal."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: _tree(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, float) and math.isnan(value):
@@ -84,7 +84,7 @@ def _tree(value: Any) -> object:
 
 
 def interface_of(name: str) -> Any:
-    """Returns the class of a message, or of a part of a service or action: ``im_msgs/srv/SetLight_Request``."""
+    """Return the class of a message, or of a part of a service or action: ``im_msgs/srv/SetLight_Request``."""
     for part in ("_Request", "_Response", "_Goal", "_Result"):
         if "/msg/" not in name and name.endswith(part):
             return getattr(interface_class(name.removesuffix(part)), part[1:])
@@ -92,12 +92,12 @@ def interface_of(name: str) -> Any:
 
 
 class RosWorld:
-    """How actions that reach other tasks are done again (:class:`im_pnt_node.rerun.rerun.ActionsAgain`)."""
+    """Repetition of actions on other tasks (:class:`im_pnt_node.rerun.rerun.ActionsAgain`)."""
 
     def performers(
         self, script: Script, functions: Functions, keep: Callable[[Activity], None]
     ) -> tuple[Mapping[type, Perform], Mapping[type, Ask]]:
-        """Returns what carries out the actions of each kind, and what finds out what became of them."""
+        """Return the performer of each kind of action, and the question after a doubt."""
 
         async def sent(activity: Activity, action: Any, context: ActionContext, message: Any) -> None:
             filled = fill(message, await fields_of(functions, action, context), str(action))
@@ -146,16 +146,16 @@ class RosWorld:
         return performed, {GoalAction: asked, AwaitAction: waited}
 
     def objects(self, host: ScriptHost, spawn: Callable[..., None], known: Callable[[], None]) -> Objects:
-        """Returns the data objects of expressions."""
+        """Return the data objects of expressions."""
         return DomObjects(host.dom, spawn, known)
 
     def heard(self, kind: str, data: str) -> object:
-        """Returns a message that was heard."""
+        """Return a recorded message."""
         return decoded(b64decode(data), interface_of(kind))
 
 
 def told_in(bag: Path) -> list[NodeStream]:
-    """Reads what the nodes have told of a mission.
+    """Read the recorded events of the nodes of a mission.
 
     Args:
         bag: Folder of the bag, or a file of it.
@@ -180,7 +180,7 @@ def _texts(bag: Path) -> Iterator[str]:
 
 
 def installed_nets() -> dict[str, Net]:
-    """The nets that are shipped, by name."""
+    """Return the shipped nets, by name."""
     nets = {}
     for package in INSTALLED:
         for file in sorted((Path(str(files(package))) / "nets").glob("*.yaml")):
@@ -190,7 +190,7 @@ def installed_nets() -> dict[str, Net]:
 
 
 def rerun(bag: Path, nets: Mapping[str, Net], told: Callable[[str], None] = lambda _: None) -> Compared:
-    """Runs the nets of a bag again.
+    """Run the nets of a bag again.
 
     Args:
         bag: Folder of the bag, or a file of it.
@@ -218,7 +218,7 @@ def rerun(bag: Path, nets: Mapping[str, Net], told: Callable[[str], None] = lamb
 
 
 def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
-    """Runs the command.
+    """Run the command.
 
     Args:
         words: Command line without the program's name; None: that of the process.

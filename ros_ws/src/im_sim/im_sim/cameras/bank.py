@@ -46,7 +46,7 @@ class _Camera:
 
     @cached_property
     def lens(self) -> Lens:
-        """Made for the first image: that takes as long as rendering it."""
+        """Lens of the camera, made for the first image: the making takes as long as a rendering."""
         return Lens(self.mounted, self.renderer_offset)
 
 
@@ -104,7 +104,7 @@ class CameraBank:
         return {step: seconds.get(step, 0.0) for step in STEPS}
 
     def warm_up(self) -> Iterator[str]:
-        """Render one camera after the other at the home position, and name it: first images take long."""
+        """Render one camera after the other at the home position, and yield the name: first images take long."""
         for name, unit in self._cameras.items():
             self._scene.set_joints(self._cell.home)
             self._scene_of(unit, self._placed(unit), self._cell.home)
@@ -124,14 +124,14 @@ class CameraBank:
             read_out(mean, sensor, noise_stream(self._seed, camera, start_tick, frame), out)
 
     def spot(self, camera: str, light: str) -> Spot | None:
-        """Image of a light at the scene's joint positions; None where the camera cannot see it."""
+        """Render a light at the scene's joint positions; None where the camera cannot see it."""
         placed = self._placed(self._cameras[camera])
         position, axis, diameter = self._light(light)
         spot = self._image(placed, position, axis, diameter)
         return spot if spot is not None and self._clear(position, placed.position, diameter) else None
 
     def reflections(self, camera: str, light: str) -> list[Spot]:
-        """Images of a light in the cell's metal at the scene's joint positions."""
+        """Render the reflections of a light in the cell's metal at the scene's joint positions."""
         placed = self._placed(self._cameras[camera])
         position, axis, diameter = self._light(light)
         spots: list[Spot] = []
@@ -149,7 +149,7 @@ class CameraBank:
         return spots
 
     def _spots(self, camera: str, placed: CameraModel, exposure: Exposure) -> Iterator[tuple[Spot, float]]:
-        """All lights in the image of a camera, each with the share of the exposure during which it was on."""
+        """Render all lights in the image of a camera, each with the share of the exposure."""
         for light, fraction in exposure.light_fraction.items():
             if fraction > 0.0:
                 direct = self.spot(camera, light)
@@ -165,7 +165,7 @@ class CameraBank:
                 yield seen, share
 
     def _light(self, light: str) -> tuple[Array, Array, float]:
-        """Position [m] and axis of a wrist light in the world, and its diameter [m]."""
+        """Return position [m] and axis of a wrist light in the world, and the diameter [m]."""
         led = self._truth.leds[light]
         rotation, origin = self._scene.pose(f"{light.removesuffix('_led')}_wrist")
         return origin + rotation @ np.array(led.offset_m), rotation @ np.array(led.axis), led.diameter_m
@@ -193,7 +193,7 @@ class CameraBank:
         return _Camera(name, true.parent, model, shade, self._scene.renderer_offset)
 
     def _placed(self, unit: _Camera) -> CameraModel:
-        """The camera with its pose in the world."""
+        """Return the camera with the pose in the world."""
         if unit.parent == "world":
             return unit.mounted
         rotation, origin = self._scene.pose(unit.parent)
@@ -201,7 +201,7 @@ class CameraBank:
         return replace(unit.mounted, R_cam_base=R_cam_base, t_cam_base=unit.mounted.t_cam_base - R_cam_base @ origin)
 
     def _scene_of(self, unit: _Camera, placed: CameraModel, q: Array) -> FloatImage:
-        """Brightness of the scene through the lens; rendered anew only when something moved visibly."""
+        """Return the brightness of the scene through the lens; rendered anew only after a visible motion."""
         if unit.scene is None or unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX:
             with self._watch.step("render_s"):
                 brightness, depth = self._scene.render(unit.lens.pinhole, placed)
@@ -217,7 +217,7 @@ class CameraBank:
         return unit.scene
 
     def _patches(self, unit: _Camera, placed: CameraModel) -> list[TargetPatch]:
-        """The targets in the image of a camera; those of a fixed camera are drawn once."""
+        """Return the targets in the image of a camera; the targets of a fixed camera are drawn once."""
         if unit.patches is not None:
             return unit.patches
         drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in self._cell.targets)

@@ -1,4 +1,4 @@
-"""The node's end of the camera process: starts it, orders images, starts it again when it dies."""
+"""Host of the camera process: starts it, orders images, starts it again after the death."""
 
 import threading
 from contextlib import ExitStack, closing, suppress
@@ -75,7 +75,7 @@ class CameraHost(FrameSource):
             self._await_ready()
 
     def revive(self) -> str:
-        """Start the process again if it died; what it died of, empty if it lives or is busy with an order."""
+        """Start the process again after the death; return the cause, empty if it lives or is busy with an order."""
         if not self._lock.acquire(blocking=False):
             return ""
         try:
@@ -125,7 +125,7 @@ class CameraHost(FrameSource):
             return FrameSet(frames, timing, reply.exposure_s)
 
     def await_image(self, due_ns: int | None) -> None:
-        """At clock factor 0 the testbed's time waits for an image; of the testbed that is there, if one is."""
+        """Hold the time of the testbed, if there is one, for an image at clock factor 0."""
         if self._rates is not None and not self._rates.physics_alive():
             self._leave_testbed()
         if self._rates is None and due_ns is not None:
@@ -182,7 +182,7 @@ class CameraHost(FrameSource):
             self._ready = True
 
     def _answer(self, number: int, timeout_s: float, exposed: Exposed = nobody) -> CameraReply:
-        """The last reply to a request; a process that gives none in time is ended."""
+        """Return the last reply to a request; end a process without a reply in time."""
         try:
             return self._receive(number, timeout_s, exposed)
         except WaitTimeoutError:

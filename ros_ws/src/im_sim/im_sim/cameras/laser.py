@@ -1,4 +1,4 @@
-"""The laser as a camera sees it: where the beam ends in the scene, and how bright that is."""
+"""The laser as a camera sees it: the end of the beam in the scene, and the brightness."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ _SPECKLE_REACH_SIGMAS = 6.0
 
 @dataclass(frozen=True)
 class _Box:
-    """A box of the cell: the frame it is fixed to, its middle there and half its edges [m], its brightness."""
+    """Box of the cell: the frame, the middle there and half the edges [m], the brightness."""
 
     link: str
     center: Array
@@ -110,7 +110,7 @@ class LaserLight:
         return points, normals, albedo
 
     def _first(self, starts: Array, ends: Array) -> tuple[Array, Array, Array]:
-        """Share of each way that is free, shape (n,), normals, shape (n, 3), and albedo, shape (n,), where it ends."""
+        """Return the free share of each way, shape (n,), normals, shape (n, 3), and albedo at the end, shape (n,)."""
         share, normals = self._scene.first_hits(starts, ends)
         albedo = np.full(len(starts), self._arm_albedo)
         for box in self._boxes:
@@ -140,13 +140,13 @@ class LaserLight:
         return pixels, flux
 
     def _sigma(self, placed: CameraModel, points: Array) -> float:
-        """Width of the beam's image [px]: that of the lens, and a disc's, whose standard deviation is radius / 2."""
+        """Return the width of the beam's image [px]: lens and disc, whose standard deviation is radius / 2."""
         distance = float(np.median(np.linalg.norm(points - placed.position, axis=1)))
         return float(np.hypot(self._blur, 0.25 * self._scanner.diameter * placed.K[0, 0] / distance))
 
 
 def _angles(beam: LaserBeam) -> Array:
-    """Mirror angles that the beam takes during an exposure, shape (n, 2) [rad]: a linear sweep."""
+    """Return the mirror angles of the beam during an exposure, shape (n, 2) [rad]: a linear sweep."""
     if beam.half_sweep <= 0.0:
         return np.array([[beam.mirror1, beam.mirror2]])
     count = int(np.ceil(2.0 * beam.half_sweep / _LINE_STEP_RAD)) + 1
@@ -155,7 +155,7 @@ def _angles(beam: LaserBeam) -> Array:
 
 
 def _key(beam: LaserBeam) -> list[int]:
-    """Numbers that differ for beams whose speckle differs."""
+    """Return numbers which differ for beams of different speckle."""
     return [round(abs(value) * 1e7) for value in beam.values()[:3]]
 
 
@@ -164,7 +164,7 @@ def _box(box: Box) -> _Box:
 
 
 def _enter(box: _Box, starts: Array, ends: Array) -> tuple[Array, Array]:
-    """Share of each way, shape (n, 3) each end, up to where it enters a box, 2 where it does not; and normals there.
+    """Return the share of each way, shape (n, 3) each end, up to a box, 2 without an entry; and normals there.
 
     Source: T. Kay, J. Kajiya, "Ray tracing complex scenes", SIGGRAPH 1986 (slabs).
     """
@@ -183,7 +183,7 @@ def _enter(box: _Box, starts: Array, ends: Array) -> tuple[Array, Array]:
 
 
 def _area(pixels: Array, sigma: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The part of an image of a shape that points, shape (n, 2) [px], of a width [px] reach."""
+    """Return the part of an image of a shape within a width [px] of points, shape (n, 2) [px]."""
     reach = _SPECKLE_REACH_SIGMAS * sigma + 2.0
     low = np.clip(np.floor(pixels.min(axis=0) - reach), 0, None).astype(int)
     high = np.ceil(pixels.max(axis=0) + reach).astype(int) + 1

@@ -16,7 +16,7 @@ _SOLVER = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-9)
 
 @dataclass(frozen=True)
 class Pinhole:
-    """An ideal camera that sees all that the lens sees: image size [px], and K, shape (3, 3) [px]."""
+    """Ideal camera with the full view of the lens: image size [px], and K, shape (3, 3) [px]."""
 
     width: int
     height: int
@@ -55,7 +55,7 @@ class Lens:
         self._nearest = np.rint(source).astype(np.int16)
 
     def warp_depth(self, depth: FloatImage) -> FloatImage:
-        """Depths through the lens, not interpolated, of an image of :attr:`pinhole`, shape (h, w) [m]."""
+        """Warp depths of an image of :attr:`pinhole` through the lens, without interpolation, shape (h, w) [m]."""
         columns = np.clip(self._nearest[..., 0], 0, depth.shape[1] - 1)
         rows = np.clip(self._nearest[..., 1], 0, depth.shape[0] - 1)
         return np.asarray(depth[rows, columns], dtype=np.float32)
@@ -67,7 +67,7 @@ class Lens:
 
 
 def vignette(camera: CameraModel, loss: float) -> FloatImage:
-    """Share of its brightness that each pixel keeps, shape (h, w): the loss grows with the square of the distance.
+    """Return the kept share of brightness of each pixel, shape (h, w): the loss grows with the square of the distance.
 
     Args:
         camera: Image size and principal point.

@@ -86,7 +86,7 @@ def add_spot(image: FloatImage, spot: Spot, strength: float) -> None:
 
 @dataclass(frozen=True)
 class Reflection:
-    """A light seen in a mirror: its virtual position [m] and axis, and where the mirror throws it back [m]."""
+    """Light seen in a mirror: the virtual position [m] and axis, and the place of reflection [m]."""
 
     position: Array
     axis: Array

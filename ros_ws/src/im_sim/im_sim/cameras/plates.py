@@ -35,7 +35,7 @@ class TargetPatch:
     depth: FloatImage
 
     def paint(self, scene: FloatImage, depth: FloatImage, blur: float) -> None:
-        """Put the target into a scene, behind what stands in front of it.
+        """Paint the target into a scene, behind the objects in front of it.
 
         Args:
             scene: Brightness, 0 to 1, shape (h, w); changed in place.
@@ -88,7 +88,7 @@ def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float)
 def _area(
     target: Target, camera: CameraModel, rotation: Array, position: Array, blur: float
 ) -> tuple[slice, slice] | None:
-    """The part of the image that the target may touch."""
+    """Return the part of the image near the target."""
     turn = np.linspace(-0.5, 0.5, 9)
     rim = [(s, e) for s in turn for e in (-0.5, 0.5)] + [(e, s) for s in turn for e in (-0.5, 0.5)]
     world = position + target.plate * np.array(rim) @ rotation[:, :2].T
@@ -104,7 +104,7 @@ def _area(
 
 
 def _samples(area: tuple[slice, slice]) -> Array:
-    """Places of the samples within a pixel, one row of a square grid [px]; fewer where the target is large."""
+    """Return the places of the samples within a pixel, one row of a square grid [px]; fewer for a large target."""
     pixels = (area[0].stop - area[0].start) * (area[1].stop - area[1].start)
     count = int(np.clip(np.sqrt(_MOST_SAMPLES / pixels), 2, _FINEST))
     return np.asarray((np.arange(count) + 0.5) / count - 0.5)
@@ -125,7 +125,7 @@ def ink(target: Target, x: Array, y: Array) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class _Plate:
-    """A plate and its pose: rotation to the world, shape (3, 3), and its middle there [m]."""
+    """Plate and the pose: rotation to the world, shape (3, 3), and the middle there [m]."""
 
     target: Target
     rotation: Array
@@ -133,7 +133,7 @@ class _Plate:
 
 
 class Plates:
-    """All plates of a cell, infinitely thin, opaque from both sides; their backs are white."""
+    """All plates of a cell, infinitely thin, opaque from both sides, with white backs."""
 
     def __init__(self, targets: Sequence[Target]) -> None:
         """Place the plates."""

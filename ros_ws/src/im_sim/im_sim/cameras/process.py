@@ -54,7 +54,7 @@ class CameraProcess:
         next(self._cold, None)  # a graphics driver that crashes does so now, before anybody counts on it
 
     def run(self) -> None:
-        """Serve until the host is gone; the cameras take their first images a while later, but before an order.
+        """Serve until the host is gone; the cameras take the first images a while later, but before an order.
 
         A scene that was rendered is used again where nothing moved: what was rendered first must not hang on who asks.
         """
@@ -79,7 +79,7 @@ class CameraProcess:
             self._send(reply)
 
     def _rest(self) -> None:
-        """Once, when all cameras are warm: the renderer reserves 128 MiB for a scene of three, and Mesa clears it."""
+        """Give back the 128 MiB reserved by the renderer, once, after all cameras are warm."""
         if not self._rested:
             self._rested = True
             give_back_zeros()
@@ -114,7 +114,7 @@ class CameraProcess:
         )
 
     def _reattach(self) -> None:
-        """Follow the testbed to its next incarnation."""
+        """Follow the testbed to the next incarnation."""
         try:
             link = CameraEnd.attach(self._instance, _POLL_S)
         except LinkError:
@@ -124,7 +124,7 @@ class CameraProcess:
         self._bank = self._new_bank()
 
     def _new_bank(self) -> CameraBank:
-        """Of the testbed that is there: its truth, and its period, which need not be the cell's own."""
+        """Create the cameras of the present testbed: the truth, and the period, possibly not the cell's own."""
         truth = _await_truth(self._truth, self._link.seed)
         cell = self._cell.at_period(round(self._link.period_s, 9))  # whole nanoseconds in the link
         return CameraBank(cell, truth, self._settings, self._scene, self._link.seed)
@@ -135,7 +135,7 @@ class CameraProcess:
 
 
 def run(instance: str, truth: Path, cell_file: Path | None, settings: CameraSettings) -> None:
-    """Run the camera process until its host is gone; the shipped cell by default.
+    """Run the camera process until the host is gone; the shipped cell by default.
 
     Raises:
         ImError: It cannot start.
@@ -145,7 +145,7 @@ def run(instance: str, truth: Path, cell_file: Path | None, settings: CameraSett
 
 
 def _await_truth(path: Path, seed: int) -> CellTruth:
-    """The truth file of the testbed with a seed, as soon as it is there; one of an earlier machine is passed over.
+    """Return the truth file of the testbed with a seed once it is there; a file of an earlier machine is ignored.
 
     Raises:
         WaitTimeoutError: It did not appear.

@@ -1,4 +1,4 @@
-"""What passes between the camera process and its host: settings, shared memory names, requests and replies."""
+"""Protocol between the camera process and the host: settings, shared memory names, requests and replies."""
 
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal, Self
@@ -18,7 +18,7 @@ MOST_FRAMES = 4
 
 
 class CameraSettings(Model):
-    """What the simulated cameras are.
+    """Settings of the simulated cameras.
 
     Attributes:
         cameras: Names of those in use.
@@ -46,7 +46,7 @@ class ChannelNames:
 
     @property
     def replies(self) -> str:
-        """Ring of replies from it."""
+        """Name of the ring of replies."""
         return f"{self.instance}_vss_replies"
 
     @property
@@ -56,12 +56,12 @@ class ChannelNames:
 
     @property
     def requested(self) -> str:
-        """Semaphore that is raised with each request."""
+        """Name of the semaphore raised with each request."""
         return f"{self.instance}_vss_requested"
 
     @property
     def replied(self) -> str:
-        """Semaphore that is raised with each reply."""
+        """Name of the semaphore raised with each reply."""
         return f"{self.instance}_vss_replied"
 
 
@@ -90,7 +90,7 @@ class CameraRequest:
 
 @dataclass(frozen=True)
 class CameraReply:
-    """The camera process's answer; ``number`` 0 is its first message: it is ready.
+    """Answer of the camera process; ``number`` 0 is the first message: it is ready.
 
     A request is answered twice: when all is exposed, and when the images are there.
 
@@ -121,7 +121,7 @@ class CameraReply:
 
     @classmethod
     def failed(cls, number: int, error: ImError) -> Self:
-        """The reply that carries an error."""
+        """Return a reply with an error."""
         facts = {key: value for key, value in error.facts.items() if isinstance(value, str | int | float | bool)}
         return cls(number, error={"code": error.code, "message": error.message, "facts": facts})
 

@@ -22,7 +22,7 @@ _MOST_RAYS = 8192
 
 
 class SceneMirror:
-    """A pybullet client that never steps; it holds the cell at given joint positions."""
+    """Pybullet client without steps; it holds the cell at given joint positions."""
 
     def __init__(self, cell: Cell, renderer: str) -> None:
         """Load the cell.
@@ -51,7 +51,7 @@ class SceneMirror:
 
     @property
     def renderer_offset(self) -> tuple[float, float]:
-        """Where the renderer puts a point that belongs at (0, 0), column and row [px]; measured."""
+        """Measured place of a rendered point at (0, 0), column and row [px]."""
         return (0.0, 0.0) if self.renderer == "egl" else (0.5, -0.5)
 
     def set_joints(self, q: Array) -> None:
@@ -77,7 +77,7 @@ class SceneMirror:
         return int(hit[0][0]) < 0
 
     def first_hits(self, starts: Array, ends: Array) -> tuple[Array, Array]:
-        """Where rays first meet what can be touched of the robot.
+        """Return the first hits of rays on the robot's surfaces.
 
         Args:
             starts: Shape (n, 3) [m].
@@ -149,7 +149,7 @@ class SceneMirror:
 
 
 def _view(camera: CameraModel) -> list[float]:
-    """OpenGL view matrix, column by column: OpenGL looks along -z with y up."""
+    """Return the OpenGL view matrix, column by column: OpenGL looks along -z with y up."""
     matrix = np.eye(4)
     flip = np.array([1.0, -1.0, -1.0])
     matrix[:3, :3] = flip[:, None] * camera.R_cam_base
@@ -158,7 +158,7 @@ def _view(camera: CameraModel) -> list[float]:
 
 
 def _projection(pinhole: Pinhole) -> list[float]:
-    """OpenGL projection matrix, column by column; pixel (0, 0) is centred half a pixel inside the image."""
+    """Return the OpenGL projection matrix, column by column; pixel (0, 0) is centred half a pixel inside the image."""
     width, height, K = pinhole.width, pinhole.height, pinhole.K
     matrix = np.zeros((4, 4))
     matrix[0, 0] = 2.0 * K[0, 0] / width

@@ -24,7 +24,7 @@ def noise_stream(seed: int, camera: str, start_tick: int, frame: int) -> np.rand
 
 
 def read_out(mean: FloatImage, sensor: SensorNoise, stream: np.random.Generator, out: NDArray[np.uint8]) -> None:
-    """Write the image that a sensor gives of expected values.
+    """Write the sensor's image of expected values.
 
     Photon noise is drawn as Gaussian of the Poisson distribution's variance: a pixel holds some hundred electrons.
 

@@ -1,4 +1,4 @@
-"""``testbed``: before it loads ROS, of which the physics must have nothing, a copy of it loads the physics."""
+"""``testbed``: load the physics in a copy of the process, before ROS is loaded: physics must have no ROS."""
 
 import sys
 

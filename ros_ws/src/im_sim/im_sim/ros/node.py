@@ -65,7 +65,7 @@ class TestbedNode(ManagedNode):
         self.create_service(PutInJaws, "/testbed/put_in_jaws", self._put_in_jaws)
 
     def phase_configure(self) -> None:
-        """Draw the truth, start the physics process and attach to its link."""
+        """Draw the truth, start the physics process and attach to the link."""
         self._cell = load_cell(self._cell_file or None)
         if self._period != 0.0:
             self._cell = self._cell.at_period(self._period)
@@ -220,7 +220,7 @@ class TestbedNode(ManagedNode):
 
 
 def _number(value: Any, name: str, lowest: float, highest: float = math.inf) -> float:
-    """A number within bounds.
+    """Return a number within bounds.
 
     Raises:
         ConfigError: It is not one.

@@ -22,7 +22,7 @@ _NEAR_PX = 1.5
 
 
 class CircleGates(Model):
-    """What a circle must be like.
+    """Limits of a circle.
 
     Attributes:
         radius_min, radius_max: Range of the mean of the half axes [px].
@@ -42,7 +42,7 @@ class CircleGates(Model):
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """An ellipse: centre, covariance of it, half axes [px], angle of the major one [rad], and the fit of its edge."""
+    """Ellipse: centre and the covariance, half axes [px], angle of the major axis [rad], and the fit of the edge."""
 
     u: float
     v: float
@@ -55,13 +55,13 @@ class EllipseFit:
 
     @property
     def rms(self) -> float:
-        """Scatter of the edge, seen a pixel of its length at a time [px]."""
+        """Scatter of the edge, in parts of one pixel of the length [px]."""
         length = np.pi * (self.major + self.minor)
         return float(np.sqrt(np.trace(self.covariance) / 4.0 * length))
 
 
 def find_circles(image: Image, noise: SensorNoise, gates: CircleGates) -> list[EllipseFit]:
-    """Find dark and bright discs; those with the most certain contrast first.
+    """Find dark and bright discs, the most certain contrast first.
 
     Args:
         image: Pixels, shape (h, w) [DN].
@@ -82,7 +82,7 @@ def find_circles(image: Image, noise: SensorNoise, gates: CircleGates) -> list[E
 
 
 def _candidate(contour: Array, gates: CircleGates) -> Array | None:
-    """Centre, half axes and angle of a contour that looks like an ellipse, shape (5,)."""
+    """Return centre, half axes and angle of a contour similar to an ellipse, shape (5,)."""
     if len(contour) < 4.0 * gates.radius_min:
         return None
     (u, v), (first, second), degrees = cv2.fitEllipse(contour.astype(np.float32))

@@ -19,7 +19,7 @@ _MARGIN_PX = 3.0
 
 
 class LineGates(Model):
-    """What a line must be like.
+    """Limits of a line.
 
     Attributes:
         length: Shortest [px].
@@ -54,7 +54,7 @@ class LineFit:
 
     @property
     def rms(self) -> float:
-        """Scatter of the edge, seen a pixel of its length at a time [px]."""
+        """Scatter of the edge, in parts of one pixel of the length [px]."""
         return float(np.sqrt(self.edge.fit.covariance[0, 0] * self.edge.length))
 
 
@@ -93,7 +93,7 @@ def find_lines(
 
 
 def edge_covariance(edge: StraightEdge, camera: CameraModel, calibration: Array) -> Array:
-    """Covariance of (offset across an edge at its middle [px], angle [rad]) by pixels and lens, shape (2, 2).
+    """Covariance of (offset across an edge at the middle [px], angle [rad]) by pixels and lens, shape (2, 2).
 
     Args:
         edge: The edge.

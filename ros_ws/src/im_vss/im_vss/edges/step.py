@@ -44,7 +44,7 @@ class StepFit:
 
 
 def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise, sigma: float = 1.0) -> StepFit | None:
-    """Fit a curve that separates two brightnesses, seen through a Gaussian blur, to the pixels around it.
+    """Fit a curve between two brightnesses, seen through a Gaussian blur, to the pixels around it.
 
     Gauss-Newton on (shape, lower brightness, contrast, blur), each pixel weighted by the variance that the noise model
     predicts for the fitted brightness.
@@ -86,7 +86,7 @@ def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise
 
 
 def _model(theta: Array, distance: Distance, usable: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Expected pixels, shape (m,), and their Jacobian, shape (m, n + 3)."""
+    """Return expected pixels, shape (m,), and the Jacobian, shape (m, n + 3)."""
     shape, (low, contrast, sigma) = theta[:-3], theta[-3:]
     away = distance(shape)[usable]
     ramp = scipy.special.ndtr(away / sigma)
@@ -158,7 +158,7 @@ def undistorted(camera: CameraModel, pixels: Array) -> Array:
 
 
 def undistorted_by_parameters(camera: CameraModel, undistorted_pixels: Array) -> Array:
-    """How far off the undistorted pixels of what is seen are, by errors of the camera; its pose has no part in it.
+    """Return the errors of undistorted pixels by errors of the camera; the pose of the camera has no part in them.
 
     What is seen stays where it is in the image: the undistorted pixel of its direction changes, and where in the image
     that direction is seen.

@@ -1,1 +1,1 @@
-"""The laser scanner: its driver, its calibration, and what images of its lines say."""
+"""The laser scanner: the driver, the calibration, and the evaluation of images of the lines."""

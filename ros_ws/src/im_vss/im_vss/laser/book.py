@@ -19,28 +19,28 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class LaserEntry:
-    """Model of the scanner, and its file; None: it is taken as the drawing has it."""
+    """Model of the scanner, and the file; None: the drawing's model."""
 
     model: LaserModel
     file: Path | None = None
 
     @property
     def calibrated(self) -> bool:
-        """Whether it is better known than by the drawing."""
+        """Whether a calibration replaces the drawing's model."""
         return self.file is not None
 
     def told(self) -> str:
-        """Where its calibration comes from, in a sentence."""
+        """Return the origin of the calibration, as a sentence."""
         return f"laser scanner: {self.origin}"
 
     @property
     def origin(self) -> str:
-        """File of its calibration, or that it is the drawing's."""
+        """File of the calibration, or the drawing."""
         return str(self.file or "as drawn")
 
 
 class LaserBook:
-    """Keeps the calibration, and writes it to a file."""
+    """Keeper of the calibration and the file."""
 
     def __init__(self, sheet: LaserScanner, directory: Path) -> None:
         """Start from the drawing.
@@ -57,7 +57,7 @@ class LaserBook:
 
     @property
     def entry(self) -> LaserEntry:
-        """What is known of the scanner."""
+        """The present model of the scanner."""
         return self._entry
 
     def set(self, model: LaserModel, covariance: Array) -> Path:
@@ -78,7 +78,7 @@ class LaserBook:
         return path
 
     def adopt(self, files: CalibrationFiles) -> None:
-        """Use the calibration of an earlier run, if it has one, and write what is in use now.
+        """Use the calibration of an earlier run, if it has one, and write the calibration in use now.
 
         Raises:
             DataError: It cannot be written; nothing has changed then.

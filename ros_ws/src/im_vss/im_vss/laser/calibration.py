@@ -61,7 +61,7 @@ class CalibrationGates(Model):
 
 @dataclass(frozen=True)
 class LaserSpot:
-    """A spot: angles the mirrors reported, shape (2,) [rad], and where two cameras see it."""
+    """Spot: reported angles of the mirrors, shape (2,) [rad], and the images in two cameras."""
 
     angles: Array
     point: Point
@@ -69,7 +69,7 @@ class LaserSpot:
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """What spots say of a scanner.
+    """Calibration of a scanner by spots.
 
     Attributes:
         model: The estimate.
@@ -134,7 +134,7 @@ def calibrate(
 
 
 def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates: CalibrationGates) -> tuple[str, ...]:
-    """Why an estimate from spots, shape (n, 3) [m], out of more that were offered, cannot be used.
+    """Return the reasons against an estimate from spots, shape (n, 3) [m], chosen among the offered ones.
 
     `covariance` is what these spots leave open, shape (10, 10): that of the cameras no further spot can mend.
     """
@@ -168,7 +168,7 @@ def _verdicts(places: Array, offered: int, covariance: Array, chi2: float, gates
 
 @dataclass(frozen=True)
 class _Judged:
-    """What an estimate is worth.
+    """Value of an estimate.
 
     Attributes:
         by_spots: Its covariance by the noise of spots and mirrors, shape (10, 10).
@@ -184,7 +184,7 @@ class _Judged:
 
 
 class _Problem:
-    """Spots and data sheet, as least squares see them."""
+    """Spots and data sheet, as a least squares problem."""
 
     def __init__(self, sheet: LaserScanner, spots: Sequence[LaserSpot], cameras: Array) -> None:
         values, axes = np.linalg.eigh(cameras)
@@ -201,7 +201,7 @@ class _Problem:
         self._scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
 
     def solve(self, start: LaserModel, used: NDArray[np.bool_], covariances: Array, loss: str = "linear") -> LaserModel:
-        """The best model by the spots in use, shape (n,), with these covariances, shape (n, 3, 3) [m^2]."""
+        """Return the best model by the spots in use, shape (n,), with these covariances, shape (n, 3, 3) [m^2]."""
         model = start
         for _ in range(2):  # weights depend on directions and distances, which hardly change
             whiten, base = self._whitening(model, covariances)[used], model
@@ -219,12 +219,12 @@ class _Problem:
         return model
 
     def deviations(self, model: LaserModel) -> Array:
-        """How far each spot is off its beam, in standard deviations by spots and cameras, shape (n,)."""
+        """Return the distance of each spot from the beam, in standard deviations by spots and cameras, shape (n,)."""
         whiten = self._whitening(model, self.by_all)
         return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", whiten, self._off(model)), axis=1))
 
     def judge(self, model: LaserModel, used: NDArray[np.bool_], outlier: float) -> _Judged:
-        """How well an estimate from the spots in use, shape (n,), is known, and how well it fits.
+        """Return covariance and fit of an estimate from the spots in use, shape (n,).
 
         To first order: with residuals r of unit variance, J their derivatives by the scanner and A by the independent
         errors z of the cameras, each of unit variance, z moves the estimate by ``-(J'J)^-1 J'A z`` and leaves
@@ -260,7 +260,7 @@ class _Problem:
         return _Judged(by_spots * units, (by_spots + moved @ moved.T) * units, chi2, off)
 
     def across(self, model: LaserModel) -> Array:
-        """Vectors from the beams to the spots, shape (n, 3) [m]."""
+        """Return vectors from the beams to the spots, shape (n, 3) [m]."""
         return self._off(model)
 
     def _prior(self, model: LaserModel) -> Array:
@@ -272,7 +272,7 @@ class _Problem:
         return np.asarray(way - np.einsum("ni,ni->n", way, directions)[:, None] * directions)
 
     def _whitening(self, model: LaserModel, covariances: Array) -> Array:
-        """For each spot a matrix that makes its vector off the beam two unit normal numbers, shape (n, 2, 3) [1/m].
+        """Return a matrix for each spot that makes the vector off the beam two unit normals, shape (n, 2, 3) [1/m].
 
         Args:
             model: The scanner.
@@ -287,7 +287,7 @@ class _Problem:
 
 
 def _moved(model: LaserModel, step: Array) -> LaserModel:
-    """A model changed by a step in :data:`PARAMETERS`, shape (10,)."""
+    """Return a model changed by a step in :data:`PARAMETERS`, shape (10,)."""
     return LaserModel(
         rotation=scipy.spatial.transform.Rotation.from_rotvec(step[:3]).as_matrix() @ model.rotation,
         position=model.position + step[3:_POSE],

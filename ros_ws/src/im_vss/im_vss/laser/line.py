@@ -25,7 +25,7 @@ FARTHEST_M = 8.0
 
 
 class LaserLineGates(Model):
-    """What a place of a line must be like.
+    """Limits of a place on a line.
 
     Attributes:
         sigma: Width of a line [px].
@@ -56,7 +56,7 @@ class LinePeaks:
 
 
 def line_peaks(on: Frame, off: Frame, upright: bool, noise: SensorNoise, gates: LaserLineGates) -> LinePeaks:
-    """Find a line in the difference of two frames, by a matched filter along each row and a parabola at its top.
+    """Find a line in the difference of two frames, by a matched filter along each row and a parabola at the top.
 
     Args:
         on: Frame with the line, shape (h, w) [DN].
@@ -114,7 +114,7 @@ def _response(on: Frame, off: Frame, sigma: float, noise: SensorNoise) -> Array:
 
 @dataclass(frozen=True)
 class LineMatches:
-    """Places that were matched.
+    """Matched places.
 
     Attributes:
         points: In the world, shape (k, 3) [m].
@@ -166,7 +166,7 @@ def _ideal(camera: CameraModel, pixels: Array) -> Array:
 
 
 def _nearest(cameras: tuple[CameraModel, CameraModel], x: Array, y: Array) -> Array:
-    """Points half way between pairs of rays, where they are nearest, shape (k, 3) [m]; rays by ideal images."""
+    """Return points half way between pairs of rays at the nearest, shape (k, 3) [m]; rays by ideal images."""
     u, v = x @ cameras[0].R_cam_base, y @ cameras[1].R_cam_base
     base = cameras[1].position - cameras[0].position
     uu, uv, vv = (np.einsum("ni,ni->n", a, b) for a, b in ((u, u), (u, v), (v, v)))

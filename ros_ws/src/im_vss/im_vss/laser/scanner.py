@@ -15,24 +15,24 @@ _ATTACH_TIMEOUT_S = 2.0
 
 
 class Scanner(Protocol):
-    """The laser scanner, as far as its Vision Module sees it."""
+    """The laser scanner as the Vision Module sees it."""
 
     def drive(self, beam: LaserBeam, timeout_s: float) -> int:
-        """Move the mirrors, set the power, wait until it is so; the testbed time then [ns].
+        """Move the mirrors, set the power, wait for both; return the testbed time [ns].
 
         Raises:
             ImError: The scanner is not there, or does not get there in time.
         """
 
     def reading(self) -> LaserBeam:
-        """What the scanner's own sensors say.
+        """Return the readings of the scanner's own sensors.
 
         Raises:
             ImError: The scanner is not there.
         """
 
     def darken(self) -> None:
-        """Switch off what somebody before has left on; nothing happens if the scanner is not there."""
+        """Switch off a beam left on by a former client; do nothing without a scanner."""
 
     def close(self) -> None:
         """Leave the scanner alone; the beam is dark."""
@@ -42,7 +42,7 @@ class LinkedScanner:
     """The scanner at the other end of the testbed link, attached to when first used or darkened."""
 
     def __init__(self, instance: str, sheet: LaserScanner) -> None:
-        """Drive the scanner of an instance of the machine, with the rate of its data sheet."""
+        """Drive the scanner of an instance of the machine, with the rate of the data sheet."""
         self._instance = instance
         self._sheet = sheet
         self._link: LaserEnd | None = None
@@ -103,7 +103,7 @@ class LinkedScanner:
 
 
 def check_beam(beam: LaserBeam, sheet: LaserScanner) -> LaserBeam:
-    """A beam that the scanner can show.
+    """Check whether the scanner can show a beam.
 
     Raises:
         LimitError: A mirror would turn too far.

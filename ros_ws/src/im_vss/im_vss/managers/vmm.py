@@ -14,7 +14,7 @@ _SLICE_S = 0.2
 
 @dataclass(eq=False)
 class VisionClient:
-    """Who asks for Vision Modules: one request of a Service.
+    """Client of Vision Modules: one request of a Service.
 
     Attributes:
         name: For messages, e.g. ``spot_find #12``.
@@ -41,7 +41,7 @@ class VisionClient:
             self._cancelled = True
 
     def commit(self) -> None:
-        """Go on to the end: what follows is not undone, so that from now on the answer is what has become of it.
+        """Go on to the end: later steps are not undone, and the answer is the outcome.
 
         Raises:
             StateError: Nobody wants the answer any more.
@@ -100,7 +100,7 @@ class Lease:
         return not self.released and not self.client.gone and self.remaining() > 0.0
 
     def check(self, module: str) -> None:
-        """Refuse what this lease does not cover.
+        """Refuse a use beyond this lease.
 
         Raises:
             StateError: It is for another module, or over.
@@ -113,7 +113,7 @@ class Lease:
 
 @dataclass(frozen=True)
 class ModuleState:
-    """Who uses a Vision Module.
+    """Users of a Vision Module.
 
     Attributes:
         owner: Name of the client that holds it; empty if it is free.
@@ -140,7 +140,7 @@ class _Count:
 
 
 class VisionModuleManager:
-    """Lends each of its Vision Modules to one client at a time, in the order of their requests.
+    """Manager of Vision Modules: lends each to one client at a time, in the order of the requests.
 
     A lease ends with its release, its deadline, or the cancellation or death of its client, whichever comes first; the
     wait for one is bounded.
@@ -193,7 +193,7 @@ class VisionModuleManager:
                 self._changed.notify_all()
 
     def state(self, module: str) -> ModuleState:
-        """Who uses a module, and who waits for it."""
+        """Return the owner of a module, and the queue."""
         with self._changed:
             held, count = self._held.get(module), self._counts[module]
             owned = held is not None and held.valid
@@ -233,7 +233,7 @@ class VisionModuleManager:
 
     @staticmethod
     def _first(queue: deque[VisionClient]) -> VisionClient | None:
-        """The first client that still waits; those that are gone leave the queue."""
+        """Return the first waiting client; remove departed clients from the queue."""
         while queue and queue[0].gone:
             queue.popleft()
         return queue[0] if queue else None

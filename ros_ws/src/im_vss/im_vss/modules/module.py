@@ -35,7 +35,7 @@ class VisionModule:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix=self.name)
 
     def run(self, lease: Lease, work: Callable[[], Result]) -> Result:
-        """Run `work` on the hardware and hand its result straight to the Tool that holds the lease.
+        """Run `work` on the hardware and hand the result straight to the Tool with the lease.
 
         Raises:
             StateError: The lease is not, or no longer, one for this module; or its client gave up meanwhile.
@@ -68,7 +68,7 @@ class VisionModule:
 
 
 def _without_processor(most_s: float) -> Callable[[], float]:
-    """A function that tells for how long the calling thread has waited for a processor from now on, at most [s].
+    """Return a function for the time the calling thread has waited for a processor from now on, at most [s].
 
     For one itself, or for another thread of the process that waited for one and had what it needs: the interpreter.
     Who waits for anything else, as for what will never come, has no time spared.

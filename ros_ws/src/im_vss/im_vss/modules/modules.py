@@ -45,7 +45,7 @@ class VmImageDisp(VisionModule):
     name: ClassVar[str] = "vm_image_disp"
 
     def show(self, lease: Lease, frames: tuple[Frame, ...]) -> None:
-        """Put each image out as it was taken, and on its camera's monitor.
+        """Put each image out as taken, and on the camera's monitor.
 
         Raises:
             ImError: See :meth:`VisionModule.run`.
@@ -85,13 +85,13 @@ class VmLaser(VisionModule):
     _shown: LaserBeam | None = None
 
     def __init__(self, rig: Rig) -> None:
-        """Take over the scanner of `rig`, dark: whoever had it may have died with the beam on."""
+        """Take over the scanner of `rig`, dark: the last user may have died with the beam on."""
         super().__init__(rig)
         if rig.laser is not None:
             rig.laser.scanner.darken()
 
     def drive(self, lease: Lease, beam: LaserBeam) -> tuple[LaserBeam, int]:
-        """Show a beam; what the scanner's sensors say when it is there, and the testbed time then [ns].
+        """Show a beam; return the sensors' readings at the arrival, and the testbed time then [ns].
 
         Raises:
             LimitError: A mirror would turn too far.
@@ -108,7 +108,7 @@ class VmLaser(VisionModule):
         self._thread.submit(self._darken, beam).result()
 
     def reading(self, lease: Lease) -> LaserBeam:
-        """What the scanner's sensors say.
+        """Return the readings of the scanner's sensors.
 
         Raises:
             ImError: See :meth:`VisionModule.run` and :meth:`im_vss.laser.scanner.Scanner.reading`.

@@ -1,4 +1,4 @@
-"""Whether whoever called a Service is still there."""
+"""Presence of the clients of a Service."""
 
 from collections.abc import Callable
 
@@ -24,7 +24,7 @@ class Askers:
         self._count = 0
 
     def present(self) -> Callable[[], bool]:
-        """A function for one request: False from when all clients of the Service that were seen are gone."""
+        """Return a function for one request: False from the departure of all seen clients of the Service on."""
         seen = False
 
         def alive() -> bool:

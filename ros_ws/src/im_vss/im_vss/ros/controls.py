@@ -1,4 +1,4 @@
-"""The cameras' controls as ROS parameters, and images at their rates."""
+"""The cameras' controls as ROS parameters, and images at the rates."""
 
 from collections.abc import Callable
 
@@ -69,7 +69,7 @@ class ImageStream:
 
 
 class ControlParameters:
-    """Declares ``exposure``, and ``<camera>.gain``, ``<camera>.noise`` and ``<camera>.rate``, each with its range."""
+    """Parameters ``exposure``, and ``<camera>.gain``, ``<camera>.noise`` and ``<camera>.rate``, each with the range."""
 
     def __init__(self, node: ManagedNode, settings: VssSettings, controls: CameraControls, stream: ImageStream) -> None:
         """Declare and obey the parameters.
@@ -94,7 +94,7 @@ class ControlParameters:
         node.add_post_set_parameters_callback(self._changed)
 
     def start(self) -> None:
-        """Obey what was given on the command line; images flow from now on."""
+        """Obey the settings of the command line; images flow from now on."""
         self._apply(self._cameras)
         self._controls.set_exposure(self._value("exposure"))
 

@@ -1,4 +1,4 @@
-"""``vss``: before it loads ROS, of which the cameras must have nothing, the frame source prepares its processes."""
+"""``vss``: prepare the processes of the frame source before ROS is loaded: cameras must have no ROS."""
 
 import sys
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Where the robot's pose puts the wrist light that is on."""
+"""Position of the lit wrist light by the robot's pose."""
 
 import math
 from collections import deque
@@ -31,7 +31,7 @@ _OFF_LENGTH = 1e-3
 
 
 class LightTracker:
-    """Keeps the newest of ``/tf`` as they came, and works one out when a position is asked for."""
+    """Tracker of the light: keeps the newest of ``/tf`` undecoded, and computes a position on request."""
 
     def __init__(self, node: Node, cell: Cell, light: str, freshness_s: float) -> None:
         """Listen.
@@ -50,7 +50,7 @@ class LightTracker:
         node.create_subscription(String, "/testbed/lights", self._choose, qos.LATCHED)
 
     def why_dark(self) -> str:
-        """That all lights are off, and what switches them on, a clause; empty if one is on, or nobody has said so."""
+        """Return the clause for dark lights, with the way to switch one on; empty if one is on, or nothing is known."""
         if not self._lights or any(self._lights.values()):
             return ""
         return f"{' and '.join(self._lights)} are off, {SWITCH} switches them on"
@@ -64,7 +64,7 @@ class LightTracker:
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
     def wrist(self, side: str, stamp_ns: int) -> Pose | None:
-        """Where a wrist is in the world at a testbed time [ns]; None if that is not known.
+        """Return the place of a wrist in the world at a testbed time [ns]; None if it is unknown.
 
         Args:
             side: Which arm.

@@ -35,7 +35,7 @@ def to_header(frame: str, stamp_ns: int) -> Header:
 
 
 def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
-    """A grey image, shape (h, w), or a red-green-blue one, shape (h, w, 3), as a message."""
+    """Convert a grey image, shape (h, w), or a red-green-blue one, shape (h, w, 3), to a message."""
     height, width = image.shape[:2]
     message = Image(
         header=to_header(frame, stamp_ns),
@@ -50,7 +50,7 @@ def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
 
 
 def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
-    """The present calibration of a camera; K, R, P and D are zero, as the convention is, until its lens is known."""
+    """Return the present calibration of a camera; K, R, P and D are zero, by convention, until the lens is known."""
     model, header = entry.model, to_header(entry.frame, stamp_ns)
     if entry.intrinsics_file is None:
         return CameraInfo(header=header, width=model.width, height=model.height)
@@ -67,7 +67,7 @@ def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:
 
 
 def from_camera_info(info: CameraInfo) -> CameraModel:
-    """Intrinsics and lens of a camera info.
+    """Return intrinsics and lens of a camera info.
 
     Raises:
         DataError: It is not finite, its lens model is unknown or has other coefficients, or no camera is like that.
@@ -86,7 +86,7 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
 
 
 def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:
-    """Pose of a camera's optical frame in its parent."""
+    """Return the pose of a camera's optical frame in the parent, as a message."""
     message = TransformStamped(header=to_header(entry.parent, stamp_ns), child_frame_id=entry.frame)
     position, target = entry.model.position, message.transform
     target.translation.x, target.translation.y, target.translation.z = (float(value) for value in position)
@@ -96,7 +96,7 @@ def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:
 
 
 def to_spot(seen: CameraSpot) -> Spot:
-    """What a camera saw, as a message."""
+    """Convert the finding of a camera to a message."""
     message = Spot(camera=seen.camera, stamp=to_time(seen.stamp_ns), cause=seen.finding.cause, snr=seen.finding.snr)
     spot = seen.finding.spot
     if spot is not None:
@@ -109,7 +109,7 @@ def to_spot(seen: CameraSpot) -> Spot:
 
 
 def to_candidates(seen: CameraSpot) -> SpotCandidates:
-    """What the search in one camera handed on, as a message."""
+    """Convert the candidates of the search in one camera to a message."""
     finding = seen.finding
     message = SpotCandidates(camera=seen.camera, stamp=to_time(seen.stamp_ns), refused=list(finding.refused))
     for candidate in finding.candidates:
@@ -121,7 +121,7 @@ def to_candidates(seen: CameraSpot) -> SpotCandidates:
 
 
 def from_region(region: RegionOfInterest) -> Region:
-    """A part of an image from a message."""
+    """Return a part of an image from a message."""
     return Region(region.x_offset, region.y_offset, region.width, region.height)
 
 
@@ -136,7 +136,7 @@ def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w) of a rotation, shape (3, 3), its largest element positive.
+    """Return the unit quaternion (x, y, z, w) of a rotation, shape (3, 3), the largest element positive.
 
     Source: Shepperd, "Quaternion from rotation matrix" (1978).
     """

@@ -134,7 +134,7 @@ class VssNode(ManagedNode):
             self._source.close()
 
     async def _serve(self, name: str, port: Port, askers: Askers, request: Any, response: Any) -> Any:
-        """Have a Service carry out a request, in a thread; what goes wrong becomes its status."""
+        """Carry out a request of a Service, in a thread; an error becomes the status."""
         vsm = self._vsm
         assert vsm is not None
         self._load_ahead()
@@ -186,7 +186,7 @@ class VssNode(ManagedNode):
         return response
 
     def _take_calibration(self, cell: Cell, laser_book: LaserBook) -> None:
-        """Use the calibration that a former life had in use, or one that is given, and say what comes from where."""
+        """Use the calibration of a former incarnation, or a given one, and log the origin of each part."""
         found = self._left(cell)
         if found is not None:
             self.get_logger().info(f"the calibration in use before is taken up again: {found.folder}")
@@ -203,7 +203,7 @@ class VssNode(ManagedNode):
             self.get_logger().info(sentence)
 
     def _left(self, cell: Cell) -> CalibrationFiles | None:
-        """The calibration that was in use when this task died, in the mission that goes on; None: as at a start."""
+        """Return the calibration in use at the death of this task, in a continued mission; None: as at a start."""
         if self._in_use is None or not self._in_use.exists():
             return None
         try:
@@ -213,7 +213,7 @@ class VssNode(ManagedNode):
             return None
 
     def _calibrated(self) -> None:
-        """A calibration has been taken into use, and its files are written; in any thread."""
+        """Report a calibration taken into use, with written files; in any thread."""
         self._note_in_use()
         self._outputs.publish_calibrations()
 
@@ -226,7 +226,7 @@ class VssNode(ManagedNode):
             self.get_logger().error(f"the death of /vss would undo the calibration in use: {error.message}")
 
     def _watch(self) -> None:
-        """Start the cameras again when they died."""
+        """Start the cameras again after the death."""
         if self._source is not None and (obituary := self._source.revive()):
             self.get_logger().error(f"{obituary}; it is started again")
 

@@ -18,7 +18,7 @@ from im_vss.ros.messages import to_camera_info, to_header, to_image, to_laser_tr
 
 
 class ImageOutputs:
-    """The :class:`im_vss.monitor.Screen` of the node: what is shown is published, if anybody looks."""
+    """The :class:`im_vss.monitor.Screen` of the node: images are published to the subscribers."""
 
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
         """Create ``image_raw``, ``camera_info``, ``image_display`` and ``spot`` of each camera, and ``/tf_static``.
@@ -38,7 +38,7 @@ class ImageOutputs:
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
 
     def raw(self, frame: Frame) -> None:
-        """Publish an image as it was taken, and the camera info of the same stamp."""
+        """Publish an image as taken, and the camera info of the same stamp."""
         with self._telling:  # or a calibration that comes in between would be overwritten by the one before
             entry = self._book[frame.camera]
             self._info[frame.camera].publish(to_camera_info(entry, frame.stamp_ns))
@@ -46,17 +46,17 @@ class ImageOutputs:
             self._raw[frame.camera].publish(to_image(entry.frame, frame.stamp_ns, frame.image))
 
     def display(self, camera: str, image: Pixels, stamp_ns: int) -> None:
-        """Publish what a monitor shows."""
+        """Publish the content of a monitor."""
         if self._display[camera].get_subscription_count():
             self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
 
     def spot(self, camera: str, place: tuple[float, float], stamp_ns: int) -> None:
-        """Publish where the light was found, x and y in pixels; bags keep it, of which data sets are made."""
+        """Publish the place of the light, x and y in pixels; data sets are made of these messages in bags."""
         header = to_header(self._book[camera].frame, stamp_ns)
         self._spot[camera].publish(PointStamped(header=header, point=Point(x=place[0], y=place[1])))
 
     def publish_calibrations(self) -> None:
-        """Publish what cameras are like, and where they and the laser scanner are, as far as is known."""
+        """Publish the calibrations and poses of cameras and laser scanner, as far as known."""
         stamp_ns = self._node.get_clock().now().nanoseconds
         with self._telling:
             for entry in self._book.entries():

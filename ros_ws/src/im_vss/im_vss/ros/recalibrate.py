@@ -206,7 +206,7 @@ def _write(
 
 
 def _compared(call: RecordedCalibration, report: dict[str, Any], changed: bool) -> int:
-    """Tells the recorded result beside the new one; the exit code."""
+    """Print the recorded result beside the new one; return the exit code."""
     if call.report is None:
         print(f"replay: the bag holds no estimate to compare with: {call.refusal or 'no answer was recorded'}")
         return OK if report["success"] else FAILED
@@ -231,7 +231,7 @@ def _left_out(missing: int) -> str:
 
 
 def _progress() -> Callable[[str], None]:
-    """What tells how far it is, every 2 s."""
+    """Return a reporter of progress, every 2 s."""
     told = [clock.monotonic()]
 
     def tell(text: str) -> None:

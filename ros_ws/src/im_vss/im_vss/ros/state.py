@@ -1,4 +1,4 @@
-"""What ``/vss`` says of itself: what is loaded, queued and owned, and on ``/diagnostics`` whether all is well."""
+"""Reports of ``/vss`` on itself: loaded parts, queues and owners, and the health on ``/diagnostics``."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -22,10 +22,10 @@ _HARDWARE = "cameras and laser scanner"
 
 
 class StatePort:
-    """``/vss/state`` (latched, when it changed), ``/vss/query`` and ``/vss/cancel``."""
+    """Port of ``/vss/state`` (latched, on change), ``/vss/query`` and ``/vss/cancel``."""
 
     def __init__(self, node: ManagedNode, vsm: VisionServicesManager) -> None:
-        """Offer them on `node`."""
+        """Offer topic and services on `node`."""
         self._vsm = vsm
         self._last: object = None
         self._publisher = node.create_publisher(VisionStateMessage, "/vss/state", qos.LATCHED)
@@ -77,10 +77,10 @@ class StatePort:
 
 
 class DiagnosticsPort:
-    """``/diagnostics``, once a second of wall time: where the calibrations come from, and who uses the Modules."""
+    """Port of ``/diagnostics``, once a second of wall time: origins of the calibrations, and users of the Modules."""
 
     def __init__(self, node: ManagedNode, vsm: VisionServicesManager, book: CameraBook, laser: LaserBook) -> None:
-        """Publish them from `node`."""
+        """Publish the diagnostics from `node`."""
         self._node = node
         self._vsm = vsm
         self._book = book
@@ -95,7 +95,7 @@ class DiagnosticsPort:
         self._publisher.publish(message)
 
     def _calibrations(self) -> DiagnosticStatus:
-        """A camera as drawn is no fault: the machine starts that way."""
+        """Return the status of the calibrations; a camera as drawn is no fault: the machine starts with it."""
         entries, laser = self._book.entries(), self._laser.entry
         cameras = f"{sum(entry.calibrated for entry in entries)} of {len(entries)} cameras are calibrated"
         origins = {entry.name: entry.origin for entry in entries} | {"laser_scanner": laser.origin}

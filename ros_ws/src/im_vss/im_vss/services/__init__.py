@@ -1,4 +1,4 @@
-"""Services: what the user of the Vision Services System deals with, each a sequence of Tools (paper, section 5)."""
+"""Services, the operations offered to users of VSS, each a sequence of Tools (paper, section 5)."""
 
 from im_vss.services.service import VisionService
 

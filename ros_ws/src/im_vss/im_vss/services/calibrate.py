@@ -1,4 +1,4 @@
-"""Service that calibrates cameras from observations of the wrist light."""
+"""Service for the calibration of cameras from observations of the wrist light."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ Mount = Callable[[str, Sequence[int]], Pose]
 
 @dataclass(frozen=True)
 class SeenSpot:
-    """Where a camera saw the light: centre, shape (2,) [px], its covariance, shape (2, 2) [px^2], and when [ns]."""
+    """Light in a camera: centre, shape (2,) [px], the covariance, shape (2, 2) [px^2], and the time [ns]."""
 
     uv: Array
     covariance: Array
@@ -36,7 +36,7 @@ class SeenSpot:
 
 @dataclass(frozen=True)
 class Observation:
-    """One pose of the robot and what the cameras saw.
+    """One pose of the robot and the cameras' findings.
 
     Attributes:
         pose: Its name.
@@ -55,7 +55,7 @@ class Observation:
 
 @dataclass(frozen=True)
 class SeenLength:
-    """Two lights at a known distance, and what the cameras saw of them.
+    """Two lights at a known distance, and the cameras' findings of both.
 
     Attributes:
         length: Distance of the lights [m].
@@ -70,7 +70,7 @@ class SeenLength:
 
 @dataclass(frozen=True)
 class CalibrateRequest:
-    """What to calibrate.
+    """Request for a calibration.
 
     Attributes:
         cameras: Names of the cameras; they are estimated together.
@@ -89,7 +89,7 @@ class CalibrateRequest:
 
 @dataclass(frozen=True)
 class CalibrateResult:
-    """The estimate, the report of it, whether it is now in use, and where plots and files went, if anywhere."""
+    """The estimate, the report, the use, and the folder of plots and files, if there is one."""
 
     calibration: Calibration
     report: dict[str, Any]
@@ -173,7 +173,7 @@ def problem_of(
 def on_their_mounts(
     calibration: Calibration, request: CalibrateRequest, book: CameraBook, mount: Mount
 ) -> tuple[dict[str, CameraModel], CameraCovariance]:
-    """The cameras of a good calibration, each relative to what it is fixed to, and how well all are known then.
+    """Return the cameras of a good calibration, each relative to the parent frame, with the joint covariance.
 
     Raises:
         StateError: A camera is on an arm, and it is not known where that was when the camera was exposed, or it moved.
@@ -198,7 +198,7 @@ def write_calibration(
     mounted: Mapping[str, CameraModel],
     covariance: CameraCovariance,
 ) -> None:
-    """Writes report, plots and camera files, with the cameras as :func:`on_their_mounts` gives them.
+    """Write report, plots and camera files, with the cameras as :func:`on_their_mounts` gives them.
 
     What drawing took is given back: tens of MiB in the arena of each thread that ever did this.
 
@@ -226,7 +226,7 @@ def _lengths(cameras: tuple[str, ...], lengths: tuple[SeenLength, ...], known: C
 
 
 def _spots(cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]], known: Collection[str]) -> tuple[Array, Array]:
-    """Spots of some cameras, NaN where not seen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
+    """Return spots of some cameras, NaN if unseen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
 
     Raises:
         NotFoundError: A spot is of a camera that is not known.
@@ -244,7 +244,7 @@ def _spots(cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]], known: Col
 
 
 def fixed_to(camera: CameraModel, rotation: Array, origin: Array) -> CameraModel:
-    """A camera with its pose relative to a frame instead of the world.
+    """Return a camera with the pose relative to a frame instead of the world.
 
     Args:
         camera: The camera, its pose in the world.

@@ -1,4 +1,4 @@
-"""Services that find circles, lines and fiducials."""
+"""Services for circles, lines and fiducials."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Gates = TypeVar("Gates")
 
 @dataclass(frozen=True)
 class FeatureFindRequest:
-    """Where to look for features; 0 stands for what is configured.
+    """Search range for features; 0 stands for the configured value.
 
     Attributes:
         camera: Name of the camera.
@@ -35,7 +35,7 @@ class FeatureFindRequest:
 
 
 class FeatureFind(VisionService):
-    """Takes an image, shows it, and finds something in it."""
+    """Service for features: takes an image, shows it, and searches it."""
 
     def find(
         self,
@@ -72,7 +72,7 @@ class FeatureFind(VisionService):
 
 @dataclass(frozen=True)
 class CircleFindRequest(FeatureFindRequest):
-    """Where to look for circles; 0 stands for what is configured.
+    """Search range for circles; 0 stands for the configured value.
 
     Attributes:
         radius_min: Smallest radius [px].
@@ -93,7 +93,7 @@ class CircleFindResult:
 
 
 class SvcCircleFind(FeatureFind):
-    """Takes an image, shows it, and finds circles in it."""
+    """Service for circles: takes an image, shows it, and finds circles in it."""
 
     name: ClassVar[str] = "circle_find"
 
@@ -113,7 +113,7 @@ _AS_DRAWN = "{} is not calibrated: its lens is taken as drawn, without distortio
 
 @dataclass(frozen=True)
 class LineFindRequest(FeatureFindRequest):
-    """Where to look for straight edges; 0 stands for what is configured.
+    """Search range for straight edges; 0 stands for the configured value.
 
     Attributes:
         length_min: Shortest line [px].
@@ -124,7 +124,7 @@ class LineFindRequest(FeatureFindRequest):
 
 @dataclass(frozen=True)
 class LineFindResult:
-    """What was found.
+    """Result of a search for lines.
 
     Attributes:
         found: The lines, longest first.
@@ -140,7 +140,7 @@ class LineFindResult:
 
 
 class SvcLineFind(FeatureFind):
-    """Takes an image, shows it, and finds straight edges in it."""
+    """Service for lines: takes an image, shows it, and finds straight edges in it."""
 
     name: ClassVar[str] = "line_find"
 
@@ -159,7 +159,7 @@ class SvcLineFind(FeatureFind):
 
 @dataclass(frozen=True)
 class FiducialPoseRequest:
-    """Which plates to find, by number of their code (none: all of the cell); exposure 0 stands for the nominal one."""
+    """Wanted plates, by the number of the code (none: all of the cell); exposure 0 stands for the nominal one."""
 
     cameras: tuple[str, ...]
     ids: tuple[int, ...] = ()
@@ -189,12 +189,12 @@ class FiducialPoseResult:
 
 
 class SvcFiducialPose(VisionService):
-    """Takes images, shows them, and computes where the cell's fiducial plates are relative to the cameras."""
+    """Service for fiducials: takes images, shows them, and computes the poses of plates relative to the cameras."""
 
     name: ClassVar[str] = "fiducial_pose"
 
     def serve(self, client: VisionClient, request: FiducialPoseRequest) -> FiducialPoseResult:
-        """Find plates; in images of a camera that is not calibrated they are marked, but have no pose.
+        """Find plates; in images of an uncalibrated camera they are marked, but have no pose.
 
         Raises:
             ImError: A camera or a plate is unknown, the exposure out of range, or the cameras do not deliver.

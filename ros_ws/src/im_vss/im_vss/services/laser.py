@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def fixed_cameras(rig: Rig, names: tuple[str, ...], count: int | None) -> tuple[str, ...]:
-    """The cameras of a request, if they are fixed to the world, calibrated, and as many as needed.
+    """Return the cameras of a request, if they are fixed to the world, calibrated, and enough.
 
     Raises:
         ImError: They are not.
@@ -45,7 +45,7 @@ def fixed_cameras(rig: Rig, names: tuple[str, ...], count: int | None) -> tuple[
 def look(
     service: VisionService, client: VisionClient, cameras: tuple[str, ...], beam: LaserBeam | None, exposure_s: float
 ) -> tuple[tuple[CameraSpot, ...], StereoFinding, LaserBeam, FrameSet]:
-    """A pair of frames, the spot in each camera, and the point.
+    """Return a pair of frames, the spot in each camera, and the point.
 
     Args:
         service: Whose Tools are called.
@@ -72,7 +72,7 @@ def look(
 
 
 def why_not(rig: Rig, spots: tuple[CameraSpot, ...], stereo: StereoFinding, beam: LaserBeam) -> str:
-    """Why there is no point, one clause for each camera that lacks the spot; empty if there is a point.
+    """Return the causes of a missing point, one clause for each camera without the spot; empty for a point.
 
     One camera's spot and the beam say where the other would see it.
     """
@@ -102,7 +102,7 @@ def why_not(rig: Rig, spots: tuple[CameraSpot, ...], stereo: StereoFinding, beam
 
 
 def _beam_meets(rig: Rig, seeing: CameraSpot, beam: LaserBeam) -> Array:
-    """Where on the beam the spot that one camera sees is, shape (3,) [m].
+    """Return the point of the beam at the spot of one camera, shape (3,) [m].
 
     Raises:
         DataError: The camera's lens model cannot be inverted there.
@@ -127,7 +127,7 @@ class LaserPointRequest:
 
 @dataclass(frozen=True)
 class LaserPointResult:
-    """What the scanner's sensors say, testbed time then [ns], and whether the scanner is calibrated."""
+    """Readings of the scanner's sensors, testbed time then [ns], and whether the scanner is calibrated."""
 
     beam: LaserBeam
     stamp_ns: int
@@ -135,7 +135,7 @@ class LaserPointResult:
 
 
 class SvcLaserPoint(VisionService):
-    """Points the beam; it stays where it points until the next request."""
+    """Service for pointing: the beam stays in place until the next request."""
 
     name: ClassVar[str] = "laser_point"
 
@@ -153,7 +153,7 @@ class SvcLaserPoint(VisionService):
 
 @dataclass(frozen=True)
 class LaserSpot3dRequest:
-    """Where does the beam end at some angles of the mirrors [rad]; None: where it points now, as it is lit."""
+    """Request for the end of the beam at some angles of the mirrors [rad]; None: the present beam."""
 
     cameras: tuple[str, ...]
     angles: tuple[float, float] | None
@@ -162,7 +162,7 @@ class LaserSpot3dRequest:
 
 @dataclass(frozen=True)
 class LaserSpot3dResult:
-    """What each camera saw, what follows from it, what the scanner's sensors said, and where the time went [s].
+    """Finding of each camera, the point, the readings of the scanner's sensors, and the times of the steps [s].
 
     `remark` is what a user must know to trust the covariance; empty: nothing.
     """
@@ -175,7 +175,7 @@ class LaserSpot3dResult:
 
 
 class SvcLaserSpot3d(VisionService):
-    """Points the beam, takes frames without and with it, finds its spot in two cameras, and triangulates."""
+    """Service for a spot in space: points the beam, takes frames without and with it, and triangulates the spot."""
 
     name: ClassVar[str] = "laser_spot_3d"
 
@@ -224,7 +224,7 @@ class LineScanRequest:
 
 @dataclass(frozen=True)
 class LineScanResult:
-    """What a scan brought.
+    """Result of a scan.
 
     Attributes:
         points: In the world, shape (n, 3) [m].
@@ -242,7 +242,7 @@ class LineScanResult:
 
 
 class SvcLineScan(VisionService):
-    """Structured light: planes of light met with the rays of the cameras, or lines matched between two of them."""
+    """Service for structured light: planes of light met with rays of cameras, or lines matched between two cameras."""
 
     name: ClassVar[str] = "line_scan"
 
@@ -304,7 +304,7 @@ class LaserCalibrateRequest:
 
 @dataclass(frozen=True)
 class LaserCalibrateResult:
-    """The estimate, spots that were not used with the cause, and the file; None: it was not applied.
+    """The estimate, unused spots with the causes, and the file; None: it was not applied.
 
     `remark` is what a user must know to trust the covariance; empty: nothing.
     """

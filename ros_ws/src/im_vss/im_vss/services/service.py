@@ -13,7 +13,7 @@ from im_vss.tools.spot import Region, check_region
 
 
 class VisionService(ABC):
-    """A vision operation; stateless, so that any number of clients may be in it at once."""
+    """Vision operation; stateless, so any number of clients may use it at once."""
 
     name: ClassVar[str]
 
@@ -23,11 +23,11 @@ class VisionService(ABC):
         self._tools = dict(tools)
 
     def tool(self, name: str) -> Any:
-        """The Tool of that name, callable."""
+        """Return the Tool of a name, callable."""
         return self._tools[name]
 
     def shown(self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch) -> FrameSet:
-        """An image of each camera, with the lights as they are, taken and shown on the cameras' displays.
+        """Take an image of each camera, with the lights unchanged, and show it on the camera's display.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
@@ -39,7 +39,7 @@ class VisionService(ABC):
         return images
 
     def region(self, camera: str, region: Region) -> Region:
-        """A part of the images of a camera.
+        """Return a part of the images of a camera.
 
         Raises:
             ImError: The camera is unknown, or its images have no such part.

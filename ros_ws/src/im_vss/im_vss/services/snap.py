@@ -1,4 +1,4 @@
-"""Service that takes an image."""
+"""Service for images."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,4 +1,4 @@
-"""Services that find the spot of a light: in an image, in a stereo pair, and in looks that need no answer at once."""
+"""Services for the spot of a light: in an image, in a stereo pair, and in looks without an immediate answer."""
 
 import threading
 from concurrent.futures import Future
@@ -35,7 +35,7 @@ class SpotFindRequest:
 
 @dataclass(frozen=True)
 class CameraSpot:
-    """What one camera saw: its name, testbed time of the exposure with light [ns], and the spot or the cause."""
+    """Finding of one camera: the name, testbed time of the exposure with light [ns], and the spot or the cause."""
 
     camera: str
     stamp_ns: int
@@ -60,7 +60,7 @@ class SvcSpotFind(VisionService):
     name: ClassVar[str] = "spot_find"
 
     def serve(self, client: VisionClient, request: SpotFindRequest) -> SpotFindResult:
-        """Find the spots: an exposure without light, one with it, common to all cameras; or those of a look.
+        """Find the spots: an exposure without light, one with it, common to all cameras; or the spots of a look.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, the cameras do not deliver, or the look is not
@@ -136,7 +136,7 @@ class SpotFindStereoRequest:
 
 @dataclass(frozen=True)
 class SpotFindStereoResult:
-    """What each camera saw, in the order of the request, what follows from it, and where the time went [s].
+    """Finding of each camera, in the order of the request, the point, and the times of the steps [s].
 
     `remark` is what a user must know to trust the covariance; empty: nothing.
     """
@@ -188,7 +188,7 @@ class SvcSpotLook(VisionService):
     name: ClassVar[str] = "spot_look"
 
     def serve(self, client: VisionClient, request: SpotLookRequest) -> str:
-        """Expose an image without light and one with it, common to all cameras; the name of the look.
+        """Expose an image without light and one with it, common to all cameras; return the name of the look.
 
         The images are read out and searched in a thread of their own, under the leases that any SpotFind has; once they
         are exposed, the search goes on for whoever asks for it, whatever becomes of this client.

@@ -55,7 +55,7 @@ class MatchedFilter:
         )
 
     def strongest(self) -> Peak:
-        """The strongest peak that was not erased."""
+        """Return the strongest remaining peak."""
         _, snr, _, (u, v) = cv2.minMaxLoc(self._response)
         return Peak(u=u, v=v, snr=snr)
 
@@ -71,7 +71,7 @@ class MatchedFilter:
 
 
 class SpotGates(Model):
-    """What a spot must be like.
+    """Limits of a spot.
 
     Attributes:
         sigma_expected: Width the search is tuned to [px].
@@ -174,7 +174,7 @@ def find_spot(
 
 
 def _refusal(fit: SpotFit, shape: tuple[int, ...], gates: SpotGates) -> str:
-    """Why a candidate is not a spot, empty if it is one."""
+    """Return the reason against a candidate, empty for a spot."""
     if fit.saturated > gates.saturated_pixels:
         return f"saturated: {fit.saturated} pixels, at most {gates.saturated_pixels} are allowed"
     if not fit.converged:

@@ -146,7 +146,7 @@ class _Window:
             return None
 
     def linearised(self, theta: Array, whole: bool = True) -> tuple[Array, Array, Array, Array]:
-        """Residuals (n,) [DN], Jacobian (n, 5), weights (n,) [1/DN^2] and their shares of a whole pixel's (n,) [-].
+        """Return residuals (n,) [DN], Jacobian (n, 5), weights (n,) [1/DN^2] and the shares of a full pixel (n,) [-].
 
         Of the usable pixels, without saturated ones unless `whole`. Residual and weight of a saturated one are those
         of the parabola that touches its log-likelihood at `theta`: with the margin z and the inverse Mills ratio m,

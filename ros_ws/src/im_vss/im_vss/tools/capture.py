@@ -1,4 +1,4 @@
-"""Take an image, and show it on the monitor."""
+"""Tools for taking an image, and for showing it on the monitor."""
 
 from typing import ClassVar
 
@@ -41,12 +41,12 @@ class ToolSnap(Tool):
 
 
 class ToolImageDisp(Tool):
-    """Shows captured images on their cameras' monitors (paper: toolImageDisp)."""
+    """Tool for captured images on the cameras' monitors (paper: toolImageDisp)."""
 
     name: ClassVar[str] = "tool_image_disp"
 
     def __call__(self, client: VisionClient, images: FrameSet) -> None:
-        """Show all frames in the order they were taken.
+        """Show all frames in the order of the exposures.
 
         Raises:
             ImError: The display is not to be had.

@@ -53,7 +53,7 @@ class ToolSpotDisp(Tool):
     name: ClassVar[str] = "tool_spot_disp"
 
     def __call__(self, client: VisionClient, findings: Mapping[str, Seen]) -> None:
-        """Mark what was found in each camera's image, or write why there is nothing.
+        """Mark the findings in each camera's image, or write the cause of a failure.
 
         Raises:
             ImError: The display is not to be had.
@@ -87,7 +87,7 @@ def _spot(camera: str, finding: SpotFinding) -> Marker:
 
 
 def _ellipse(fit: EllipseFit) -> Array:
-    """Places on an ellipse, shape (n, 2) [px]."""
+    """Return places on an ellipse, shape (n, 2) [px]."""
     cosine, sine = np.cos(fit.angle), np.sin(fit.angle)
     axes = np.array([[cosine, sine], [-sine, cosine]])
     rim = np.stack((fit.major * np.cos(_TURN), fit.minor * np.sin(_TURN)), axis=1)
@@ -95,7 +95,7 @@ def _ellipse(fit: EllipseFit) -> Array:
 
 
 def _through_lens(model: CameraModel, fit: LineFit) -> Array:
-    """Places in the image on a line, which is straight only without the lens, shape (n, 2) [px]."""
+    """Return places in the image on a line, straight only without the lens, shape (n, 2) [px]."""
     places = fit.start + _ALONG[:, None] * (fit.end - fit.start)
     ideal = (places - model.K[:2, 2]) / model.K[[0, 1], [0, 1]]
     return np.asarray(model.through_lens(ideal))

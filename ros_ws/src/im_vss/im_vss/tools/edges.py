@@ -22,7 +22,7 @@ class ToolCircleFind(Tool):
     name: ClassVar[str] = "tool_circle_find"
 
     def gates(self, radius_min: float, radius_max: float) -> CircleGates:
-        """What is a circle, with radii between two limits [px]; 0: as configured.
+        """Return the limits of a circle, with radii between two limits [px]; 0: as configured.
 
         Raises:
             DataError: The range of radii is none.
@@ -34,7 +34,7 @@ class ToolCircleFind(Tool):
         return gates.model_copy(update={"radius_min": low, "radius_max": high})
 
     def __call__(self, frame: Frame, region: Region, gates: CircleGates) -> list[EllipseFit]:
-        """The circles in a part of an image; those with the clearest contrast first.
+        """Return the circles in a part of an image, the clearest contrast first.
 
         Args:
             frame: The image.
@@ -56,7 +56,7 @@ class ToolLineFind(Tool):
     name: ClassVar[str] = "tool_line_find"
 
     def gates(self, length_min: float) -> LineGates:
-        """What is a line, with a smallest length [px]; 0: as configured.
+        """Return the limits of a line, with a smallest length [px]; 0: as configured.
 
         Raises:
             DataError: It is too short.
@@ -86,7 +86,7 @@ class ToolLineFind(Tool):
 
 
 class ToolLineStereo(Tool):
-    """Finds the line in two cameras and matches them along epipolar lines: the scanner need not be calibrated."""
+    """Tool for a line in two cameras, matched along epipolar lines: the scanner need not be calibrated."""
 
     name: ClassVar[str] = "tool_line_stereo"
 

@@ -1,4 +1,4 @@
-"""Find fiducials in an image, and their poses."""
+"""Tools for fiducials in an image, and for the poses."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -10,12 +10,12 @@ from im_vss.tools.tool import Tool
 
 
 class ToolFiducialPose(Tool):
-    """Finds fiducials and computes their poses; a calculation, without a Vision Module."""
+    """Tool for fiducials and the poses; a calculation, without a Vision Module."""
 
     name: ClassVar[str] = "tool_fiducial_pose"
 
     def __call__(self, frame: Frame, wanted: Mapping[int, Target]) -> tuple[list[FiducialFit], dict[int, str]]:
-        """The plates in an image, and why those that are missing are.
+        """Return the plates in an image, and the causes of missing ones.
 
         Args:
             frame: The image.

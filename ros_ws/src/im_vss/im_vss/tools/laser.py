@@ -1,4 +1,4 @@
-"""Point the laser, find its spot or line in images, and calibrate the scanner."""
+"""Tools of the laser: point it, find the spot or line in images, and calibrate the scanner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ class ToolLaserPoint(Tool):
     name: ClassVar[str] = "tool_laser_point"
 
     def angles_to(self, target: NDArray[np.float64]) -> tuple[float, float]:
-        """Angles at which the beam meets a point of the world, shape (3,) [m], by the scanner's calibration [rad].
+        """Return the angles of the beam to a point of the world, shape (3,) [m], by the scanner's calibration [rad].
 
         Raises:
             DataError: The point is not finite, or behind the scanner.
@@ -33,7 +33,7 @@ class ToolLaserPoint(Tool):
         return first, second
 
     def __call__(self, client: VisionClient, angles: tuple[float, float], on: bool) -> tuple[LaserBeam, int]:
-        """Point the beam; it stays so.
+        """Point the beam; it stays there.
 
         Args:
             client: Who asks.
@@ -142,7 +142,7 @@ class LinePoints:
 
 
 class ToolLaserLine(Tool):
-    """Finds the line in a camera, and meets its rays with the laser's plane; without a Vision Module."""
+    """Tool for the line in a camera, the rays met with the laser's plane; without a Vision Module."""
 
     name: ClassVar[str] = "tool_laser_line"
 
@@ -190,7 +190,7 @@ class ToolLaserCalibrate(Tool):
     name: ClassVar[str] = "tool_laser_calibrate"
 
     def __call__(self, cameras: Sequence[str], spots: Sequence[LaserSpot]) -> LaserCalibration:
-        """The estimate from some spots, with its verdicts.
+        """Return the estimate from some spots, with the verdicts.
 
         Args:
             cameras: Names of those that saw the spots, in the order in which these were triangulated.

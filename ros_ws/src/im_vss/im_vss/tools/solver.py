@@ -8,7 +8,7 @@ from im_vss.tools.tool import Tool
 
 
 class ToolCalibrate(Tool):
-    """Has the solver compute the cameras, when it is its turn."""
+    """Tool for the solver of cameras, one calibration after the other."""
 
     name: ClassVar[str] = "tool_calibrate"
 

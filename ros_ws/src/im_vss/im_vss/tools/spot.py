@@ -1,4 +1,4 @@
-"""Find the spot of a light in an image or a region, and its point from two images."""
+"""Tools for the spot of a light in an image or a region, and for the point from two images."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -32,7 +32,7 @@ WHOLE = Region()
 
 
 def check_region(region: Region, width: int, height: int) -> Region:
-    """A region of an image of some size [px].
+    """Check a region of an image of some size [px].
 
     Raises:
         DataError: It is not in the image, or too small to find anything in.
@@ -49,7 +49,7 @@ def check_region(region: Region, width: int, height: int) -> Region:
 
 
 def cut(image: Image, region: Region) -> tuple[Image, int, int]:
-    """The pixels of a region, shape (h, w), and its upper left corner [px]."""
+    """Return the pixels of a region, shape (h, w), and the upper left corner [px]."""
     if region.width == 0:
         return image, 0, 0
     return image[region.v : region.v + region.height, region.u : region.u + region.width], region.u, region.v
@@ -90,7 +90,7 @@ class ToolSpotFind(Tool):
 
 @dataclass(frozen=True)
 class StereoFinding:
-    """What two cameras make of a light.
+    """Finding of a light by two cameras.
 
     Attributes:
         point: Where it is in the world, None if that cannot be said.
@@ -106,7 +106,7 @@ class StereoFinding:
 
 
 class ToolTriangulate(Tool):
-    """Chooses the pair of candidates that fit each other best, and triangulates; without a Vision Module."""
+    """Tool for a point: chooses the best matching pair of candidates, and triangulates; without a Vision Module."""
 
     name: ClassVar[str] = "tool_triangulate"
 

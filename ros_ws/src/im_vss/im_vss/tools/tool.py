@@ -11,10 +11,10 @@ from im_vss.rig import Rig
 
 
 class ModuleAccess:
-    """The way of a Tool to its Vision Modules, which leads through their managers."""
+    """Way of a Tool to the Vision Modules, through the managers."""
 
     def __init__(self, routes: Mapping[str, tuple[VisionModuleManager, VisionModule]]) -> None:
-        """Give access to some modules, each with the manager that lends it."""
+        """Give access to some modules, each with the manager."""
         self._routes = dict(routes)
 
     @contextmanager

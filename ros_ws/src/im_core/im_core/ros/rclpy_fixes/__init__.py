@@ -1,1 +1,1 @@
-"""Mends of rclpy and its middleware, one module a fault; each goes once upstream has mended it."""
+"""Fixes of rclpy and the middleware, one module per fault; each fix goes after the upstream fix."""

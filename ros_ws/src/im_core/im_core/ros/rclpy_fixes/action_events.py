@@ -18,7 +18,7 @@ from im_core.ros import qos
 
 
 class ActionEvents:
-    """Publishes what one action carries: goals, results, and what is asked to be cancelled.
+    """Publish the contents of one action: goals, results, and cancel requests.
 
     The topics are ``<action>/_action/send_goal/_service_event``, ``.../get_result/...`` and ``.../cancel_goal/...``.
 
@@ -38,20 +38,20 @@ class ActionEvents:
         self._sequence = 0
 
     def tell_goal(self, request: Any) -> None:
-        """The request for a goal that is carried out from now on; of None nothing is told."""
+        """Publish the request for a goal carried out from now on; nothing for None."""
         if request is not None:
             info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
             self._goals.publish(self._goal_type.Event(info=info, request=[request]))
 
     def tell_result(self, handle: ServerGoalHandle, result: Any) -> None:
-        """The result of a goal that has ended."""
+        """Publish the result of an ended goal."""
         request = self._result_type.Request(goal_id=handle.goal_id)
         response = self._result_type.Response(status=handle.status, result=result)
         info = self._info(ServiceEventInfo.RESPONSE_SENT)
         self._results.publish(self._result_type.Event(info=info, request=[request], response=[response]))
 
     def tell_cancel(self, request: Any) -> None:
-        """The request to cancel goals; what becomes of them, their results tell."""
+        """Publish the request to cancel goals; the results tell the outcome."""
         info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
         self._cancels.publish(self._cancel_type.Event(info=info, request=[request]))
 

@@ -1,4 +1,4 @@
-"""Find what reached a reader while an executor began to listen to it.
+"""Read messages already in a reader when an executor begins to listen.
 
 - Upstream: where the events executor asks for notifications of messages, requests and answers, ``rmw_fastrtps`` counts
   first what is there, and registers the listener afterwards. An arrival between the two is notified with the next
@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 
 
 def new_readers(node: Node, known: MutableSet[Any]) -> Iterator[Any]:
-    """What of a node takes messages, its subscriptions, services, clients and actions, and was not known.
+    """Yield the new readers of a node: subscriptions, services, clients and actions not known before.
 
     A node keeps them in the order in which they were made: those that are new are the last ones.
 
@@ -41,7 +41,7 @@ def new_readers(node: Node, known: MutableSet[Any]) -> Iterator[Any]:
 
 
 def take_backlog(reader: Any, executor: Any) -> None:
-    """Take everything that waits in a reader, as the executor would; in the loop.
+    """Take everything waiting in a reader, as the executor would; in the loop.
 
     Args:
         reader: One of :func:`new_readers`; of one that was destroyed nothing is taken.
@@ -93,7 +93,7 @@ def _complete(client: Any, executor: Any) -> None:
 
 
 def _act(action: Any, executor: Any) -> None:
-    """An action takes what a wait set says that is there; one that has not waited says so of everything."""
+    """Take all waiting data of an action; an action without a prior wait reports everything as ready."""
     n = action.get_num_entities()
     counts = (n.num_subscriptions, n.num_guard_conditions, n.num_timers, n.num_clients, n.num_services, n.num_events)
     context = executor.context.handle

@@ -1,4 +1,4 @@
-"""Answers whose client DDS does not reach yet: sent again until it does.
+"""Answers with a client not yet reached by DDS: sent again until reached.
 
 A client may have found its server before the server has found the reader of the client's answers: discovery is under
 way, which takes long on a busy computer. ``rmw_fastrtps`` then gives up, rclpy warns, and the client waits for ever for
@@ -33,13 +33,13 @@ MOST_KEPT = 200
 
 
 def unreached(error: Exception) -> bool:
-    """Whether an answer could not be sent because its client is not reached; see :class:`LateAnswers`."""
+    """Return whether sending an answer failed because the client is not reached; see :class:`LateAnswers`."""
     return isinstance(error, SystemError) and isinstance(error.__cause__, RuntimeWarning)
 
 
 @dataclass
 class _Waiting:
-    """Answers of one server for one client, in their order."""
+    """Answers of one server to one client, in order."""
 
     since: float
     due: float
@@ -48,7 +48,7 @@ class _Waiting:
 
 
 class LateAnswers:
-    """The answers of a node that wait for their clients; called in its loop.
+    """Answers of a node waiting for unreached clients; called in the node's loop.
 
     What rclpy warns of is an error from now on: nothing else tells whoever sends that an answer was not sent.
 
@@ -65,7 +65,7 @@ class LateAnswers:
         self._timer: Timer | None = None
 
     def send(self, what: str, header: Any, answer: Callable[[], None]) -> None:
-        """Send an answer, behind those of the same server that wait for the same client.
+        """Send an answer, behind waiting answers of the same server to the same client.
 
         Args:
             what: Whose answer it is, as in ``service /dom/put``.
@@ -85,7 +85,7 @@ class LateAnswers:
         self.keep(what, header, answer)
 
     def keep(self, what: str, header: Any, answer: Callable[[], None]) -> None:
-        """Send an answer when its client is reached; arguments as of :meth:`send`."""
+        """Send an answer when the client is reached; arguments as of :meth:`send`."""
         now = clock.monotonic()
         waiting = self._waiting.setdefault((what, sender_of(header)), _Waiting(now, now + LOOK_S))
         waiting.answers.append(answer)
@@ -120,7 +120,7 @@ class LateAnswers:
             self._timer.cancel()
 
     def _reached(self, what: str, client: str, waiting: _Waiting) -> bool:
-        """Send all that waits for a client; False if it is not reached."""
+        """Send all answers waiting for a client; return False if the client is not reached."""
         while waiting.answers:
             try:
                 waiting.answers[0]()

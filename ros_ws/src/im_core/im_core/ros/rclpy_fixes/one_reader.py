@@ -1,4 +1,4 @@
-"""Share one reader between all nodes of a process that follow the same topic.
+"""Share one reader between all nodes of a process following the same topic.
 
 - Upstream: each subscription of a process takes and decodes each message of its topic itself; rclpy delivers nothing
   within a process. A process of seven nodes decoded each stamp of ``/clock`` seven times.
@@ -26,12 +26,12 @@ _shared: ContextVar[dict[str, list[Follower]] | None] = ContextVar("shared", def
 
 
 class Share:
-    """Stands for a node's part of a reader, which lives as long as the first node that follows the topic."""
+    """Share of a node in a reader; the reader lives as long as the first node of the topic."""
 
 
 @contextmanager
 def shared_readers() -> Iterator[None]:
-    """Nodes that are made within it share their readers of :data:`TOPICS`; they must end together."""
+    """Make nodes within the context share readers of :data:`TOPICS`; the nodes must end together."""
     token = _shared.set({})
     try:
         yield

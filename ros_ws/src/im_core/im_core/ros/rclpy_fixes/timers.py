@@ -1,4 +1,4 @@
-"""Mend the timers of the events executor: strike no timer early, and put none off by more than its period.
+"""Fix the timers of the events executor: strike no timer early, and put none off by more than one period.
 
 - Upstream: whenever a timer is made or reset, the events executor strikes each timer of the same clock once more that
   is due and not struck yet. Each such strike puts the timer off by another period: after a hundred resets in a late
@@ -19,7 +19,7 @@ from rclpy.timer import Timer
 
 
 def punctual_timer(node: Node, make: Callable[[Callable[[], None]], Timer], callback: Callable[[], Any]) -> Timer:
-    """Make a timer that leaves out strikes before its time.
+    """Make a timer without strikes before the due time.
 
     Args:
         node: Node of the timer.

@@ -1,1 +1,1 @@
-"""What a motion is planned with, and whether it keeps to the limits and the tolerances."""
+"""Planning context of a motion, and checks of the limits and tolerances."""

@@ -1,4 +1,4 @@
-"""Whether a group may do what a request asks for: as many values as joints, all within their limits."""
+"""Admission of a request to a group: as many values as joints, all within the limits."""
 
 import math
 from collections.abc import Sequence
@@ -51,7 +51,7 @@ def check_timed_points(context: PlanContext, points: TimedPoints, begin: int) ->
 
 
 def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position and velocity of a streaming setpoint, shape (n,) each, the velocity within its limit to the last bit.
+    """Return position and velocity of a streaming setpoint, shape (n,) each, the velocity strictly within the limit.
 
     Raises:
         DataError: A wrong size, or a value that is not finite.
@@ -137,7 +137,7 @@ def _check_derivative(
 def _check_within(
     context: PlanContext, values: NDArray[np.float64], limit: NDArray[np.float64], what: str, unit: str
 ) -> None:
-    """Check values, shape (n,), against limits, shape (n,); ``unit`` is what follows that of the position."""
+    """Check values, shape (n,), against limits, shape (n,); ``unit`` follows that of the position."""
     beyond = np.abs(values) > limit * (1.0 + _ROUNDING)
     if beyond.any():
         k = int(np.argmax(beyond))

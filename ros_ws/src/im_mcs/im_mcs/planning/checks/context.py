@@ -1,4 +1,4 @@
-"""What a motion is planned with."""
+"""Planning context of a motion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Start = Callable[[], Setpoint]
 
 @dataclass(frozen=True)
 class PlanContext:
-    """What a motion of one group is planned with.
+    """Planning context of a motion of one group.
 
     Attributes:
         model: Kinematics and dynamics.

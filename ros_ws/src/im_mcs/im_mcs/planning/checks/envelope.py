@@ -24,7 +24,7 @@ _PIECES_CLOSE, _PIECES_CLEARED = 12, 60
 
 
 def check_range(context: PlanContext, trajectory: PiecewisePolynomial, pieces: slice = slice(None)) -> None:
-    """Check that some pieces, all of them if none are named, stay within the joints' ranges.
+    """Check whether some pieces, all without any named, stay within the joints' ranges.
 
     Raises:
         LimitError: One does not; names joint, value, limit, unit and time.
@@ -40,7 +40,7 @@ def check_range(context: PlanContext, trajectory: PiecewisePolynomial, pieces: s
 def first_excess(
     context: PlanContext, trajectory: PiecewisePolynomial, pieces: range, before: Array
 ) -> Generator[None, None, LimitError | None]:
-    """The first place in some pieces where a velocity, an acceleration or a jerk is beyond its limit, slice by slice.
+    """Return the first place in some pieces with a velocity, acceleration or jerk beyond the limit, slice by slice.
 
     A jump of acceleration where a piece begins counts as a jerk within the time between evaluations.
 
@@ -70,7 +70,7 @@ def first_excess(
 
 
 def slowdown(trajectory: PiecewisePolynomial, limits: MotionLimits, pieces: slice) -> float:
-    """Factor by which short pieces must take longer to keep velocity, acceleration and jerk; 1 if they do.
+    """Return the factor of time by which short pieces keep velocity, acceleration and jerk; 1 for good ones.
 
     Args:
         trajectory: To check.
@@ -81,7 +81,7 @@ def slowdown(trajectory: PiecewisePolynomial, limits: MotionLimits, pieces: slic
 
 
 def excess(coefficients: Array, lengths: Array, limits: MotionLimits) -> Array:
-    """Factor by which each of m short pieces must take longer to keep its limits, below 1 where it may be quicker.
+    """Return for each of m short pieces the factor of time within the limits, below 1 if it may be quicker.
 
     Args:
         coefficients: Of the pieces, shape (m, 6, n).
@@ -98,7 +98,7 @@ def excess(coefficients: Array, lengths: Array, limits: MotionLimits) -> Array:
 def _not_cleared(
     trajectory: PiecewisePolynomial, pieces: slice, order: int, lower: Array, upper: Array
 ) -> NDArray[np.intp]:
-    """Pieces of which Bernstein's coefficients, between which a polynomial stays, do not say that they keep a limit."""
+    """Return pieces not proved within a limit by Bernstein's coefficients, which enclose a polynomial."""
     lengths = trajectory.lengths[pieces]
     scale = lengths[:, None] ** np.maximum(np.arange(6) - order, 0)
     bounds = np.matmul(_bernstein(order), trajectory.coefficients[pieces] * scale[:, :, None])
@@ -147,7 +147,7 @@ def _first_jump(
 
 
 def force_at_end(trajectory: PiecewisePolynomial, pieces: slice) -> Array:
-    """Accelerations with which some pieces end, shape (m, n)."""
+    """Return the accelerations at the ends of some pieces, shape (m, n)."""
     return np.asarray(_values(trajectory.coefficients[pieces], trajectory.lengths[pieces], 2, 2)[:, 1])
 
 
@@ -170,14 +170,14 @@ def _fault(context: PlanContext, k: int, order: int, value: float, limit: float,
 
 
 def _values(coefficients: Array, lengths: Array, order: int, samples: int) -> Array:
-    """Derivative of some order of m pieces at their ends and evenly between: shape (m, samples, n)."""
+    """Return a derivative of m pieces at the ends and evenly between: shape (m, samples, n)."""
     scale = lengths[:, None] ** np.maximum(np.arange(6) - order, 0)
     return np.asarray(np.matmul(_basis(order, samples), coefficients * scale[:, :, None]))
 
 
 @cache
 def _basis(order: int, samples: int) -> Array:
-    """Derivatives of the powers of a time from 0 to 1, shape (samples, 6)."""
+    """Return derivatives of the powers of a time from 0 to 1, shape (samples, 6)."""
     powers = np.arange(6)
     factor = np.prod([powers - k for k in range(order)], axis=0)
     return np.asarray(factor * np.linspace(0.0, 1.0, samples)[:, None] ** np.maximum(powers - order, 0))

@@ -38,15 +38,15 @@ class TrajectoryTolerances:
         self.judges_goal = bool(np.isfinite(goal).any())
 
     def on_path(self, error: NDArray[np.float64], tick: int) -> ImError | None:
-        """The fault if an error, shape (2, n), is beyond its bound on the way."""
+        """Return the fault of an error, shape (2, n), beyond the bound on the way."""
         return self._fault(error, self._path, "path_tolerance", f"at tick {tick}", tick)
 
     def reached(self, error: NDArray[np.float64]) -> bool:
-        """Whether errors, shape (2, n), are within their bounds at the end."""
+        """Return whether errors, shape (2, n), are within the bounds at the end."""
         return bool((np.abs(error) <= self._goal).all())
 
     def at_goal(self, error: NDArray[np.float64], late_s: float, settled: bool, tick: int) -> ImError | None:
-        """The fault if an error is beyond its bound and the time allowed for that is over.
+        """Return the fault of an error beyond the bound after the allowed time.
 
         Args:
             error: Shape (2, n).
@@ -82,7 +82,7 @@ class TrajectoryTolerances:
 
 
 def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | None:
-    """Tolerances of a motion, if it is a trajectory; 0 is the bound of the following error, below 0 none.
+    """Return the tolerances of a trajectory; 0 is the bound of the following error, below 0 none.
 
     Raises:
         DataError: Not as many bounds as joints, or one is not finite.
@@ -103,6 +103,6 @@ def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | No
 def _bounds(
     q: NDArray[np.float64], v: NDArray[np.float64], default: NDArray[np.float64] | float
 ) -> NDArray[np.float64]:
-    """Bounds of positions and velocities, shape (2, n); there is no default for velocities."""
+    """Return bounds of positions and velocities, shape (2, n); there is no default for velocities."""
     bounds = np.array([np.where(q == 0.0, default, q), np.where(v == 0.0, np.inf, v)])
     return np.where(bounds < 0.0, np.inf, bounds)

@@ -85,7 +85,7 @@ class LineCurve:
         self._numbers = numbers
 
     def walk(self, start: NDArray[np.float64]) -> Generator[None, None, tuple[JointCurve, NDArray[np.float64]]]:
-        """The joints' curve, and the positions of all joints at its end; half the work of one place a step.
+        """Return the joints' curve, and all joints at the end; a step does half the work of one place.
 
         Args:
             start: Positions of all joints at the beginning of the path, shape (18,) [rad or m].
@@ -133,7 +133,7 @@ class LineCurve:
         return there
 
     def _place(self, s: float, guess: NDArray[np.float64]) -> Tracked | ImError:
-        """Joints at ``s``, if they may be there."""
+        """Return joints at ``s``, if they are allowed there."""
         place = self._path.at(s)
         carriers = self._arm.carriers
         q = guess.copy()

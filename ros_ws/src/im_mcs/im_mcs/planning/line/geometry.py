@@ -74,7 +74,7 @@ class LinePath:
         return min(max(bisect.bisect_right(self.corners, s) - 1, 0), len(self._twists) - 1)
 
     def lines(self, s: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Indices of the lines at path parameters ``s``, shape (m,) [m]."""
+        """Return indices of the lines at path parameters ``s``, shape (m,) [m]."""
         return np.asarray(np.clip(np.searchsorted(self.corners, s, side="right") - 1, 0, len(self._twists) - 1))
 
     def at(self, s: float) -> PathPlace:
@@ -91,7 +91,7 @@ class LinePath:
         return PathPlace(pose, twist, np.zeros(6), carriers)
 
     def _rounded(self, k: int, u: float) -> PathPlace:
-        """A place near corner ``k``, ``u`` after it: the line before fades out while the line after fades in."""
+        """Return a place near corner ``k``, ``u`` after it: the line before fades out as the line after fades in."""
         blend = self._blends[k]
         y = (u / blend + 1.0) / 2.0
         after, rate, bend = blend * y**3 * (2.0 - y), y * y * (3.0 - 2.0 * y), 3.0 * y * (1.0 - y) / blend

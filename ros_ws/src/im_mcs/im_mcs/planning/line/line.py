@@ -32,7 +32,7 @@ _SLOWER = 1.0 + 1e-9
 
 
 class LinePreparation:
-    """Makes the motion that takes a wrist along straight lines through poses.
+    """Maker of the motion of a wrist along straight lines through poses.
 
     Joints are found by inverse kinematics along the line, at places as close as it takes to keep the line, and joined
     by quintics. A one-dimensional profile of the path parameter sets the speed, with one bound of velocity,
@@ -78,7 +78,7 @@ class LinePreparation:
         self._work = self._prepare()
 
     def step(self) -> PiecewisePolynomial | None:
-        """One slice: one place of a line, or one round of its speed.
+        """Do one slice: one place of a line, or one round of the speed.
 
         Raises:
             DataError: It is so slow that it would take too long.
@@ -113,7 +113,7 @@ class LinePreparation:
         return parts[0].followed_by(parts[1:])
 
     def _runs(self) -> list[list[int]]:
-        """Numbers of the poses that are passed without rest in between.
+        """Return numbers of the poses passed without rest in between.
 
         Of poses within half the blend and a tight corner of each other one is passed; the last is reached.
         """
@@ -155,12 +155,12 @@ class LinePreparation:
         )
 
     def _fastest(self, path: LinePath) -> float:
-        """Velocity of the path parameter at which the wrist's origin has the wanted speed on its fastest line [m/s]."""
+        """Return the velocity of the path parameter for the wanted speed of the wrist on the fastest line [m/s]."""
         share = max(way / (b - a) for way, (a, b) in zip(path.lengths, pairwise(path.corners), strict=True))
         return self._speed / share if share > 0.0 else np.inf
 
     def _require_end(self, path: LinePath) -> None:
-        """Refuse what is so slow that it would seem never to end."""
+        """Refuse a motion so slow that it would seem endless."""
         shortest_s = path.size / self._fastest(path)
         if shortest_s > _LONGEST_S:
             raise DataError(
@@ -174,7 +174,7 @@ class LinePreparation:
     def _timed(
         self, path: LinePath, curve: JointCurve, profile: Profile, numbers: list[int], limits: MotionLimits
     ) -> Generator[None, None, PiecewisePolynomial]:
-        """The motion between two rests, slowed down as a whole by what its quintics go beyond limits between knots."""
+        """Return the motion between two rests, slowed down as a whole for excesses of the quintics between knots."""
         motion = profile.sampled(_KNOT_S, path.edges[1:-1], _KNOT_M)
         yield
         lengths, parts, factor = np.diff(motion.t), list[NDArray[np.float64]](), 1.0

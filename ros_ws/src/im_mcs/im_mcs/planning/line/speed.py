@@ -1,4 +1,4 @@
-"""Motion of a path's parameter, time-optimal and jerk-limited: the fastest with which no joint passes its limits."""
+"""Motion of a path's parameter, time-optimal and jerk-limited: the fastest within all joint limits."""
 
 import math
 from collections.abc import Generator, Sequence
@@ -45,7 +45,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Motion:
-    """The path parameter at some times, each of shape (m,); jerk is that of the phase which the time ends.
+    """Path parameter at some times, each of shape (m,); jerk is that of the phase before the time.
 
     Attributes:
         t: Times [s].
@@ -129,7 +129,7 @@ class Profile:
 
 
 def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> list[float]:
-    """Speeds at the ends of stretches that are long enough for the change between them."""
+    """Return speeds at the ends of stretches, with enough length for the change between them."""
     passing = list(speeds)
     last = len(gaps) - 1
     for k, ahead in [*((k, True) for k in range(last + 1)), *((last - k, False) for k in range(last + 1))]:
@@ -145,7 +145,7 @@ def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> lis
 def _reached(
     c: NDArray[np.float64], lengths: NDArray[np.float64], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """In which phase a motion comes to places, and when within it, by halving; not those at the ends of phases.
+    """Return phase and time within it at which a motion reaches places, by halving; not at the ends of phases.
 
     Args:
         c: Ascending powers of the time since each phase began, shape (m, 4).
@@ -166,7 +166,7 @@ def _reached(
 def fit(
     curve: JointCurve, size: float, limits: MotionLimits, speed: float, corners: Sequence[tuple[float, float]]
 ) -> Generator[None, None, Profile]:
-    """Find a profile that keeps all limits, one round a step.
+    """Find a profile within all limits, one round a step.
 
     In every round the bounds of the path parameter (velocity, acceleration, jerk) that contribute most to the worst
     excess on the lines are lowered, and the speed of every rounded corner with an excess. The first bounds are once
@@ -214,7 +214,7 @@ def fit(
 
 
 class Terms:
-    """What a motion of the path parameter asks of the joints, term by term.
+    """Demands of a motion of the path parameter on the joints, term by term.
 
     Args:
         curve: Joint positions over the path parameter.
@@ -242,7 +242,7 @@ class Terms:
         return float(min(1.0 / velocity, acceleration**-0.5, jerk ** (-1.0 / 3.0)))
 
     def lines(self, corners: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
-        """Factors by which to lower velocity, acceleration and jerk on all else; all 1 if limits are kept."""
+        """Return factors to lower velocity, acceleration and jerk; all 1 if limits are kept."""
         outside = np.ones(len(self._s), dtype=np.bool_)
         for begin, end in corners:
             outside &= (self._s < begin) | (self._s > end)

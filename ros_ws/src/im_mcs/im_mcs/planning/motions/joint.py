@@ -95,13 +95,13 @@ class JointPathPlanner:
 
     @property
     def trajectory(self) -> PiecewisePolynomial:
-        """The whole, once it is done."""
+        """The whole trajectory, once it is done."""
         if not self._parts:
             return PiecewisePolynomial.standing(self._corners[-1])
         return self._parts[0].followed_by(self._parts[1:])
 
     def step(self) -> None:
-        """Do a small part of the work: a corner, its speed, or a leg.
+        """Do a small part of the work: a corner, the speed, or a leg.
 
         Raises:
             DataError: Ruckig finds no trajectory.
@@ -131,7 +131,7 @@ class JointPathPlanner:
             yield
 
     def _straight(self, k: int, leg: int, limits: tuple[float, float, float]) -> None:
-        """The straight part of a leg, and the corner at its end."""
+        """Plan the straight part of a leg, and the corner at the end."""
         before = self._bends[k - 1] if k > 0 else None
         after = self._bends[k] if k < len(self._bends) else None
         first, v0 = (before.exit, before.exit_speed) if before else (0.0, 0.0)
@@ -171,7 +171,7 @@ class JointPreparation:
         self._begin(start())
 
     def _begin(self, state: Setpoint) -> None:
-        """Begin to plan from a state; from one of rest it must not be left meanwhile."""
+        """Begin to plan from a state; a state of rest must not be left meanwhile."""
         self._from, self._moving = state.q, _moves(state)
         points = self._move.points
         begin, points = (points[0], points[1:]) if self._moving else (state.q, points)
@@ -179,7 +179,7 @@ class JointPreparation:
         self._legs = JointPathPlanner(begin, points, self._limits, synchrony, self._move.blend)
 
     def step(self) -> Trajectory | None:
-        """A few steps; the last slice joins them to the motion under way."""
+        """Do a few steps; the last slice joins them to the motion under way."""
         state = self._start()
         if not self._moving and (_moves(state) or not np.array_equal(state.q, self._from)):
             self._begin(state)  # what stood still has been resumed, or another motion has begun
@@ -233,7 +233,7 @@ class Corner:
         blend: float,
         limits: MotionLimits,
     ) -> "Corner":
-        """The fastest corner at ``point`` that stays within ``blend`` of it; at most half of each leg is rounded."""
+        """Return the fastest corner at ``point`` within ``blend`` of it; at most half of each leg is rounded."""
         entry = min(0.5, blend / float(np.abs(before).max()))
         leave = min(0.5, blend / float(np.abs(after).max()))
         v0, v1 = 2.0 * entry * before, 2.0 * leave * after
@@ -247,12 +247,12 @@ class Corner:
 
     @property
     def entry_speed(self) -> float:
-        """Share of the leg before that is covered in a second, at the begin."""
+        """Share of the leg before, covered in a second, at the begin."""
         return 2.0 * self.entry / self.time
 
     @property
     def exit_speed(self) -> float:
-        """Share of the leg after that is covered in a second, at the end."""
+        """Share of the leg after, covered in a second, at the end."""
         return 2.0 * self.exit / self.time
 
     def slowed(self, factor: float) -> "Corner":
@@ -269,7 +269,7 @@ class Corner:
 
 
 def fit_speeds(corners: list[Corner], limits: Sequence[Limits]) -> Iterator[None]:
-    """Slow corners down, in place and one at a time, until the straight parts between them suffice to change speed in.
+    """Slow corners down, in place and one at a time, until the straight parts suffice for the changes of speed.
 
     Args:
         corners: m of them, between m + 1 legs.
@@ -293,7 +293,7 @@ def fit_speeds(corners: list[Corner], limits: Sequence[Limits]) -> Iterator[None
 
 
 def _share(fast: float, slow: float, length: float, limits: Limits) -> float:
-    """Largest share of ``fast`` that is reached from ``slow`` within ``length``; 1 if it is slower anyway."""
+    """Return the largest share of ``fast`` reached from ``slow`` within ``length``; 1 if it is slower anyway."""
     _, acceleration, jerk = limits
     # a hair less than what fits, as the profile is to be found by another
     room = length * (1.0 - 1e-9)

@@ -1,4 +1,4 @@
-"""One point that may be met late: a setpoint of a stream, or a target for now.
+"""One point with a possibly late arrival: a setpoint of a stream, or a target for now.
 
 Whoever streams (``moveit_servo``, a joystick) sends one point at a time, some moments ahead and with a velocity, and
 each takes the place of the one before. A point whose time cannot be kept is no reason to refuse it then: it moves on
@@ -44,7 +44,7 @@ class MeetingPreparation:
         self._limits = MotionLimits(motion.velocity, motion.acceleration, motion.jerk * _JERK)
 
     def step(self) -> Trajectory | None:
-        """All of it.
+        """Do the whole work.
 
         Raises:
             LimitError: It would leave the range of a joint, or come to rest beyond it.
@@ -72,7 +72,7 @@ class MeetingPreparation:
         return None
 
     def _quickest(self, start: Setpoint) -> PiecewisePolynomial:
-        """The quickest motion, but not before its time; the point moves on while it is under way."""
+        """Return the quickest motion, but not before the time; the point moves on meanwhile."""
         time = self._time
         for _ in range(_MEETINGS):
             motion = to_meet(start, self._at(time), self._v, self._limits, time)

@@ -1,4 +1,4 @@
-"""Preparation of a motion in bounded slices, so that a long path never costs the loop its deadline."""
+"""Preparation of a motion in bounded slices, so a long path never costs the loop the deadline."""
 
 from typing import Protocol
 
@@ -12,10 +12,10 @@ from im_mcs.protocol.requests import JointMove, LineMove, Move
 
 
 class Preparation(Protocol):
-    """A motion being prepared; nothing moves meanwhile because of it."""
+    """Motion in preparation; nothing moves meanwhile because of it."""
 
     def step(self) -> Trajectory | None:
-        """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, so that it can be repeated.
+        """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, for repeatable runs.
 
         Returns:
             The trajectory (a :class:`~im_mcs.planning.trajectories.polynomial.PiecewisePolynomial`), or None: call

@@ -42,7 +42,7 @@ ResultT = TypeVar("ResultT")
 
 
 class RestNeededError(ImError):
-    """A trajectory can be prepared only from rest: it does not take over from a motion, which is to end first."""
+    """Trajectory with a preparation only from rest: the motion before must end first."""
 
     default_code = "rest_needed"
 
@@ -103,7 +103,7 @@ class SplinePreparation:
         return (yield from retime(self._context, spline, fault))
 
     def _joined(self, start: Setpoint) -> Trajectory | None:
-        """The trajectory from the motion under way, once all its pieces are known to keep the limits."""
+        """Return the trajectory from the motion under way, once all the pieces are proved within the limits."""
         if len(self._points.times) > _MOST_ON_THE_MOVE:
             raise RestNeededError(f"a trajectory of {len(self._points.times)} points begins at rest")
         spline = _run(self._interpolated(start))
@@ -129,7 +129,7 @@ class SplinePreparation:
         return (yield from interpolated(self._points, start, self._limits))
 
     def _check_start(self, start: Setpoint) -> None:
-        """A first point at time 0 is where the arm is, but for what it may be off its setpoint."""
+        """Check whether a first point at time 0 is the arm's place, within the following error."""
         limits, index = self._context.limits, self._context.index
         off = np.abs(self._points.q[0] - start.q)
         beyond = off > limits.following_error[index]

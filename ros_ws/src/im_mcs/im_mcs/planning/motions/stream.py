@@ -1,4 +1,4 @@
-"""Streaming setpoints: the newest target is chased, jerk-limited, and a sender that falls silent is noticed."""
+"""Streaming setpoints: the newest target is chased, jerk-limited, and a silent sender is noticed."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class StreamLease:
         self._silent += 1
 
     def lapsed(self) -> ImError | None:
-        """The fault if it has been silent for too long."""
+        """Return the fault of a sender silent for too long."""
         if self._silent * self._tick_s <= self.seconds:
             return None
         who = f"'{self.owner}'" if self.owner else "the sender"
@@ -91,18 +91,18 @@ class StreamFollower:
         self.fault: ImError | None = None
 
     def renew(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-        """A new target: position and velocity, shape (n,) each."""
+        """Set a new target: position and velocity, shape (n,) each."""
         self._target, self._drift, self._age = q, v, 0.0
         self._chase = None
 
     @property
     def end_setpoint(self) -> Setpoint:
-        """Where it is; where it will end nobody knows."""
+        """Present setpoint; the end of a stream is unknown."""
         return self._state
 
     @property
     def still(self) -> bool:
-        """Whether it stands at its target, or is halted."""
+        """Whether the setpoint stands at the target, or is halted."""
         return not self._state.v.any() and not self._state.a.any() and (self.rate == 0.0 or self._arrived())
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
@@ -122,7 +122,7 @@ class StreamFollower:
         return self._state, self._divisor
 
     def look_ahead(self) -> None:
-        """Nothing can be prepared: what comes next is the sender's to say."""
+        """Prepare nothing: the next target is the sender's."""
 
     def _arrived(self) -> bool:
         return not self._drift.any() and np.array_equal(self._state.q, self._target)
@@ -143,7 +143,7 @@ class StreamFollower:
         return self._chase.at(self._elapsed)
 
     def _intercept(self, limits: MotionLimits, rate: float) -> Chase:
-        """The motion that meets the target where it will be by then."""
+        """Return the motion to the target's later place."""
         drift = np.where(self._held, 0.0, self._drift) * rate
         now = np.clip(self._target + self._drift * (self._age - self._knot_s), self._lower, self._upper)
         try:
@@ -163,7 +163,7 @@ class StreamFollower:
         return chase
 
     def _outside(self) -> NDArray[np.bool_]:
-        """Joints whose target moves on to where they could not stop within their range any more."""
+        """Return joints with a moving target beyond any stop within the range."""
         speed, limits = np.abs(self._drift), self._limits
         way = speed * (speed / limits.acceleration + limits.acceleration / limits.jerk) / 2.0
         stop = self._target + self._drift * self._age + np.sign(self._drift) * way

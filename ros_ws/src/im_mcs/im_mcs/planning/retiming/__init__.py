@@ -1,4 +1,4 @@
-"""Re-timing: a trajectory that asks for more than limits allow, along its own path and as little later as it takes."""
+"""Re-timing: a trajectory beyond limits, along its own path and as little later as possible."""
 
 from im_mcs.planning.retiming.retiming import RetimedTrajectory, retime
 

@@ -1,4 +1,4 @@
-"""The asked path between two rests over a coordinate of its own, so that path and time can be told apart.
+"""The requested path between two rests over a coordinate of its own, with path and time apart.
 
 The coordinate ``l`` is the way in joint space, every joint in units of its velocity limit. Over the asked time it grows
 with the asked speed ``s(tau)``, kept in cells as quintics with the speed's value, slope and bend at both ends; so the
@@ -130,11 +130,11 @@ class AskedPath:
         self.speed[side, part], self.slope[side, part], self._bend[side, part] = speed, slope, bend
 
     def states(self, piece: NDArray[np.intp], x: Array) -> Array:
-        """Position and its derivatives over the asked time, shape (m, 3, n), at times ``x`` within pieces."""
+        """Position and the derivatives over the asked time, shape (m, 3, n), at times ``x`` within pieces."""
         return np.asarray(powers(x) @ self._asked.coefficients[piece])
 
     def rest(self, cell: int) -> tuple[Array, float]:
-        """State, shape (3, n), and asked time at one of its ends: of its first cell (0) or its last (-1)."""
+        """Return state, shape (3, n), and requested time at one of the ends: of the first cell (0) or the last (-1)."""
         x = self._x[cell] + (self._size[-1] if cell else 0.0)
         states = np.zeros((3, len(self._unit)))
         states[0] = self.states(self.piece[[cell]], np.array([x]))[0, 0]

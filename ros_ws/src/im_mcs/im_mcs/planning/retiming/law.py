@@ -1,4 +1,4 @@
-"""When a place on the path is reached: the asked speed, slowed down where it must be, then smoothed over time.
+"""Time of each place on the path: the requested speed, slowed down where needed, then smoothed over time.
 
 A non-negative average over a span of time keeps the place on the path between the smallest and the largest of that
 span: the path is kept, no speed and no acceleration along it grows, jumps of acceleration become ramps, rest stays
@@ -46,7 +46,7 @@ class TimeLaw:
         self.duration = float(self.times[-1]) + span + apart
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
-        """Coordinate, its velocity and acceleration at times ``t``, shape (m,) each."""
+        """Return coordinate, the velocity and acceleration at times ``t``, shape (m,) each."""
         way, rate, change = np.zeros_like(t), np.zeros_like(t), np.zeros_like(t)
         for node, share in zip(_NODES, _SHARES, strict=True):
             late = t - node * self._apart
@@ -57,16 +57,16 @@ class TimeLaw:
 
     @property
     def pieces(self) -> float:
-        """How many quintics it takes to follow it; infinite where it does not get on."""
+        """Number of quintics for the law; infinite for a law without progress."""
         step = min(max((self._span + self._apart) / _NODES_A_SPAN, _NODE_S[0]), _NODE_S[1])
         return max(float(np.ceil(self.duration / step)), _FEWEST)
 
     def nodes(self) -> Array:
-        """Times at which to take the path so that quintics between follow it, shape (m,) [s]."""
+        """Return times of nodes of the path with good quintics between them, shape (m,) [s]."""
         return np.linspace(0.0, self.duration, int(self.pieces) + 1)
 
     def _raw(self, t: Array) -> tuple[Array, Array, Array]:
-        """Integral of the coordinate without averages, itself, and its velocity: averages are made of these."""
+        """Integral of the coordinate without averages, itself, and the velocity: averages are made of these."""
         end = self.times[-1]
         cell = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self._change) - 1)
         x = np.clip(t, 0.0, end) - self.times[cell]

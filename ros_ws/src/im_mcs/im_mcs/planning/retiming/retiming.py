@@ -1,4 +1,4 @@
-"""A trajectory that asks for more than limits allow: along its own path, in its own time where that can be kept.
+"""Trajectory beyond limits: along its own path, in its own time where possible.
 
 Path and time are told apart (:mod:`.asked_path`). Between two places of rest the time is changed if a limit is passed
 there (:mod:`.stretch`); a stretch within limits stays as it was asked for.
@@ -48,12 +48,12 @@ class RetimedTrajectory(PiecewisePolynomial):
         self.asked_duration = float(asked[-1])
 
     def asked_time(self, t: float) -> float:
-        """Time at which the asked trajectory is where this one is at time ``t`` [s]."""
+        """Return the requested trajectory's time at this one's place at time ``t`` [s]."""
         return float(np.interp(t, np.append(self.edges, self.duration), self._asked))
 
     @property
     def report(self) -> str:
-        """What was changed, and why."""
+        """Changes, with the reasons."""
         facts = self.because.facts
         return (
             f"re-timed along its path: {self.duration:.3f} s instead of {self.asked_duration:.3f} s, because of "
@@ -64,7 +64,7 @@ class RetimedTrajectory(PiecewisePolynomial):
 def retime(
     context: PlanContext, asked: PiecewisePolynomial, because: LimitError
 ) -> Generator[None, None, RetimedTrajectory]:
-    """Re-time a trajectory that begins and ends at rest, a slice at a time.
+    """Re-time a trajectory between two rests, a slice at a time.
 
     Args:
         context: Limits and joints.
@@ -112,7 +112,7 @@ def retime(
 def _kept(
     context: PlanContext, asked: PiecewisePolynomial, begin: float, end: float, still: NDArray[np.bool_]
 ) -> Generator[None, None, Retimed | None]:
-    """A stretch as it was asked for, if it stands still, or keeps all limits from rest to rest."""
+    """Return a stretch unchanged, if it stands still, or keeps all limits from rest to rest."""
     edges = np.append(asked.edges, asked.duration)
     first, last = (min(int(np.searchsorted(edges, t - SAME_S)), len(edges) - 1) for t in (begin, end))
     if abs(edges[first] - begin) > SAME_S or abs(edges[last] - end) > SAME_S:

@@ -1,4 +1,4 @@
-"""Rounding of places where a path changes its curvature at once, as cubics in a row do at its points.
+"""Rounding of places with a jump of curvature, as cubics in a row have at the points.
 
 No motion follows such a place but at rest: across the path the acceleration would jump. A quintic with the states of
 both sides takes the place of what lies ``x`` seconds around; it is off the path by less than ``jump x^2 / 93``, with
@@ -68,7 +68,7 @@ def _replace(
     widths: Array,
     whole: tuple[list[Array], list[float], list[int]],
 ) -> None:
-    """Each piece without what is rounded at its ends, and behind it the quintic that leads into the next."""
+    """Return each piece without the rounded ends, and behind it the quintic into the next."""
     c, h = trajectory.coefficients[some], trajectory.lengths[some]
     before, after = widths[some.start : some.stop], widths[some.start + 1 : some.stop + 1]
     shift = before[:, None, None] ** np.maximum(np.arange(6)[None, :] - np.arange(6)[:, None], 0)

@@ -1,4 +1,4 @@
-"""Places where an asked trajectory comes to rest, or turns round so sharply that it must."""
+"""Places of rest on a requested trajectory, including sharp turns."""
 
 from collections.abc import Generator
 
@@ -20,7 +20,7 @@ SAME_S = 1e-9
 
 
 def standing(trajectory: PiecewisePolynomial, unit: Array) -> Generator[None, None, NDArray[np.bool_]]:
-    """Which pieces of a trajectory do not move, shape (m,); ``unit`` is the velocity of each joint that counts as 1."""
+    """Return the pieces without motion, shape (m,); ``unit`` is the velocity of each joint that counts as 1."""
     still = np.empty(len(trajectory.lengths), dtype=np.bool_)
     for k in range(0, len(still), CHUNK):
         some = slice(k, k + CHUNK)
@@ -69,13 +69,13 @@ def rests(trajectory: PiecewisePolynomial, path: AskedPath, unit: Array) -> Gene
 
 
 def _turned(before: Array, after: Array) -> NDArray[np.bool_]:
-    """Where one direction and another, shape (m, n) each, are far apart; what stands still has none."""
+    """Return the places with two directions, shape (m, n) each, far apart; a standing one has none."""
     size = np.sqrt((before**2).sum(axis=1) * (after**2).sum(axis=1))
     return np.asarray(((before * after).sum(axis=1) < _SHARP * size) & (size > _STILL**2))
 
 
 def _within(times: Array, trajectory: PiecewisePolynomial, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which times are within what stands still, ends excluded."""
+    """Return the times within standing pieces, ends excluded."""
     piece = np.clip(np.searchsorted(trajectory.edges, times, side="right") - 1, 0, len(still) - 1)
     inside = still[piece] & still[np.maximum(piece - 1, 0)]
     inside[[0, -1]] = False

@@ -1,4 +1,4 @@
-"""One stretch of an asked trajectory, from rest to rest, re-timed so that every joint keeps its limits."""
+"""One stretch of a requested trajectory, from rest to rest, re-timed within every joint's limits."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ MOST_PIECES = 250_000
 
 
 def check_count(pieces: float, asked_s: float) -> None:
-    """Check that a motion is not too long to be prepared and kept.
+    """Check whether a motion is short enough for preparation and memory.
 
     Args:
         pieces: Of the motion.
@@ -55,7 +55,7 @@ def check_count(pieces: float, asked_s: float) -> None:
 
 @dataclass(frozen=True)
 class Retimed:
-    """A stretch in its new time.
+    """Stretch in the new time.
 
     Attributes:
         lengths: Of its pieces, shape (m,) [s].
@@ -71,7 +71,7 @@ class Retimed:
 def retime_stretch(
     trajectory: PiecewisePolynomial, begin: float, end: float, limits: MotionLimits, stops: int = _STOPS
 ) -> Generator[None, None, list[Retimed]]:
-    """Re-time what lies between two rests, a slice at a time; the parts between these and the rests it was given.
+    """Re-time the part between two rests, a slice at a time; return parts and rests.
 
     Where limits are passed, the rate is lowered, there and as far around as the average reaches. Where that does not
     help, as where a path turns too sharply for its cells, the motion rests; what is left slows down the whole stretch.
@@ -140,7 +140,7 @@ def _around(law: TimeLaw, slower: Array, step: float) -> Array:
 
 
 def least_ahead(values: Array, reach: int) -> Array:
-    """The least of each value and as many that follow it as `reach`, as far as there are any, shape (m,)."""
+    """Return the least of each value and `reach` later ones, as far as there are any, shape (m,)."""
     least, width = values.copy(), 1
     while width <= reach:
         step = min(width, reach + 1 - width)
@@ -164,7 +164,7 @@ def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
 
 
 def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
-    """The law with the shortest average that makes ramps of the jumps of acceleration along the path.
+    """Return the law with the shortest average that makes ramps of the jumps of acceleration along the path.
 
     Raises:
         DataError: It takes too long.
@@ -191,7 +191,7 @@ def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None,
 
 
 def _motion(path: AskedPath, law: TimeLaw, limits: MotionLimits) -> Generator[None, None, tuple[Array, Retimed, Array]]:
-    """Quintics through the motion at nodes, and how far each is beyond limits, as a factor of its time."""
+    """Return quintics through the motion at nodes, and the excess of each over limits, as a factor of the time."""
     nodes = law.nodes()
     h, count = np.diff(nodes), len(nodes) - 1
     states, asked = np.empty((count + 1, 3, len(limits.jerk))), np.empty(count + 1)

@@ -1,1 +1,1 @@
-"""What a trajectory is, of which pieces it is made, and how it is followed, slowed down and stopped."""
+"""Trajectories: the pieces, and how they are followed, slowed down and stopped."""

@@ -1,4 +1,4 @@
-"""Following a trajectory, at a rate that may change."""
+"""Follower of a trajectory, at a changeable rate."""
 
 import math
 from collections.abc import Callable
@@ -88,33 +88,33 @@ class PathFollower:
 
     @property
     def finished(self) -> bool:
-        """Whether the trajectory has come to its end."""
+        """Whether the trajectory has come to the end."""
         return self.sigma >= self.trajectory.duration
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves: it has come to its end, or is halted."""
+        """Whether nothing moves: the trajectory has ended, or is halted."""
         return self.finished or (self.rate == 0.0 and self.rate_change == 0.0)
 
     @property
     def end_setpoint(self) -> Setpoint:
-        """Where it comes to rest, unless it is interrupted."""
+        """Setpoint at the end, unless the motion is interrupted."""
         return self.trajectory.at(self.trajectory.duration)
 
     @property
     def progress(self) -> float:
-        """Fraction of the trajectory's time that has passed, 0 to 1."""
+        """Passed fraction of the trajectory's time, 0 to 1."""
         if self.trajectory.duration == 0.0:
             return 1.0
         return min(self.sigma / self.trajectory.duration, 1.0)
 
     @property
     def point(self) -> int:
-        """Point of the path that the group is on its way to."""
+        """Index of the next point of the path."""
         return self.trajectory.point(self.sigma)
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
-        """The setpoint some servo ticks on, and how many they are; ``rate`` is the one wanted from now on."""
+        """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
         self.between = None
         if self._brake is not None:
             return self._braked(*self._brake)
@@ -158,7 +158,7 @@ class PathFollower:
 
     @property
     def ahead(self) -> Ahead | None:
-        """Where a curved path leads; None where it leads as the velocity points, for longer than any stop takes."""
+        """Direction of a curved path; None where the velocity gives it, for longer than any stop takes."""
         if self.sigma >= self._judged + _JUDGED_S / 2.0:
             self._judged = self.sigma
             self._straight = is_straight(self.trajectory, self.sigma, self.sigma + _JUDGED_S)
@@ -169,7 +169,7 @@ class PathFollower:
         return self.trajectory.at(end).q
 
     def _braked(self, brake: PiecewisePolynomial, end: float) -> tuple[Setpoint, int]:
-        """Brake on a straight stretch; whatever rate is wanted then counts from where it has come to rest."""
+        """Brake on a straight stretch; a later rate counts from the place of rest."""
         left = (brake.duration - self._t) / self._tick_s
         ticks = min(max(math.ceil(left - _LEAST), 1), self._divisor)
         if ticks > 1:
@@ -186,7 +186,7 @@ class PathFollower:
         return self._now, ticks
 
     def _next_between(self) -> Setpoint:
-        """The setpoints before the next knot, at a rate that stays: those of many knots are evaluated at once."""
+        """Return the setpoints before the next knot, at a constant rate: those of many knots are evaluated at once."""
         if self._ready_clock is not self._clock or not self._ready:
             knots, rows = [self._t], self._divisor - 1
             for _ in range(_KNOTS - 1):
@@ -204,7 +204,7 @@ class PathFollower:
         return scaled(s, rate[:, None], change[:, None])
 
     def _later(self, ticks: int) -> NDArray[np.float64]:
-        """Times of the ticks before the next knot, from now, shape (ticks - 1,) [s]."""
+        """Return times of the ticks before the next knot, from now, shape (ticks - 1,) [s]."""
         return np.asarray(np.arange(1, ticks) * self._tick_s, dtype=np.float64)
 
     def _change(self, rate: float) -> None:
@@ -222,7 +222,7 @@ class PathFollower:
             self.rate, self.rate_change = clock.at(0.0)[1:]
 
     def _hasten(self) -> None:
-        """Go over to a quicker ramp: the slower the motion is already, the more the limits leave for its change."""
+        """Change to a quicker ramp: the slower the present motion, the more the limits leave for the change."""
         self._waited_s += self._divisor * self._tick_s
         state = self.sigma, self.rate, self.rate_change
         clock = self._governor.change(self.trajectory, state, self._clock.rate, self._waited_s)
@@ -246,7 +246,7 @@ class Standing:
         """There is nothing to prepare."""
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
-        """The same setpoint, whatever the rate."""
+        """Return the same setpoint, for any rate."""
         return self.end_setpoint, 1
 
 

@@ -23,7 +23,7 @@ _SAME = 1e-12
 def interpolated(
     given: TimedPoints, start: Setpoint, limits: MotionLimits
 ) -> Generator[None, None, PiecewisePolynomial]:
-    """The spline from a state through points, and what it takes to come to rest behind the last one.
+    """Return the spline from a state through points, with the deceleration behind the last one.
 
     Args:
         given: The points; one at time 0 is where the motion begins, and does not count.
@@ -93,7 +93,7 @@ class _Pieces:
 def smooth(
     h: NDArray[np.float64], q: NDArray[np.float64], v0: NDArray[np.float64], a0: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Velocities and accelerations at the points of a spline from velocity ``v0`` to rest that swings beyond no point.
+    """Return velocities and accelerations at the points of a spline from ``v0`` to rest without overshoot of any point.
 
     Where the cubic spline that is continuous to acceleration keeps velocities within :func:`velocity_bounds`, it is
     that one. Elsewhere it is the one that bends least within them (G. Wolberg, I. Alfy, "An energy-minimization
@@ -171,7 +171,7 @@ def velocity_bounds(
 def solve_tridiagonal(
     before: NDArray[np.float64], middle: NDArray[np.float64], after: NDArray[np.float64], right: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Solve a tridiagonal system whose diagonal dominates, by parallel cyclic reduction.
+    """Solve a tridiagonal system with a dominant diagonal, by parallel cyclic reduction.
 
     Each round frees the equations of the neighbours that they have, and couples them to those twice as far off
     (Hockney and Jesshope, "Parallel Computers 2", 1988). SciPy's solver takes the servo as long to load as all else.

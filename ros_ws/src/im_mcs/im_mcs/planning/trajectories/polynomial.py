@@ -1,4 +1,4 @@
-"""A trajectory of polynomials, one after the other: what every kind of motion is made of."""
+"""Trajectory of polynomials, one after the other: the form of every kind of motion."""
 
 import bisect
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ _EXPONENTS = np.array([_POWERS, np.maximum(_POWERS - 1, 0), np.maximum(_POWERS -
 
 
 def powers(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows that turn coefficients into value, velocity and acceleration; ``t`` of shape (m,), answer (m, 3, 6)."""
+    """Return rows from coefficients to value, velocity and acceleration; ``t`` of shape (m,), answer (m, 3, 6)."""
     return np.asarray(_FACTORS * t[:, None, None] ** _EXPONENTS)
 
 
@@ -71,7 +71,7 @@ class PiecewisePolynomial:
         a: NDArray[np.float64],
         points: Sequence[int] | None = None,
     ) -> Self:
-        """Quintics through given positions, velocities and accelerations; continuous to acceleration.
+        """Return quintics through given positions, velocities and accelerations; continuous to acceleration.
 
         Args:
             times: Strictly increasing, from 0, shape (m + 1,) [s].
@@ -85,7 +85,7 @@ class PiecewisePolynomial:
 
     @property
     def end_setpoint(self) -> Setpoint:
-        """Where it ends, at rest."""
+        """Setpoint at the end, at rest."""
         return self._end
 
     def at(self, t: float) -> Setpoint:
@@ -106,7 +106,7 @@ class PiecewisePolynomial:
         return Setpoint(q, v, a)
 
     def span(self, t: NDArray[np.float64]) -> Setpoint:
-        """Setpoints at times ``t``, shape (m,): q, v and a of shape (m, n)."""
+        """Return setpoints at times ``t``, shape (m,): q, v and a of shape (m, n)."""
         i = np.clip(np.searchsorted(self.edges, t, side="right") - 1, 0, None)
         x = np.minimum(t, self.duration) - self.edges[i]
         values = np.einsum("mrk,mkn->rmn", powers(x), self.coefficients[i])
@@ -123,7 +123,7 @@ class PiecewisePolynomial:
         return np.asarray(jerk)
 
     def point(self, t: float) -> int:
-        """Index of the point of the path that the motion is on its way to."""
+        """Return the index of the next point of the path."""
         return self.points[min(max(bisect.bisect_right(self._starts, t) - 1, 0), len(self.points) - 1)]
 
     def slower(self, factor: float) -> "PiecewisePolynomial":
@@ -132,7 +132,7 @@ class PiecewisePolynomial:
         return PiecewisePolynomial((self.lengths * factor).tolist(), self.coefficients * scale[:, None], self.points)
 
     def until(self, time: float) -> "PiecewisePolynomial":
-        """The same up to a time after its begin [s]; the whole, if it is over by then."""
+        """Return the trajectory up to a time after the begin [s]; the whole, if it is over by then."""
         if time >= self.duration:
             return self
         count = bisect.bisect_left(self._starts, time)
@@ -141,7 +141,7 @@ class PiecewisePolynomial:
         return PiecewisePolynomial(lengths.tolist(), self.coefficients[:count], self.points[:count])
 
     def followed_by(self, others: Sequence["PiecewisePolynomial"]) -> "PiecewisePolynomial":
-        """This one and then ``others``, each of which begins where the one before ends."""
+        """Return this trajectory and then ``others``, each of which begins at the end of the one before."""
         parts = [self, *others]
         return PiecewisePolynomial(
             np.concatenate([part.lengths for part in parts]).tolist(),

@@ -25,7 +25,7 @@ _NOISE = {"position": 1e-9, "velocity": 1e-8, "acceleration": 1e-4}
 
 
 def request(start: Setpoint, limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE) -> InputParameter:
-    """What ruckig is asked, still without a target; ``start`` of shape (n,)."""
+    """Return an input of ruckig, still without a target; ``start`` of shape (n,)."""
     asked = InputParameter(len(start.q))
     asked.synchronization = _RUCKIG[synchrony]
     asked.current_position, asked.current_velocity = start.q.tolist(), start.v.tolist()
@@ -40,7 +40,7 @@ def request(start: Setpoint, limits: MotionLimits, synchrony: Synchrony = Synchr
 def to_point(
     start: Setpoint, end: NDArray[np.float64], limits: MotionLimits, synchrony: Synchrony = Synchrony.PHASE
 ) -> PiecewisePolynomial:
-    """Motion from any state to rest at ``end``, shape (n,); straight if it begins at rest and keeps phase.
+    """Return a motion from any state to rest at ``end``, shape (n,); straight from rest with common phase.
 
     Raises:
         DataError: Ruckig finds no trajectory.
@@ -72,7 +72,7 @@ def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
 def to_meet(
     start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits, least_s: float
 ) -> PiecewisePolynomial:
-    """Motion from any state to ``q`` with velocity ``v``, shape (n,) each: the quickest that takes ``least_s`` [s].
+    """Return the quickest motion from any state to ``q`` with velocity ``v``, shape (n,), of at least ``least_s`` [s].
 
     Raises:
         DataError: Ruckig finds no trajectory.
@@ -84,7 +84,7 @@ def to_meet(
 
 
 def with_run_out(trajectory: PiecewisePolynomial, limits: MotionLimits) -> PiecewisePolynomial:
-    """A trajectory, and behind its end, if it still moves there, the quickest deceleration to rest.
+    """Return a trajectory, with the quickest deceleration to rest behind a moving end.
 
     Raises:
         DataError: Ruckig finds no trajectory.
@@ -142,7 +142,7 @@ def ramp(start: tuple[float, float, float], speed: float, acceleration: float, j
 
 
 def transition_distance(slow: float, fast: float, acceleration: float, jerk: float) -> float:
-    """Distance that a change between two speeds takes, from no acceleration to none."""
+    """Return the distance of a change between two speeds, from zero acceleration to zero."""
     change = fast - slow
     time = 2.0 * math.sqrt(change / jerk)
     if change > acceleration**2 / jerk:
@@ -151,7 +151,7 @@ def transition_distance(slow: float, fast: float, acceleration: float, jerk: flo
 
 
 class Chase:
-    """Motion from any state to a target that may have a velocity; beyond it goes on with that.
+    """Motion from any state to a possibly moving target; behind it the velocity stays.
 
     Attributes:
         durations: Until each joint meets its target, shape (n,) [s].
@@ -186,7 +186,7 @@ class Chase:
         self._end = Setpoint(q, v, np.zeros_like(q))
 
     def at(self, t: float) -> Setpoint:
-        """State at time ``t`` [s]; once all targets are met that of the targets, which move on."""
+        """Return the state at time ``t`` [s]; after all targets are met, the state of the moving targets."""
         if t >= self._duration:
             end = self._end
             return Setpoint(end.q + end.v * (t - self.durations), end.v, end.a) if end.v.any() else end
@@ -211,7 +211,7 @@ def _trajectory(asked: InputParameter, what: str) -> RuckigTrajectory:
 
 
 def _round_noise(asked: InputParameter) -> None:
-    """Make zero what is as good as zero.
+    """Set negligible values to zero.
 
     A joint that all but stands still, and waits for others, is else sent up to 0.25 rad away and back by ruckig.
     """
@@ -223,7 +223,7 @@ def _round_noise(asked: InputParameter) -> None:
 
 
 def _polynomial(trajectory: RuckigTrajectory) -> PiecewisePolynomial:
-    """The same motion as polynomials: jerk is constant between the times at which that of any joint changes."""
+    """Return the same motion as polynomials: jerk is constant between the changes in any joint."""
     edges = {0.0, trajectory.duration}
     for profile in trajectory.profiles[0]:
         t = 0.0

@@ -1,4 +1,4 @@
-"""Time scaling: how fast a trajectory is run through, changed without leaving its path.
+"""Time scaling: change of the speed along a trajectory, without leaving the path.
 
 The place on the trajectory is its own time ``sigma``; the *rate* ``r = d sigma / dt`` is 1 as planned, 0 at a pause:
 
@@ -60,7 +60,7 @@ class Clock:
         return self.change.duration if self.change is not None else 0.0
 
     def at(self, t: float) -> tuple[float, float, float]:
-        """``sigma``, rate and change of rate at time ``t`` [s]."""
+        """Return ``sigma``, rate and change of rate at time ``t`` [s]."""
         if self.change is None:
             return self.start + self.rate * t, self.rate, 0.0
         if t >= self.change.duration:
@@ -80,19 +80,19 @@ class Clock:
 
 
 def scaled(s: Setpoint, rate: float | NDArray[np.float64], change: float | NDArray[np.float64]) -> Setpoint:
-    """Motion of a trajectory's state ``s`` at a rate that changes; of m states, with both of shape (m, 1)."""
+    """Return the motion of a trajectory's state ``s`` at a changing rate; of m states, with both of shape (m, 1)."""
     return Setpoint(s.q, s.v * rate, s.a * (rate * rate) + s.v * change)
 
 
 def least_rate(v: NDArray[np.float64], a: NDArray[np.float64], limits: MotionLimits) -> float:
-    """Smallest rate at which a trajectory that begins with a motion ``v``, ``a`` can keep limits in its own time."""
+    """Return the smallest rate of a trajectory from a motion ``v``, ``a`` at which limits hold in its own time."""
     speed = float((np.abs(v) / limits.velocity).max())
     force = float(np.sqrt(np.abs(a) / limits.acceleration).max())
     return min(max(speed, force), 1.0)
 
 
 class RateGovernor:
-    """Finds changes of rate that keep the limits.
+    """Search for changes of rate within the limits.
 
     Args:
         limits: Of the group.
@@ -106,7 +106,7 @@ class RateGovernor:
     def change(
         self, trajectory: Trajectory, state: tuple[float, float, float], rate: float, waited_s: float
     ) -> Clock | None:
-        """A clock that goes over to ``rate``, or None: not now, ask again.
+        """Return a clock with a change to ``rate``, or None: not now, ask again.
 
         To come to a stop, or to leave one, a clock is found always: where no ramp keeps the limits (a trajectory that
         uses them up itself) and the trajectory does not slow down of its own, one that keeps those of the cell, after
@@ -152,7 +152,7 @@ class RateGovernor:
 
     @staticmethod
     def _quickest(count: int, judge: Callable[[int], float]) -> int | None:
-        """Which ramp is the quickest that keeps the limits, as far as a slower one does where a quicker one does."""
+        """Return the quickest ramp within the limits, assuming that slower ramps keep limits kept by quicker ones."""
         too_quick, slow = -1, count
         while slow - too_quick > 1:
             k = (too_quick + slow) // 2
@@ -160,7 +160,7 @@ class RateGovernor:
         return slow if slow < count else None
 
     def _next(self, count: int, judge: Callable[[int], float], waited_s: float) -> int | None:
-        """The same of a few ramps, others each time, so that all of them have their turn."""
+        """Return the quickest of a few ramps, others each time, so all of them have the turn."""
         step = max(count // _TRIES_AGAIN, 1)
         some = range(round(waited_s / self._period) % step, count, step)
         return next((k for k in some if judge(k) <= _TOLERANCE), None)
@@ -173,7 +173,7 @@ class RateGovernor:
         return change / acceleration + acceleration / jerk
 
     def _excess(self, trajectory: Trajectory, clock: Clock) -> float:
-        """How far the motion of a clock's ramp goes beyond limits, as a share of them; infinite if it goes back.
+        """Return the excess of a clock's ramp over limits, as a share of them; infinite if the motion goes back.
 
         What the trajectory does by itself is no fault of the ramp: it does so at any rate.
         """
@@ -194,7 +194,7 @@ class RateGovernor:
 
     @staticmethod
     def _instants(trajectory: Trajectory, clock: Clock) -> NDArray[np.float64]:
-        """Times at which a ramp is looked at, shape (m,): close to each other, and on both sides of where pieces meet.
+        """Return the checked times of a ramp, shape (m,): close to each other, and on both sides of piece borders.
 
         Of a trajectory whose pieces are shorter than the steps, these do for its pieces.
         """

@@ -27,7 +27,7 @@ _MOST_EDGES = 4000
 
 
 def is_straight(trajectory: Trajectory, begin: float = 0.0, end: float = math.inf) -> bool:
-    """Whether a trajectory changes its direction nowhere but at rest, between two times [s]."""
+    """Return whether a trajectory changes the direction only at rest, between two times [s]."""
     end = min(end, trajectory.duration)
     inner = trajectory.edges[(trajectory.edges > begin) & (trajectory.edges < end)]
     bounds = np.concatenate([[begin], inner, [end]])
@@ -35,7 +35,7 @@ def is_straight(trajectory: Trajectory, begin: float = 0.0, end: float = math.in
 
 
 def _bends(trajectory: Trajectory, bounds: NDArray[np.float64]) -> bool:
-    """Whether it changes its direction in some pieces; ``bounds`` are their ends."""
+    """Return whether the direction changes in some pieces; ``bounds`` are the ends."""
     within = (bounds[:-1, None] + np.diff(bounds)[:, None] * _SHARES).ravel()
     v = trajectory.span(np.append(within, bounds[-1])).v
     size = np.linalg.norm(v, axis=1)
@@ -49,7 +49,7 @@ def _bends(trajectory: Trajectory, bounds: NDArray[np.float64]) -> bool:
 def brake_straight(
     trajectory: Trajectory, sigma: float, now: Setpoint, limits: MotionLimits
 ) -> tuple[PiecewisePolynomial, float] | None:
-    """The deceleration from ``now`` and the place on the trajectory where it ends; None where the path is not straight.
+    """Return the deceleration from ``now`` and the end on the trajectory; None for a path not straight.
 
     Args:
         trajectory: What is followed.
@@ -86,7 +86,7 @@ def _along(way: NDArray[np.float64], k: int, now: Setpoint, limits: MotionLimits
 
 
 def _reached(trajectory: Trajectory, sigma: float, k: int, goal: float, rising: bool, seconds: float) -> float | None:
-    """Place at which joint ``k`` comes to ``goal``, if it goes there straight."""
+    """Return the place at which joint ``k`` reaches ``goal`` on a straight way."""
     sign = 1.0 if rising else -1.0
     ahead = min(sigma + 3.0 * seconds, trajectory.duration)
     if sign * (float(trajectory.at(ahead).q[k]) - goal) < -_ON_PATH:

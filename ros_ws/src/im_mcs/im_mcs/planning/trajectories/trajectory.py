@@ -1,4 +1,4 @@
-"""What the planning layer hands to the control layer, once a servo tick, and the contract of every trajectory."""
+"""Setpoints from the planning layer to the control layer, once a servo tick, and the contract of every trajectory."""
 
 from dataclasses import dataclass
 from typing import Protocol, Self
@@ -28,7 +28,7 @@ class Setpoint:
 
 
 class Trajectory(Protocol):
-    """A motion in its own time, from where it begins to where it ends at rest."""
+    """Motion in its own time, from the begin to the end at rest."""
 
     duration: float
     """Time from start to rest [s]."""
@@ -36,17 +36,17 @@ class Trajectory(Protocol):
     """Times at which its pieces begin, shape (m,) [s]."""
 
     def at(self, t: float) -> Setpoint:
-        """Setpoint ``t`` seconds after the start; beyond the duration it stays at the end."""
+        """Return the setpoint ``t`` seconds after the start; beyond the duration, the end."""
         ...
 
     def span(self, t: NDArray[np.float64]) -> Setpoint:
-        """Setpoints at many times, ``t`` of shape (m,), at once: q, v and a of shape (m, n)."""
+        """Return setpoints at many times, ``t`` of shape (m,), at once: q, v and a of shape (m, n)."""
         ...
 
     def jerk(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Third derivative at many times, shape (m,): shape (m, n); of the piece that begins where two meet."""
+        """Return third derivatives at many times, shape (m,): shape (m, n); at a border, of the later piece."""
         ...
 
     def point(self, t: float) -> int:
-        """Index of the point of the path that the motion is on its way to at time ``t``."""
+        """Return the index of the next point of the path at time ``t``."""
         ...

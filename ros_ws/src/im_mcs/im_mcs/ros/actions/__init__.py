@@ -1,1 +1,1 @@
-"""Actions of groups: their servers, and the motions on their way through the servo for which goals stand."""
+"""Actions of groups: the servers, and the motions in the servo behind the goals."""

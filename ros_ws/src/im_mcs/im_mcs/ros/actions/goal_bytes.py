@@ -1,4 +1,4 @@
-"""Goals of an action as the bytes that travel: rclpy hands over topics and services so only where they are topics.
+"""Goals of an action as the bytes in transit: rclpy delivers topics and services this way, but not actions.
 
 To make objects of a message of 100,000 points takes rclpy seconds, in which no thread of the node runs. What follows
 hooks in where rclpy asks a generated class to convert: a class whose conversion encodes the message again (a hundredth
@@ -21,7 +21,7 @@ from im_mcs.client.wire import UUID_BYTES
 
 @dataclass(frozen=True)
 class GoalBytes:
-    """What a client asked for.
+    """Goal of a client.
 
     Attributes:
         data: The request for the goal, in CDR; empty if it is too long.
@@ -34,7 +34,7 @@ class GoalBytes:
     kind: Any
 
     def request(self) -> Any:
-        """The request as a message; None if that would take long, or it is not there."""
+        """Return the request as a message; None if this would take long, or the request is missing."""
         return deserialize_message(self.data, self.kind) if self.data and self.points <= _FEW else None
 
 
@@ -57,7 +57,7 @@ class _Head(ctypes.Structure):
 
 @dataclass(frozen=True)
 class _Request:
-    """What rclpy's action server takes for the request."""
+    """Request type for rclpy's action server."""
 
     goal_id: UUID
     goal: GoalBytes
@@ -69,7 +69,7 @@ _DESTROY = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)
 
 
 def with_goals_as_bytes(action: Any, most_points: Callable[[], int]) -> Any:
-    """The action ``FollowJointTrajectory``, for an action server; its goals are :class:`GoalBytes`.
+    """Return the action ``FollowJointTrajectory`` for a server with goals as :class:`GoalBytes`.
 
     Args:
         action: The generated class.
@@ -91,7 +91,7 @@ def with_goals_as_bytes(action: Any, most_points: Callable[[], int]) -> Any:
 
 
 def _encoder(kind: Any) -> Callable[[int], bytes]:
-    """A function that encodes the message of a type at an address in memory.
+    """Return a function that encodes the message of a type at an address in memory.
 
     rclpy encodes objects, which it has their class write into a message in C first; here that message is there already.
     """

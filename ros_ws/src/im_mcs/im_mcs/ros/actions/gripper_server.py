@@ -35,7 +35,7 @@ class GripperServer:
             self._goals.serve(GripperCommand, f"/{gripper}/gripper_cmd", partial(self._execute, gripper))
 
     def publish_feedback(self, snapshot: NDArray[np.void]) -> None:
-        """Tell where the jaws are that are on their way."""
+        """Publish the place of moving jaws."""
         for gripper, handle in self._moving:
             opening, force = self._measured(gripper, snapshot)
             handle.publish_feedback(GripperCommand.Feedback(position=opening, effort=force))
@@ -70,7 +70,7 @@ class GripperServer:
         self._goals.begin_goal(handle, number)
 
     def _fill(self, gripper: str, result: GripperCommand.Result) -> None:
-        """Where the jaws are and how hard they press, if there is anyone who knows."""
+        """Fill in place and force of the jaws, if known."""
         with suppress(ImError):
             result.position, result.effort = self._measured(gripper, self._mcs.client().snapshot())
 

@@ -1,4 +1,4 @@
-"""Motions of groups on their way through the servo, and the goals of actions that stand for them."""
+"""Motions of groups on the way through the servo, and the goals of actions."""
 
 import itertools
 from collections import Counter
@@ -25,7 +25,7 @@ from im_msgs.msg import GroupPath
 
 @dataclass(frozen=True)
 class Arrival:
-    """When a goal or a message came: it may take long until it is sent to the servo, and others overtake it.
+    """Arrival of a goal or a message: it may reach the servo much later, after others.
 
     Attributes:
         group: What it is for.
@@ -39,7 +39,7 @@ class Arrival:
 
 
 class Motions:
-    """Sends MOVE requests, shows the path that is followed, and stops what is under way.
+    """Sender of MOVE requests; shows the followed path, and stops motions.
 
     Args:
         access: MCS.
@@ -55,7 +55,7 @@ class Motions:
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Arrival:
-        """The arrival of a goal, or of a message, that has come just now."""
+        """Return the arrival of a goal, or of a message, of this moment."""
         return Arrival(group, next(self._ranks), handle)
 
     async def run(
@@ -117,7 +117,7 @@ class Motions:
                 self._paths[group].publish(GroupPath())
 
     async def stop(self, arrival: Arrival) -> None:
-        """Let what a group does, and what waits for it, decelerate on its path and end as cancelled.
+        """Decelerate the motion of a group on the path, and end it and the waiting goals as cancelled.
 
         Args:
             arrival: When that was asked for; what came later goes on.
@@ -149,7 +149,7 @@ class Motions:
 
 
 class CalledActionServer(GuardedActionServer):
-    """An action server that knows whose its goals are: ``clients``, by the number of the goal, until they end."""
+    """Action server with the client of each goal: ``clients``, by the number of the goal, until the end."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self.clients: dict[bytes, str] = {}
@@ -163,13 +163,13 @@ class CalledActionServer(GuardedActionServer):
         await super()._execute_goal_request(request_header_and_message)
 
     def request_for(self, handle: ServerGoalHandle) -> Any:
-        """As in the base class; of a long trajectory none is told, for that would hold the node up."""
+        """Return the request of a goal; of a long trajectory none, which would hold the node up."""
         goal = handle.request
         return goal.request() if isinstance(goal, GoalBytes) else super().request_for(handle)
 
 
 class Goals:
-    """Actions, and the numbers of requests by goal, so that a cancelled goal decelerates.
+    """Actions, and the numbers of requests by goal, so a cancelled goal decelerates.
 
     Args:
         access: MCS.
@@ -181,7 +181,7 @@ class Goals:
         self._servers: list[CalledActionServer] = []
 
     def serve(self, action: type, name: str, execute: Callable[[ServerGoalHandle], Awaitable[Any]]) -> None:
-        """Offer an action whose goals are all accepted: what cannot be done ends at once, and its result says why."""
+        """Offer an action with all goals accepted: an impossible one ends at once, with the reason in the result."""
         server = CalledActionServer(
             self._mcs.node,
             action,
@@ -193,7 +193,7 @@ class Goals:
         self._servers.append(server)
 
     def client(self, handle: ServerGoalHandle) -> str:
-        """Who sent a goal, as :func:`im_core.ros.client_identity.client_of` says."""
+        """Return the sender of a goal, as :func:`im_core.ros.client_identity.client_of` says."""
         goal = bytes(handle.goal_id.uuid)
         return next((server.clients[goal] for server in self._servers if goal in server.clients), "")
 
@@ -209,7 +209,7 @@ class Goals:
             server.clients.pop(goal, None)
 
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        """Callback of an action server: the motion decelerates on its path and ends as cancelled."""
+        """Callback of an action server: the motion decelerates on the path and ends as cancelled."""
         number = self._numbers.get(bytes(handle.goal_id.uuid))
         if number is None:
             return CancelResponse.ACCEPT  # the servo has not been asked yet, and will not be: see require_wanted
@@ -232,7 +232,7 @@ def require_wanted(handle: ServerGoalHandle | None) -> None:
 
 
 def fail(handle: ServerGoalHandle, error: ImError) -> None:
-    """End a goal that did not succeed: cancelled where that was asked for, else aborted."""
+    """End a failed goal: cancelled where so requested, else aborted."""
     if error.code == "cancelled" and handle.is_cancel_requested:
         handle.canceled()
     else:

@@ -57,7 +57,7 @@ class MoveServer:
         return result
 
     def _arguments(self, group: str, goal: Move.Goal) -> dict[str, Any]:
-        """Arguments of the request; what is too large, or not finite, does not travel."""
+        """Return the arguments of the request; too large or infinite values are refused before the servo."""
         self._mcs.check(goal)
         joints = self._mcs.group(group).joints
         if goal.policy not in _POLICIES:

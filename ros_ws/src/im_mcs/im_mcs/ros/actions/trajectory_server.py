@@ -76,7 +76,7 @@ class _Asked:
 
 
 class TrajectoryServer:
-    """The action and the topic of every group of every preset; what is new replaces what is under way.
+    """Action and topic of every group of every preset; a new goal replaces the one under way.
 
     Parameters: ``allow_partial_joints_goal``, ``allow_nonzero_velocity_at_trajectory_end``, as the controller has them.
 
@@ -150,7 +150,7 @@ class TrajectoryServer:
                 self._mcs.refusals.add(topic, error)
 
     async def _read(self, group: str, cdr: CdrReader, *, is_goal: bool) -> _Asked | None:
-        """Read what is asked for; a long trajectory in a thread, so that the node goes on.
+        """Read a goal; a long trajectory in a thread, so the node goes on.
 
         Returns:
             The trajectory, or None if a message on the topic has no points: a wish to stop.
@@ -192,7 +192,7 @@ class TrajectoryServer:
         return share_points(name, course)
 
     def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
-        """Desired and actual motion; their times are the place on what was asked for, and the time since it began."""
+        """Desired and actual motion; the times are the place on what was asked for, and the time since it began."""
         snapshot = self._mcs.client().snapshot()
         description = self._mcs.group(group)
         index = self._mcs.index(description)
@@ -210,7 +210,7 @@ class TrajectoryServer:
 
 
 def _point(values: Sequence[np.ndarray]) -> JointTrajectoryPoint:
-    """A point of positions, velocities and, where there are any, accelerations."""
+    """Return a point of positions, velocities and, where there are any, accelerations."""
     point = JointTrajectoryPoint()
     for name, value in zip(("positions", "velocities", "accelerations"), values, strict=False):
         setattr(point, name, value)

@@ -1,1 +1,1 @@
-"""Topics of ``/mcs``: what it publishes of itself and of each layer, and those that drive a layer."""
+"""Topics of ``/mcs``: the published ones of the node and of each layer, and those that drive a layer."""

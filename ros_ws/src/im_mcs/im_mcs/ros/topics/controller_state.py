@@ -1,4 +1,4 @@
-"""``/<group>/controller_state``, as ros2_control's joint trajectory controller tells what it does."""
+"""``/<group>/controller_state``, like that of ros2_control's joint trajectory controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -21,7 +21,7 @@ Sample = dict[str, Any]
 
 
 class ControllerStates:
-    """``/<group>/controller_state`` of every group of every preset; told of those that are in force.
+    """``/<group>/controller_state`` of every group of every preset; published for those in force.
 
     Parameter: ``controller_state_rate`` [1/s], up to 50.
 
@@ -41,7 +41,7 @@ class ControllerStates:
         self._told_ns = -1
 
     def publish(self, samples: Sequence[Sample], speeds: Callable[[], Mapping[str, float]]) -> None:
-        """Tell samples of the servo that are due.
+        """Publish the due samples of the servo.
 
         Args:
             samples: Since the last call, in the order of time.
@@ -57,7 +57,7 @@ class ControllerStates:
                 self._publishers[group].publish(self._message(group, sample, in_force[group]))
 
     def _is_due(self, stamp_ns: int) -> bool:
-        """Whether it is time; the same sample once more, where time stands still, is."""
+        """Return whether a sample is due; the same sample once more is, where time stands still."""
         period_ns = round(1e9 / float(self._mcs.node.get_parameter(_RATE).value))
         due = self._told_ns == stamp_ns or self._told_ns // period_ns != stamp_ns // period_ns
         if due:

@@ -1,4 +1,4 @@
-"""Everything that ``/mcs`` publishes."""
+"""All publishers of ``/mcs``."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -49,11 +49,11 @@ class Publishers:
     def state(
         self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
     ) -> None:
-        """``/mcs/state``; arguments as of :func:`im_mcs.ros.messages.mcs_state`."""
+        """Publish ``/mcs/state``; arguments as of :func:`im_mcs.ros.messages.mcs_state`."""
         self._state.publish(messages.mcs_state(config, state, reason, snapshot, past))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
-        """``/joint_states`` and ``/tf`` of every sample of the servo; what nobody listens to is not made."""
+        """Publish ``/joint_states`` and ``/tf`` of every sample of the servo, for subscribers only."""
         if self._joints.get_subscription_count():
             for sample in samples:
                 self._joints.publish(messages.joint_state(self._names, sample))
@@ -62,7 +62,7 @@ class Publishers:
                 self._tf.publish(self._frames.moving(np.array(sample["q"]), sample["stamp_ns"]))
 
     def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
-        """``/diagnostics``."""
+        """Publish ``/diagnostics``."""
         message = DiagnosticArray(status=list(statuses))
         message.header.stamp = messages.time(stamp_ns)
         self._diagnostics.publish(message)
@@ -87,7 +87,7 @@ class Frames:
         self._stamps, self._placements = _places(self._moving, len(moving))
 
     def moving(self, q: NDArray[np.float64], stamp_ns: int) -> bytes:
-        """Transforms over the joints at ``q``, shape (18,), as the bytes (CDR) of a ``TFMessage``.
+        """Return transforms over the joints at ``q``, shape (18,), as the bytes (CDR) of a ``TFMessage``.
 
         Fifty a second are told, and only numbers in them change: making the objects anew took most of the node's time.
         """
@@ -98,7 +98,7 @@ class Frames:
         return bytes(self._moving)
 
     def fixed(self) -> list[TransformStamped]:
-        """Transforms of frames that are fixed to a link."""
+        """Return transforms of frames fixed to a link."""
         poses = self._model.poses(self._home)
         poses.setdefault("world", pin.SE3.Identity())
         transforms = []
@@ -111,7 +111,7 @@ class Frames:
 
 
 def _places(message: bytearray, count: int) -> tuple[list[NDArray[np.int32]], list[NDArray[np.float64]]]:
-    """Where in the bytes of a ``TFMessage`` the numbers of each of its transforms are.
+    """Return the offsets of the numbers of each transform in the bytes of a ``TFMessage``.
 
     Args:
         message: As rclpy serialises it (CDR): four bytes of encapsulation, from which on things are aligned.
@@ -135,14 +135,14 @@ def _places(message: bytearray, count: int) -> tuple[list[NDArray[np.int32]], li
 
 
 def _transform(parent: str, child: str) -> TransformStamped:
-    """With its names, the rest is to be filled in."""
+    """Return a transform with the names, without numbers."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id = parent
     return message
 
 
 def _parent_frame(model: CellModel, name: str) -> str:
-    """Nearest body that a fixed frame hangs on."""
+    """Return the nearest body above a fixed frame."""
     frame = model.pin.frames[model.frame_id(name)]
     parent = model.pin.frames[frame.parentFrame]
     while parent.type != pin.FrameType.BODY and parent.name != "universe":

@@ -1,4 +1,4 @@
-"""What a firing does; all here is deterministic, so that it can be done again when a journal is replayed.
+"""Effects of a firing, all deterministic, for the replay of a journal.
 
 | to learn | open |
 |---|---|

@@ -1,4 +1,4 @@
-"""What is done with jobs as a net comes to rest: none is left of which nobody would hear any more."""
+"""Closing of jobs as a net comes to rest: no client waits in vain."""
 
 from im_core.errors import ImError
 from im_pnt.errors import NetError
@@ -9,7 +9,7 @@ from im_pnt.execution.journal_entries import JobForgotten, VisitSettled
 
 
 def settle_visits(rule: FiringRule) -> None:
-    """Lets the jobs of other nets go of which nothing is left here."""
+    """Release the jobs of other nets without tokens here."""
     left = {lineage.job for queue in rule.tokens.queues.values() for lineage in queue}
     left |= {activity.lineage.job for activity in rule.activities.values()}
     for job in list(rule.ledger.visits.values()):
@@ -18,7 +18,7 @@ def settle_visits(rule: FiringRule) -> None:
 
 
 def expire(rule: FiringRule, job: Job) -> None:
-    """Ends a symbol that still waits to be read, when it does so no longer."""
+    """End a symbol on the tape after the time."""
     if job.waiting:
         seconds = rule.expires[job.symbol]
         limit = f"within {seconds:g} s" if seconds else "before the net came to rest"
@@ -27,7 +27,7 @@ def expire(rule: FiringRule, job: Job) -> None:
 
 
 def drop_stale(rule: FiringRule) -> None:
-    """Ends the symbols that nothing waits for as the net comes to rest, where they do not wait themselves."""
+    """End the symbols without a waiting transition as the net comes to rest, unless they may wait."""
     for symbol, seconds in rule.expires.items():
         asked = any(not rule.enabling.unmet[index] and rule.owners(index) for index in rule.readers[symbol])
         if seconds == 0.0 and not asked:
@@ -36,7 +36,7 @@ def drop_stale(rule: FiringRule) -> None:
 
 
 def close_forgotten(rule: FiringRule) -> None:
-    """Ends the commands that a net at rest can acknowledge no more, so that no client waits in vain."""
+    """End the commands that a resting net can acknowledge no more, so no client waits in vain."""
     if not len(rule.ledger) or rule.activities or rule.enabling.clocks:
         return
     begun = rule.ledger.begun_commands()

@@ -1,4 +1,4 @@
-"""What happens to a net, as its journal is told it: done now, and again, in the same order, when that is replayed."""
+"""Entries of a net: applied now, and again, in the same order, in a replay of the journal."""
 
 from im_pnt.execution.events import (
     CommandCancelled,
@@ -31,14 +31,14 @@ from im_pnt.execution.journal_entries import (
 
 
 def happens(rule: FiringRule, entry: NetEntry) -> None:
-    """Tells the journal what happens, and does it."""
+    """Record an entry, and apply it."""
     if rule.record is not None:
         rule.record(entry)
     apply_entry(rule, entry)
 
 
 def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
-    """Does what an entry tells.
+    """Apply an entry.
 
     Raises:
         ValueError: It does not fit the net, or what has happened to it.

@@ -1,4 +1,4 @@
-"""Jobs whose tokens cross between nets.
+"""Jobs with tokens in several nets.
 
 Who sends a token is told when its work is done, there and wherever it has led to: so a net knows where its jobs are,
 and what is said of them follows their tokens (E.W. Dijkstra and C.S. Scholten, "Termination detection for diffusing
@@ -16,7 +16,7 @@ from im_pnt.execution.journal_entries import add_results
 
 
 def take_token(rule: FiringRule, event: TokenArrived) -> None:
-    """Takes a token of a job that comes from another net."""
+    """Take a token of a job from another net."""
     context = event.context
     assert context is not None
     owner, home = context.owner, context.home
@@ -39,7 +39,7 @@ def take_token(rule: FiringRule, event: TokenArrived) -> None:
 
 
 def hear(rule: FiringRule, event: JobUpdateArrived) -> None:
-    """Does what another net tells of a job whose tokens have crossed."""
+    """Take an update of a job from another net."""
     job = rule.ledger.of_key(event.key, event.home)
     if job is None:  # it has ended meanwhile
         return
@@ -64,7 +64,7 @@ def hear(rule: FiringRule, event: JobUpdateArrived) -> None:
 
 
 def cancelled_visit(rule: FiringRule, event: object) -> Job | None:
-    """Returns the job of another net whose actions an event will have to end early, None where there is none."""
+    """Return the foreign job an event will cancel with the actions, None without one."""
     match event:
         case TokenArrived(context=TokenContext(owner=owner, home=False, cancelled=ImError())):
             job = rule.ledger.visits.get(owner.key)
@@ -76,7 +76,7 @@ def cancelled_visit(rule: FiringRule, event: object) -> Job | None:
 
 
 def forget_node(rule: FiringRule, node: str, nets: Iterable[str], error: ImError) -> None:
-    """Gives up what has gone to a node, and ends what has come from it."""
+    """Give up tokens sent to a node, and end the jobs from it."""
     for job in rule.ledger.jobs():
         for net in job.away.keys() & set(nets):
             del job.away[net]
@@ -88,7 +88,7 @@ def forget_node(rule: FiringRule, node: str, nets: Iterable[str], error: ImError
 
 
 def leave(rule: FiringRule, job: Job) -> None:
-    """Ends a visit, and tells who has sent its first token."""
+    """End a foreign job, and tell the sender of the first token."""
     visit = job.visit
     assert visit is not None
     results = rule.news(job, visit.net)
@@ -101,5 +101,5 @@ def _is_from_parent(job: Job, net: str) -> bool:
 
 
 def cancelled_elsewhere(net: str) -> ImError:
-    """Returns why a job ends early whose tokens have come from a net where it was cancelled."""
+    """Return the reason of a job's early end by a cancellation in the net of the tokens."""
     return ImError(f"cancelled by net {net}", code="cancelled", net=net)

@@ -1,4 +1,4 @@
-"""Two-phase firing of a net (paper, section 6): tokens leave, the action runs, outputs are marked when it confirms.
+"""Two-phase firing of a net (paper, section 6): tokens leave, the action runs, the confirmation marks the outputs.
 
 What is here is deterministic: it is done again, in the same order, when a journal is replayed. What decides, waits or
 calls foreign code is elsewhere.
@@ -76,7 +76,7 @@ class _Phases(NamedTuple):
 
 
 class FiringRule:
-    """The marking and the jobs of a net, and what firing does to them.
+    """Marking and jobs of a net, with the effects of firings on both.
 
     Args:
         net: The net, as written.
@@ -171,14 +171,14 @@ class FiringRule:
     # What comes from outside.
 
     def mark_place(self, place: str, count: int, lineage: Lineage) -> None:
-        """Puts tokens on a place from outside."""
+        """Put tokens on a place from outside."""
         if lineage is NO_LINEAGE and not self.tokens.queues:
             self.enabling.add_tokens(self.place[place], count)
         else:
             self.tokens.put_tokens(self.place[place], count, lineage)
 
     def write(self, job: Job) -> None:
-        """Puts a job on the input tape."""
+        """Put a job on the input tape."""
         self.ledger.add(job)
         address = job.arguments.get(ADDRESS)
         if job.symbol in self._words and address is not None and not self._under_way(address):
@@ -189,7 +189,7 @@ class FiringRule:
         self.consider_readers(job.symbol)
 
     def take_request(self, request: Request) -> None:
-        """Takes a request: to the place I of its service, or, where it names a symbol, to the input tape."""
+        """Take a request: to the place I of the service, or, with a symbol, to the input tape."""
         job = Job(request.command, request.arguments, request)
         if request.service in self.net.services:
             self.ledger.add(job)
@@ -202,7 +202,7 @@ class FiringRule:
             self.close(job, NetError(text, net=self.net.name, service=request.service))
 
     def _departure(self, job: Job | None, net: str, count: int) -> Departure | None:
-        """Returns what tokens take along to another net, None where they are nobody's; their job is away there."""
+        """Return the departure of tokens to another net, None without a job; the job is away there."""
         if job is None:
             return None
         job.away[net] = job.away.get(net, 0) + count
@@ -210,7 +210,7 @@ class FiringRule:
         return Departure(job, failure, self.news(job, net), self.is_held(job))
 
     def news(self, job: Job, net: str) -> dict[str, object]:
-        """Returns the results of a visit that a net has not been told; those of a job that is at home stay there."""
+        """Return the untold results of a foreign job; the results of a job of this net stay here."""
         if job.visit is None:
             return {}
         try:
@@ -225,13 +225,13 @@ class FiringRule:
         return news
 
     def pass_on(self, job: Job, update: JobUpdate, error: ImError | None) -> None:
-        """Tells the nets where tokens of a job have gone what becomes of it; not its own, from where that comes."""
+        """Tell an update of a job to the nets of the tokens, but not to its own."""
         for net in job.away:
             if job.visit is None or job.visit.owner.key.net != net:
                 self.outlet.send_job_update(self.net.name, job, update, net, error, {})
 
     def hold(self, number: int, held: bool, jobs: Iterable[Job], scope: str = "") -> None:
-        """Has nothing begun any more for jobs, or again, also where their tokens have gone; see :attr:`held`."""
+        """Begin nothing more for jobs, or go on, also in the nets of the tokens; see :attr:`held`."""
         if held == (number in self.held):
             return
         if held:
@@ -259,11 +259,11 @@ class FiringRule:
 
     @property
     def keeps(self) -> bool:
-        """Whether a journal is told what happens, or tells it."""
+        """Whether a journal is written or replayed."""
         return self.replaying or self.record is not None
 
     def close(self, job: Job, error: ImError | None) -> None:
-        """Ends a job, and answers whoever asked for it."""
+        """End a job, and answer the caller."""
         was_open = self.ledger.is_open(job)
         self.notifier.flush()
         self.ledger.close(job, error)
@@ -295,7 +295,7 @@ class FiringRule:
         return any(lineage.job is job for lineage in waiting)
 
     def cancel(self, jobs: Iterable[Job], error: ImError) -> None:
-        """Has jobs end early: those on the tape now, the others when what is done for them has ended."""
+        """End jobs early: those on the tape now, the others after the end of the actions."""
         for job in jobs:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
@@ -306,7 +306,7 @@ class FiringRule:
                 job.last_failure = error
 
     def emit(self, transition: Transition, lineage: Lineage) -> None:
-        """Writes to the output tape what a transition emits; that may end a job."""
+        """Write the symbol of a transition to the output tape; this may end a job."""
         for emitted in transition.emit:
             self.notifier.emitted(emitted, lineage)
             visit = None if lineage.job is None else lineage.job.visit
@@ -325,7 +325,7 @@ class FiringRule:
                 self.close(job, None if done else failure_of(job, transition, lineage.failure))
 
     def consider_readers(self, symbol: str) -> None:
-        """Decides about the transitions that read a symbol, if it is on the tape."""
+        """Decide on the readers of a symbol, if it is on the tape."""
         if self.ledger.tape.has(symbol):
             for index in self.readers[symbol]:
                 if not self.enabling.unmet[index]:
@@ -334,7 +334,7 @@ class FiringRule:
     # Firing.
 
     def withdraw(self, name: str) -> None:
-        """Moves the tokens of a data object that has lost its validity: those of the command whose object it is.
+        """Move the tokens of an invalid data object: those of its own command.
 
         Args:
             name: Its name in the DOM.
@@ -348,7 +348,7 @@ class FiringRule:
                 self.fire(index, of_it[0])
 
     def shown_objects(self) -> set[str]:
-        """Returns the data objects whose loss of validity would move a token now, by their names in the DOM."""
+        """Return the data objects whose loss of validity would move a token now, by the names in the DOM."""
         shown: set[str] = set()
         for place, stands_for in self._withdrawable:
             number = self.place[place]
@@ -358,12 +358,12 @@ class FiringRule:
         return shown
 
     def object_name(self, name: str, job: Job | None) -> str:
-        """Returns the name in the DOM of a data object that a place names, for a token of a job."""
+        """Return the name in the DOM of a place's data object, for a token of a job."""
         command, arguments = (NO_COMMAND, {}) if job is None else (job.command, job.arguments)
         return object_name(name, scope_of(self.net.name, command), self.shared_objects, arguments)
 
     def owners(self, index: int) -> Sequence[Job | None]:
-        """Returns for whom a transition that its arcs enable can fire, oldest first; None: for nobody.
+        """Return the possible jobs of a transition enabled by the arcs, oldest first; None: no job.
 
         That is a job that has tokens there, or, where tokens of nobody and a symbol begin one, a job on the tape.
         """
@@ -391,7 +391,7 @@ class FiringRule:
         return owners[0] if owners else None
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
-        """Returns the oldest on the tape that a transition may read for a command, None where there is none."""
+        """Return the oldest symbol on the tape that a transition may read for a command, None without one."""
         waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
         if index not in self._to_commands or owner is None:
             return next(iter(waiting), None)
@@ -399,13 +399,13 @@ class FiringRule:
         return next((word for word in waiting if word.arguments.get(ADDRESS, number) == number), None)
 
     def foreseen(self, index: int, owner: Job | None) -> Lineage:
-        """Returns what a firing for a job would go on with: where the tokens are of nobody, the command it reads."""
+        """Return the lineage of a firing for a job: for free tokens, the command it reads."""
         if owner is not None and owner.waiting:
             return Lineage(owner, None)
         return self.tokens.peek_inputs(index, owner)
 
     def fire(self, index: int, owner: Job | None) -> Activity | None:
-        """Fires an enabled transition.
+        """Fire an enabled transition.
 
         Args:
             index: Its number.
@@ -436,7 +436,7 @@ class FiringRule:
         return activity
 
     def _move_on(self, index: int, lineage: Lineage) -> Activity | None:
-        """Does what a firing does with the tokens that it has taken."""
+        """Complete a firing after the tokens are taken."""
         transition = self.transitions[index]
         if transition.role is _START:
             return self.begin(index, lineage, transition.symbol or "")
@@ -478,13 +478,13 @@ class FiringRule:
         return lineage, passed_on
 
     def _served(self, job: Job | None) -> Job | None:
-        """Takes the request that a firing answers from those in service: the oldest, where its tokens are nobody's."""
+        """Take the answered request of a firing from those in service: the oldest, for free tokens."""
         serving = self.ledger.serving
         number = job.number if job is not None else next(iter(serving), 0)
         return serving.pop(number, None)
 
     def begin(self, index: int, lineage: Lineage, symbol: str) -> Activity:
-        """Marks ``t.active`` for tokens that were taken; returns the action that is to begin."""
+        """Mark ``t.active`` for taken tokens; return the action to begin."""
         origin = self.transitions[index].origin
         self.notifier.note(origin, _STARTED, lineage, symbol=symbol)
         activity = self.new_activity(origin, self.notifier.sequence, lineage)
@@ -493,7 +493,7 @@ class FiringRule:
         return activity
 
     def new_activity(self, transition: str, number: int, lineage: Lineage) -> Activity:
-        """Returns what is known of an action when it begins.
+        """Return the record of an action at the beginning.
 
         Raises:
             KeyError: The net as written has no such transition with an action.
@@ -504,11 +504,11 @@ class FiringRule:
         return Activity(number, self.net.name, transition, start.action, lineage, self.clock(), active, objects=objects)
 
     def set_state(self, activity: Activity, state: ActivityState) -> None:
-        """Set the state of an action, and the place of its token."""
+        """Set the state of an action, and the place of the token."""
         activity.state, activity.place = state, self._phases[activity.transition].places[state]
 
     def move(self, activity: Activity, state: ActivityState, error: ImError) -> None:
-        """Fires ``t.cancel`` or ``t.lost`` of an activity.
+        """Fire ``t.cancel`` or ``t.lost`` of an activity.
 
         Args:
             activity: One of :attr:`activities`.
@@ -530,7 +530,7 @@ class FiringRule:
         self.notifier.note(activity.transition, phase, activity.lineage, duration=duration, message=str(error))
 
     def end_action(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> ImError | None:
-        """Fires ``t.end``, ``t.failed`` or ``t.given_up`` of an activity.
+        """Fire ``t.end``, ``t.failed`` or ``t.given_up`` of an activity.
 
         Args:
             activity: One of :attr:`activities`.
@@ -560,7 +560,7 @@ class FiringRule:
         return error
 
     def keep_data(self, activity: Activity) -> None:
-        """Writes what an action that goes on has changed in its job, if it has; of one that has ended nothing.
+        """Record the changes of a running action in the job, if any; none of an ended one.
 
         Raises:
             NetError: JSON cannot carry it; the job has what it had.
@@ -573,7 +573,7 @@ class FiringRule:
             self.record(MessageBuilt(activity.number, data))
 
     def end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
-        """Fires a transition that ends an activity."""
+        """Fire a transition that ends an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
         failure = None if error is None else self._passed_on(activity, index, error)
@@ -598,7 +598,7 @@ class FiringRule:
         self.emit(transition, lineage)
 
     def _passed_on(self, activity: Activity, failed: int, error: ImError) -> ImError:
-        """What tokens carry on: a failure that does not decide where they go does not hide the one they came with."""
+        """Return the failure on tokens: one without an effect on the way does not hide the earlier one."""
         before, ended = activity.lineage.failure, self.transitions[self.number[f"{activity.transition}.end"]]
         if before is None or ended.outputs != self.transitions[failed].outputs:
             return error
@@ -606,7 +606,7 @@ class FiringRule:
         return ImError.restored(before.code, told, before.facts)
 
     def _has_another_try(self, activity: Activity, failed: int) -> bool:
-        """Whether what a failure gives goes to a further try: what that makes good is not why a command fails."""
+        """Return whether a failure leads to a further try: a mended failure does not fail the command."""
         first, given = self.answering(activity), self.transitions[failed].outputs.keys()
         return any(
             transition.retry_of == first and not given.isdisjoint(transition.inputs)
@@ -615,11 +615,11 @@ class FiringRule:
         )
 
     def answering(self, activity: Activity) -> str:
-        """Returns the transition as whose answer that of an action counts: of a further try, the first one."""
+        """Return the transition credited with an action's answer: of a further try, the first one."""
         return self._phases[activity.transition].start.retry_of or activity.transition
 
     def _give(self, index: int, lineage: Lineage) -> None:
-        """Marks what a firing gives: its tokens belong to its job, where that has not ended."""
+        """Mark the outputs of a firing: the tokens belong to the job, if it has not ended."""
         if lineage.job is not None and lineage.job.closed:
             lineage = NO_LINEAGE
         self.tokens.give_outputs(index, lineage)
@@ -628,7 +628,7 @@ class FiringRule:
 
 
 def hands_on(activity: Activity) -> bool:
-    """Whether an action asks another net for the very command that it works for: what comes back is its result."""
+    """Return whether an action passes on its own command to another net: the reply is the result."""
     job = activity.lineage.job
     if job is None or job.request is not None or not isinstance(activity.action, RequestAction):
         return False

@@ -1,4 +1,4 @@
-"""What a net file may say: the models that check it, from which the JSON schema for editors is made.
+"""Content of a net file: models for the check, and the source of the JSON schema for editors.
 
 | to learn | open |
 |---|---|

@@ -40,7 +40,7 @@ class TopicFile(_MessageFile):
 
 
 class AwaitFile(FilePart):
-    """A message that is waited for."""
+    """Awaited message."""
 
     name: _RosName = Field(description="Name of the topic.")
     type: Annotated[str, type_form("msg")] = Field(description="Its type, package/msg/Type.")
@@ -68,7 +68,7 @@ class GoalFile(_CallFile):
 
 
 class RequestFile(FilePart):
-    """A request to another net: net.service, or its keys."""
+    """Request to another net: net.service, or the keys."""
 
     short_forms = (_SERVICE.schema(),)
 

@@ -1,4 +1,4 @@
-"""Commands and services of a net file, and the arguments that they take."""
+"""Commands and services of a net file, and the arguments."""
 
 from typing import Annotated, Literal, Self
 
@@ -14,7 +14,7 @@ from im_pnt.netfile.schema.values import COUNT, FilePart, Given, Named, PlaceNam
 
 
 def _length(value: object) -> tuple[int, int]:
-    """``9``, or ``[1, 9]``."""
+    """Read a length: ``9``, or ``[1, 9]``."""
     numbers = [as_whole(each) for each in value] if isinstance(value, list) else [as_whole(value)] * 2
     if len(numbers) != 2 or not 0 <= numbers[0] <= LARGEST or not 0 <= numbers[1] <= LARGEST:
         raise ValueError(f"{numbers} is no length: a number >= 0, or [least, most], is needed")
@@ -32,7 +32,7 @@ _ANY: JsonSchemaValue = {"type": ["string", "number", "boolean", "array", "objec
 
 
 class ArgumentFile(FilePart):
-    """What an argument may be."""
+    """Allowed values of an argument."""
 
     type: Literal["boolean", "integer", "number", "string", "booleans", "integers", "numbers", "strings", "object"] = (
         Field(description="What its value is; those in the plural are lists, object is any JSON.")
@@ -72,7 +72,7 @@ Arguments = Annotated[dict[str, ArgumentFile], Named()]
 
 
 class CommandFile(FilePart):
-    """A command: a symbol that begins one."""
+    """Command: a symbol that begins one."""
 
     description: Text = Field("", description="One line for people.")
     arguments: Arguments = Field({}, description="What it takes, by name; others are refused.")

@@ -67,7 +67,7 @@ class WeibullFile(FilePart):
 
 
 class LognormalFile(FilePart):
-    """Its logarithm is normal with mean mu and deviation sigma."""
+    """Lognormal delay: the logarithm is normal with mean mu and deviation sigma."""
 
     mu: Annotated[float, NumberWithin()] = Field(description="Mean of the logarithm.")
     sigma: NotNegative = Field(description="Deviation of the logarithm.")
@@ -104,6 +104,6 @@ class DelayFile(FilePart):
 
 
 def _delay_keys(kind: str) -> tuple[str, ...]:
-    """Parameters of a distribution."""
+    """Return the parameters of a distribution."""
     model = next(each for each in get_args(DelayFile.model_fields[kind].annotation) if each is not NoneType)
     return tuple(model.model_fields)

@@ -17,11 +17,11 @@ def is_name(text: str) -> bool:
 
 
 def as_name(text: str) -> str:
-    """Makes a name of any text, with _ for what a name cannot have."""
+    """Make a name of any text, with _ for forbidden characters."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)[: MAX_NAME - 10] or "_"
     return f"_{name}" if name[0].isdigit() else name
 
 
 def shown_name(name: str) -> str:
-    """Returns a name for messages, the beginning of a long one."""
+    """Return a name for messages, the beginning of a long one."""
     return shortened(name)

@@ -1,4 +1,4 @@
-"""The whole of a net file, and its JSON schema for editors."""
+"""The whole of a net file, and the JSON schema for editors."""
 
 import json
 from typing import Annotated, Self
@@ -32,7 +32,7 @@ _REMOTE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.place")
 
 
 class AssumptionFile(FilePart):
-    """What is taken for granted of other nets, and proved where they are known."""
+    """Assumption on other nets, proved where they are known."""
 
     model_config = pydantic.ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
@@ -51,12 +51,12 @@ class AssumptionFile(FilePart):
 
 
 def _as_uses(value: object) -> object:
-    """The only use may stand without a list around it."""
+    """Wrap a single use into a list."""
     return [value] if isinstance(value, dict) else value
 
 
 class FragmentFile(FilePart):
-    """What a file may say that others include; its sections are checked when they are put together."""
+    """File for inclusion in others; the sections are checked in the assembled net."""
 
     include: Texts = Field(
         (), description="Files with further places, services, transitions and templates; paths from this file."
@@ -77,7 +77,7 @@ class FragmentFile(FilePart):
 
 
 class NetFile(FragmentFile):
-    """A net: places, transitions, and what happens when they fire. docs/nets.md explains it with an example."""
+    """Net: places, transitions, and the actions of the firings. docs/nets.md explains it with an example."""
 
     net: Name = Field(description="Name by which commands and other nets refer to this net.")
     description: Text = Field("", description="One line for people.")
@@ -106,7 +106,7 @@ class NetFile(FragmentFile):
 
 
 class _Schema(GenerateJsonSchema):
-    """Without titles, which would only say the names again, and without defaults that are nothing."""
+    """Schema without titles, which repeat the names, and without empty defaults."""
 
     def field_title_should_be_set(self, schema: object) -> bool:
         return False
@@ -117,7 +117,7 @@ class _Schema(GenerateJsonSchema):
 
 
 def schema_text() -> str:
-    """Returns the JSON schema (draft 2020-12) of net files, for editors."""
+    """Return the JSON schema (draft 2020-12) of net files, for editors."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "urn:im:pnt:net.schema.json",

@@ -1,4 +1,4 @@
-"""Places of a net file, and the data objects for which they stand."""
+"""Places of a net file, and the data objects."""
 
 from typing import Annotated, Literal, Self
 
@@ -10,7 +10,7 @@ from im_pnt.netfile.schema.values import COUNT, ONE_TEXT, Count, FilePart, Given
 
 
 class ObjectFile(FilePart):
-    """A data object: its name, or its keys."""
+    """Data object: the name, or the keys."""
 
     short_forms = (ONE_TEXT,)
 
@@ -27,7 +27,7 @@ class ObjectFile(FilePart):
 
 
 class PlaceFile(FilePart):
-    """A place: nothing, its tokens, or its keys."""
+    """Place: nothing, the tokens, or the keys."""
 
     model_config = pydantic.ConfigDict(json_schema_extra={"dependentRequired": {"on_invalid": ["data_object"]}})
     short_forms = (COUNT,)

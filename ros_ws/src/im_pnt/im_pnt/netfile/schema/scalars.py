@@ -1,4 +1,4 @@
-"""Values of a net file as the models take them.
+"""Values of a net file in the form of the models.
 
 A value that an author may write shortly (``a: 1`` for a place, ``in: a`` for arcs, ``delay: 2.5``) is brought into its
 long form before it is checked; a scalar keeps how it is written, for it may stand where a text is wanted.
@@ -11,18 +11,18 @@ from im_core.yamltext import Value, control_character, plain_scalar, quoted_text
 
 
 class WrongKeyError(FieldError):
-    """A rule that is broken by a key, not by its value."""
+    """Rule broken by a key, not by the value."""
 
 
 class Written(str):
-    """An unquoted number or truth value: its text, and what it is."""
+    """Unquoted number or truth value: the text, and the value."""
 
     __slots__ = ("value",)
     value: object
 
 
 def written(value: Value) -> object:
-    """Returns a scalar as the models take it: a text, None, or :class:`Written`."""
+    """Return a scalar in the form of the models: a text, None, or :class:`Written`."""
     data = plain_scalar(value)
     if isinstance(data, str) or data is None:
         return data
@@ -32,7 +32,7 @@ def written(value: Value) -> object:
 
 
 def shown(value: object) -> str:
-    """Returns a value for messages."""
+    """Return a value for messages."""
     if isinstance(value, dict):
         return "a mapping"
     if isinstance(value, list):
@@ -41,7 +41,7 @@ def shown(value: object) -> str:
 
 
 def as_text(value: object) -> str:
-    """A text without control characters."""
+    """Read a text without control characters."""
     if not isinstance(value, str):
         raise ValueError(f"{shown(value)} is not a text")
     if sentence := control_character(value):
@@ -50,7 +50,7 @@ def as_text(value: object) -> str:
 
 
 def as_number(value: object) -> object:
-    """What a scalar is besides a text; numbers are finite and exact."""
+    """Return the value of a scalar besides the text; numbers are finite and exact."""
     if not isinstance(value, Written):
         return value
     number = value.value
@@ -60,7 +60,7 @@ def as_number(value: object) -> object:
 
 
 def as_whole(value: object) -> int:
-    """A whole number."""
+    """Read a whole number."""
     number = as_number(value)
     if isinstance(number, bool) or not isinstance(number, int):
         raise ValueError(f"{shown(value)} is not a whole number")
@@ -76,7 +76,7 @@ def as_truth(value: object) -> bool:
 
 
 def as_plain(value: object) -> object:
-    """A value that means what it means to somebody else."""
+    """Read a value as plain data."""
     if isinstance(value, dict):
         return {name: as_plain(child) for name, child in value.items()}
     if isinstance(value, list):
@@ -85,7 +85,7 @@ def as_plain(value: object) -> object:
 
 
 def as_mapping(value: object) -> dict[str, object]:
-    """A mapping; nothing is the empty one."""
+    """Read a mapping; nothing is the empty one."""
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -94,12 +94,12 @@ def as_mapping(value: object) -> dict[str, object]:
 
 
 def as_fields(value: object) -> dict[str, object]:
-    """Fields of a message or values by name, which mean what they mean to somebody else."""
+    """Read fields of a message or values by name, as plain data."""
     return {name: as_plain(child) for name, child in as_mapping(value).items()}
 
 
 def as_list(value: object) -> list[object]:
-    """A single value counts as a list of one."""
+    """Read a list; a single value is a list of one."""
     if isinstance(value, dict):
         raise ValueError("a mapping is not a list")
     if value is None:
@@ -108,7 +108,7 @@ def as_list(value: object) -> list[object]:
 
 
 def as_arcs(value: object) -> dict[str, object]:
-    """``a``, ``[a, b]`` or ``{a: 2}`` as places with weights."""
+    """Read ``a``, ``[a, b]`` or ``{a: 2}`` as places with weights."""
     if isinstance(value, dict):
         return value
     weights: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""Templates of a net file, and their copies."""
+"""Templates of a net file, and the copies."""
 
 import re
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ def _parameter(value: object) -> Parameter:
 
 
 def _range(value: object) -> Sequence[Parameter]:
-    """``0..4``, or a list of numbers and texts; a range takes no memory before it is run through."""
+    """Read ``0..4``, or a list of numbers and texts; a range is expanded only at the use."""
     if not isinstance(value, str):
         values: list[Parameter] = []
         for rank, element in enumerate(as_list(value)):
@@ -62,7 +62,7 @@ _Rest = Annotated[object, WithJsonSchema({"type": ["array", "string", "null"]})]
 
 
 class TemplateFile(FilePart):
-    """A part of a net with parameters; its sections are checked where they are copied."""
+    """Part of a net with parameters; the sections are checked in the copies."""
 
     parameters: Names = Field((), description="What each use gives.")
     places: _Section = Field(None, description="Places of each copy.")

@@ -1,4 +1,4 @@
-"""Transitions of a net file, with the symbols that they read."""
+"""Transitions of a net file, with the input symbols."""
 
 from typing import Annotated, Literal, Self
 
@@ -38,7 +38,7 @@ MOST_TRIES = 100
 
 
 class StrategyFile(FilePart):
-    """A probability of success that is learned."""
+    """Learned probability of success."""
 
     successes: Positive = Field(1.0, description="Successes counted before the first run.")
     failures: Positive = Field(1.0, description="Failures counted before the first run.")
@@ -48,7 +48,7 @@ class StrategyFile(FilePart):
 
 
 class SymbolFile(FilePart):
-    """A symbol of the input tape: its name, or its keys."""
+    """Symbol of the input tape: the name, or the keys."""
 
     short_forms = (NAME_FORM.schema(),)
 
@@ -70,7 +70,7 @@ class SymbolFile(FilePart):
 
 
 class TransitionFile(FilePart):
-    """A transition: it takes the tokens of 'in', does its action, then gives those of 'out'."""
+    """Transition: it takes the tokens of 'in', does the action, then gives those of 'out'."""
 
     model_config = pydantic.ConfigDict(
         json_schema_extra={

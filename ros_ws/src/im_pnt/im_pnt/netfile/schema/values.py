@@ -1,4 +1,4 @@
-"""Kinds of values in a net file, each with its check and its JSON schema."""
+"""Kinds of values in a net file, each with the check and the JSON schema."""
 
 import re
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ class TextForm:
         return self.schema()
 
     def schema(self) -> JsonSchemaValue:
-        """Returns the JSON schema."""
+        """Return the JSON schema."""
         types = ["string", "boolean"] if self.like_truth else "string"
         return {"type": types, "pattern": f"^{self.pattern}$", "maxLength": self.longest}
 
@@ -86,7 +86,7 @@ class NumberWithin:
 
 
 class GivenOnly:
-    """A key may be missing, but says something where it is there: nothing is no value of it."""
+    """Key with a value where present: an empty one is refused."""
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return handler.generate_schema(next(each for each in get_args(source) if each is not NoneType))
@@ -134,7 +134,7 @@ Name = Annotated[str, NAME_FORM]
 
 
 class OneOrMore:
-    """A list, or its only element; nothing is the empty one."""
+    """List, or the only element; nothing is the empty one."""
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_before_validator_function(as_list, handler(source))
@@ -203,5 +203,5 @@ _TYPE = "[A-Za-z][A-Za-z0-9_]*"
 
 
 def type_form(kind: str) -> TextForm:
-    """Returns the form of a type of ROS: package/msg/Type, or srv or action in place of msg."""
+    """Return the form of a type of ROS: package/msg/Type, or srv or action in place of msg."""
     return TextForm(f"{_TYPE}/{kind}/{_TYPE}", f"is not of the form package/{kind}/Type")

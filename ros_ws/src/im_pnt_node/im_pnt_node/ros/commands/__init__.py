@@ -1,1 +1,1 @@
-"""What is asked of a node: commands from all of ROS, and the operator's."""
+"""Requests to a node: commands from all of ROS, and the operator's."""

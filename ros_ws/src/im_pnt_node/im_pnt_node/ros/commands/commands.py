@@ -1,4 +1,4 @@
-"""The commands of a node's nets: who waits for them, who is told of them, and how the last ones ended."""
+"""The commands of a node's nets: the waiting clients, the listeners, and the ends of the last ones."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ ProgressListener = Callable[[str, str, float], None]
 
 @dataclass(frozen=True)
 class CommandOutcome:
-    """How a command ended, as its client is told."""
+    """Outcome of a command, for the client."""
 
     success: bool
     status: Status
@@ -39,7 +39,7 @@ class CommandOutcome:
 
 @dataclass
 class OpenCommand:
-    """A command that has not ended.
+    """Command without an end.
 
     Attributes:
         job: What the net that reads it has of it.
@@ -57,12 +57,12 @@ class OpenCommand:
 
     @property
     def held(self) -> bool:
-        """Whether nothing more is begun for it."""
+        """Whether nothing more is begun for the command."""
         return self.net.rule.is_held(self.job)
 
     @property
     def state(self) -> str:
-        """How far it is, in a word."""
+        """Progress of the command, in a word."""
         if self.job.cancelled:
             return "cancelling"
         if self.held:
@@ -71,7 +71,7 @@ class OpenCommand:
 
 
 class Commands:
-    """Writes commands to the input tapes of a node's nets and knows those that have not ended.
+    """Writer of commands to the input tapes of a node's nets, with the open ones.
 
     Where several nets know a symbol, the first of them reads it; it may hand the command on to another.
 
@@ -105,32 +105,32 @@ class Commands:
 
     @property
     def last(self) -> int:
-        """The largest number of a command that has ended or has not, of all lives of the node; 0: there was none."""
+        """The largest number of any command, of all incarnations of the node; 0: there was none."""
         return max(self.ended.largest(), *self._open, 0)
 
     def symbols(self) -> list[str]:
-        """Returns the symbols that the nets read from their tapes."""
+        """Return the symbols read by the nets from the tapes."""
         return sorted({symbol for executor in self._nets.values() for symbol in executor.net.symbols()})
 
     def scopes(self) -> frozenset[str]:
-        """Returns what the names of the data objects of commands begin with that have not ended."""
+        """Return the name prefixes of the data objects of open commands."""
         return frozenset(each.job.command.scope for each in self._open.values())
 
     def running(self, symbol: str) -> Job | None:
-        """Returns the oldest command of a symbol that has not ended, if any."""
+        """Return the oldest open command of a symbol, if any."""
         return next((each.job for each in self._open.values() if each.job.command.symbol == symbol), None)
 
     def open(self) -> list[OpenCommand]:
-        """Returns the commands that have not ended, in the order of their numbers."""
+        """Return the open commands, in the order of the numbers."""
         return [self._open[number] for number in sorted(self._open)]
 
     def noted(self) -> list[OpenCommandNote]:
-        """Return what is noted of the commands that have not ended, in the order of their numbers."""
+        """Return what is noted of the commands that have not ended, in the order of the numbers."""
         task = self._node.task_name
         return [OpenCommandNote(task, each.job.command.id, each.job.symbol, each.progress) for each in self.open()]
 
     def get(self, number: int) -> OpenCommand:
-        """Returns a command that has not ended.
+        """Return an open command.
 
         Raises:
             StateError: There is none of that number.
@@ -142,7 +142,7 @@ class Commands:
         return self._open[number]
 
     def take_up(self) -> None:
-        """Enters the commands that nets have brought back from a journal, or taken over from one they replace."""
+        """Enter the commands restored from a journal, or taken over from a replaced net."""
         for executor in self._nets.values():
             for job in executor.jobs():
                 if job.is_command:
@@ -157,7 +157,7 @@ class Commands:
         self._told_began()
 
     def give_up(self, left: Iterable[tuple[OpenCommandNote, Path]]) -> None:
-        """Ends the commands of missions that are not gone on with: whoever still asks for one hears what became of it.
+        """End the commands of abandoned missions: a client that still asks for one hears the end.
 
         Args:
             left: The commands, each with the folder of what it has left.
@@ -183,7 +183,7 @@ class Commands:
                 self._count = max(self._count, command.number)
 
     def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
-        """Returns the net that reads a symbol.
+        """Return the net that reads a symbol.
 
         Args:
             symbol: The symbol; several nets may read it as a word to their commands.
@@ -200,7 +200,7 @@ class Commands:
         return next(at_work, readers[0]) if meant is not None else readers[0]
 
     def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
-        """Writes a command to the tape of the net that reads its symbol; returns its number.
+        """Write a command to the tape of the net of the symbol; return the number.
 
         Args:
             symbol: Its symbol.
@@ -223,7 +223,7 @@ class Commands:
         return number
 
     async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
-        """Waits until a command has ended.
+        """Wait until a command has ended.
 
         Args:
             number: Its number.
@@ -243,7 +243,7 @@ class Commands:
         started: Callable[[int], None] | None = None,
         number: int = 0,
     ) -> CommandOutcome:
-        """Waits for a command that has not ended, or returns how it, or the last one of its symbol, has ended.
+        """Wait for an open command, or return the end of a former one, or of the last one of the symbol.
 
         Args:
             symbol: Symbol of the command.
@@ -281,7 +281,7 @@ class Commands:
         return _outcome(ended)
 
     def fired(self, firings: Sequence[Firing]) -> None:
-        """Tells listeners of the steps of their commands."""
+        """Inform listeners of the steps of the commands."""
         if self._open:
             for firing in firings:
                 if firing.phase is Phase.START and firing.command_id in self._open:
@@ -291,7 +291,7 @@ class Commands:
                     self._tell(firing.command_id, firing.transition, "", firing.progress)
 
     def progressed(self, number: int, text: str, fraction: float) -> None:
-        """Tells listeners what an action of their command has reported."""
+        """Inform listeners of the progress of an action of the command."""
         if number in self._open:
             command = self._open[number]
             command.text, command.progress = text, max(command.progress, fraction)
@@ -333,7 +333,7 @@ class Commands:
 
 
 def _tellable(symbol: str, result: CommandResult) -> CommandResult:
-    """Returns a result as its client can be told; one that returns what JSON cannot carry has failed."""
+    """Return a result fit for the client; a result beyond JSON is a failure."""
     try:
         results = plain_dict(result.results, f"what {symbol} returned")
     except NetError as unfit:
@@ -342,7 +342,7 @@ def _tellable(symbol: str, result: CommandResult) -> CommandResult:
 
 
 def _explained(result: CommandResult, events: Sequence[str]) -> CommandResult:
-    """Return a result that tells the events before its command failed."""
+    """Return a result that tells the events before the command failed."""
     if result.error is None or result.error.code == "cancelled":
         return result
     untold = [event for event in events if event.partition(";")[0] not in result.error.message]

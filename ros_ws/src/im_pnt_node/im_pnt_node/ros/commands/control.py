@@ -15,7 +15,7 @@ REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "re
 
 
 class ControlService:
-    """Passes on what an operator wants of a net.
+    """Service for the operator of a net.
 
     Args:
         node: The node.
@@ -56,7 +56,7 @@ class ControlService:
 
 
 def _event(executor: Executor, request: str, argument: str) -> Event:
-    """Returns what a request means for a net.
+    """Return the event of a request to a net.
 
     Raises:
         NotFoundError: There is no such request, or no such transition.

@@ -35,7 +35,7 @@ REQUESTS = ("cancel", "pause", "resume")
 
 
 class RunCommand(Protocol):
-    """Runs a command to its end, as :meth:`im_pnt_node.ros.node.PntNode.command` does."""
+    """Runner of a command to the end, as :meth:`im_pnt_node.ros.node.PntNode.command`."""
 
     def __call__(
         self,
@@ -45,7 +45,7 @@ class RunCommand(Protocol):
         started: Callable[[int], None] | None = None,
         priority: int = 0,
     ) -> Awaitable[CommandOutcome]:
-        """Runs it.
+        """Run the command.
 
         Raises:
             ImError: It was not begun.
@@ -54,20 +54,20 @@ class RunCommand(Protocol):
 
 
 class CommandControl(Protocol):
-    """What is done to commands under way."""
+    """Controls of open commands."""
 
     def cancel(self, command_id: int) -> None:
-        """Asks a command to end early."""
+        """Ask a command to end early."""
 
     def hold(self, command_id: int, held: bool) -> None:
-        """Has nothing more begun for a command, or has it go on."""
+        """Begin nothing more for a command, or let it go on."""
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """Returns what a command needs of what there is once, and what it waits for, if it does."""
+        """Return the resources of a command, and those it waits for."""
 
 
 class ExecuteServer:
-    """Runs commands for clients of the action, tells them of progress, and controls them.
+    """Server of the action for commands: runs them, reports progress, and controls them.
 
     Args:
         node: The node.
@@ -104,7 +104,7 @@ class ExecuteServer:
         self.tell()
 
     def tell(self) -> None:
-        """Publishes the list of commands; call it when a net has come or gone."""
+        """Publish the list of commands; call it after a net has come or gone."""
         told: dict[object, dict[str, object]] = {}
         for executor in self._nets.values():
             for entry in commands_of(executor.written):
@@ -229,7 +229,7 @@ class ExecuteServer:
 
 
 def commands_of(net: Net) -> list[dict[str, object]]:
-    """Returns what is told of the commands of a net.
+    """Return the published description of the commands of a net.
 
     Symbol, net and description of each; where the net declares it, also the JSON schema of its arguments; and where it
     needs what there is once, ``needs``, ``busy`` and ``priority``.
@@ -249,7 +249,7 @@ def _command_of(net: Net, symbol: str) -> dict[str, object]:
 
 
 def read_arguments(text: str) -> dict[str, object]:
-    """Reads the arguments of a command, a JSON object or nothing.
+    """Read the arguments of a command, a JSON object or nothing.
 
     Raises:
         DataError: They are something else.

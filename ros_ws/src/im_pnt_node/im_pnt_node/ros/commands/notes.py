@@ -1,4 +1,4 @@
-"""The commands of a node that have not ended, in a file for whoever finds what a killed machine has left."""
+"""Open commands of a node in a file, for the next start after the death of the machine."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -12,7 +12,7 @@ from im_core.unfinished_commands import OpenCommandNote, note
 
 
 class CommandNotes:
-    """Writes which commands of a node are open, soon after that has changed; what they do is in the journal.
+    """Writer of the open commands of a node, soon after a change; the work is in the journal.
 
     Args:
         node: The node.
@@ -28,20 +28,20 @@ class CommandNotes:
         self._waiting: list[Promise] = []
 
     def changed(self) -> None:
-        """Has them written, soon."""
+        """Write the open commands, soon."""
         self._wanted = True
         if not self._running and self._run_dir is not None:
             self._running = True
             self._node.spawn(self._write(self._run_dir))
 
     def write_last(self) -> None:
-        """Write them at once, as their node ends: whoever has stopped it is told how far they were."""
+        """Write them at once, as the node ends: whoever has stopped it is told how far they were."""
         if self._run_dir is not None:
             with suppress(ImError):  # it is known which they are
                 note(self._run_dir, self._node.task_name, self._commands())
 
     async def written(self) -> None:
-        """Waits until the commands that are open now are written down, or cannot be."""
+        """Wait until the present open commands are written, or cannot be."""
         if self._run_dir is not None:
             promise = self._node.promise()
             self._waiting.append(promise)

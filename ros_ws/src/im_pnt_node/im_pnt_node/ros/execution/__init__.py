@@ -1,1 +1,1 @@
-"""What a node executes: the loop of its nets, and what their transitions do with other tasks and other nets."""
+"""Execution in a node: the loop of the nets, and the work of the transitions with other tasks and nets."""

@@ -1,4 +1,4 @@
-"""Actions of transitions that reach other tasks: service calls, publications, and what action goals share with them."""
+"""Actions of transitions on other tasks: service calls, publications, and the common part with goals."""
 
 import inspect
 from collections.abc import Callable, Coroutine
@@ -39,14 +39,14 @@ class RosAction(Protocol):
     """Carries out the actions of one kind."""
 
     def prepare(self, action: Action) -> None:
-        """Makes what an action needs before it is needed: discovery takes time.
+        """Create the client of an action before the first use: discovery takes time.
 
         Raises:
             NotFoundError: No such type is installed.
         """
 
     def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
-        """Carries an action out, and returns what is kept of its answer.
+        """Carry out an action, and return the kept part of the answer.
 
         Raises:
             ImError: It failed.
@@ -54,7 +54,7 @@ class RosAction(Protocol):
 
 
 class Surroundings:
-    """What actions reach other tasks with.
+    """Surroundings of actions: node, functions, heartbeats, log.
 
     Args:
         node: The node.
@@ -81,7 +81,7 @@ class Surroundings:
     async def wait(
         self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
     ) -> Any:
-        """Awaits what another node will complete, while it lives.
+        """Await the work of another node, while it lives.
 
         Args:
             future: What it completes.
@@ -120,7 +120,7 @@ class Surroundings:
         what: str,
         unwanted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Waits for a server to be discovered, and to have discovered us: what is sent before may be lost.
+        """Wait for the discovery of a server in both directions: earlier requests may be lost.
 
         One whose task is silent is waited for, too: who died or stood still may be there again soon. One whose task
         starts, and could not do yet what it is asked for, is waited for as long as a start may take.
@@ -155,7 +155,7 @@ class Surroundings:
         return self.heartbeats.missing(task)
 
     def task(self, action: ServiceAction | GoalAction) -> str | None:
-        """Returns the task whose heartbeat is watched while an answer is awaited."""
+        """Return the task with the watched heartbeat during a wait for an answer."""
         if action.task is not None:
             return action.task
         first = action.name.strip("/").partition("/")[0]
@@ -180,7 +180,7 @@ class Surroundings:
     async def sent(
         self, activity: Activity, action: ServiceAction | GoalAction | TopicAction, context: ActionContext, message: Any
     ) -> Any:
-        """Returns what is sent for an action: a message, filled, and noted.
+        """Return the filled and noted message of an action.
 
         Raises:
             ImError: As of :func:`fields_of`, a field does not fit, or what the builder has left cannot be kept.
@@ -193,7 +193,7 @@ class Surroundings:
     async def handled(
         self, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
     ) -> dict[str, object]:
-        """Has the registered handler read an answer, and returns the fields of it that the net reads."""
+        """Read an answer with the registered handler, and return the fields needed by the net."""
         return await handled(self.functions, action, context, answer)
 
 
@@ -205,7 +205,7 @@ class ServiceActions:
         self._clients = Endpoints(self._make, lambda made: surroundings.node.destroy_client(made[0]))
 
     def prepare(self, action: Action) -> None:
-        """Makes the client of an action.
+        """Create the client of an action.
 
         Raises:
             NotFoundError: No such type is installed.
@@ -214,7 +214,7 @@ class ServiceActions:
         self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Calls a service and has its answer handled; returns what is kept of it.
+        """Call a service and handle the answer; return the kept part of it.
 
         Raises:
             ImError: It failed, or did not answer in time.
@@ -241,19 +241,19 @@ class ServiceActions:
         return await around.handled(action, context, response)
 
     def _make(self, name: str, type_name: str) -> tuple[Client, float]:
-        """The client of a service, and when it was made."""
+        """Return the client of a service, and the time of creation."""
         return self._surroundings.node.create_client(interface_class(type_name), name), monotonic()
 
 
 class TopicActions:
-    """Publishes messages; an action has confirmed when the middleware has taken its message."""
+    """Publisher of messages; an action has confirmed once the middleware has taken the message."""
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
         self._publishers = Endpoints(self._make, surroundings.node.destroy_publisher)
 
     def prepare(self, action: Action) -> None:
-        """Makes the publisher of an action.
+        """Create the publisher of an action.
 
         Raises:
             NotFoundError: No such type is installed.
@@ -262,7 +262,7 @@ class TopicActions:
         self._publishers.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Publishes one message, which nobody answers.
+        """Publish one message, without an answer.
 
         Raises:
             NetError: A field does not fit.
@@ -281,19 +281,19 @@ class TopicActions:
 
 
 def sent_key(activity: Activity) -> list[object]:
-    """Under what a request, a goal or a message of an action is noted."""
+    """Return the key of a noted request, goal or message of an action."""
     return ["action", activity.net, activity.number]
 
 
 def answer_key(activity: Activity) -> list[object]:
-    """Under what its answer is."""
+    """Return the key of the noted answer."""
     return ["answer", activity.net, activity.number]
 
 
 async def fields_of(
     functions: Functions, action: ServiceAction | GoalAction | TopicAction, context: ActionContext
 ) -> dict[str, object]:
-    """Returns the fields of what is sent.
+    """Return the fields of an outgoing message.
 
     Raises:
         NetError: The builder returned something else.
@@ -314,7 +314,7 @@ async def fields_of(
 async def handled(
     functions: Functions, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
 ) -> dict[str, object]:
-    """Has the registered handler read an answer, and returns the fields of it that the net reads.
+    """Read an answer with the registered handler, and return the fields needed by the net.
 
     Raises:
         ImError: One of them is no finite number.
@@ -327,7 +327,7 @@ async def handled(
 
 
 def require_wanted(activity: Activity) -> None:
-    """Nothing is sent for an action that was asked to end meanwhile.
+    """Refuse to send for an action with a request to end.
 
     Raises:
         ImError: It was.
@@ -337,12 +337,12 @@ def require_wanted(activity: Activity) -> None:
 
 
 def time_left(activity: Activity, default: float) -> float:
-    """Time to wait for an answer [s]: where the net sets a limit, that one is to strike, and a late answer counts."""
+    """Return the time to wait for an answer [s]: a limit of the net strikes by itself, and a late answer counts."""
     return default if activity.deadline is None else max(0.0, activity.deadline - monotonic()) + LATE_ANSWER_S
 
 
 def require_success(answer: Any, what: str) -> None:
-    """Checks the fields ``success`` and ``error_code`` of an answer, if it has them.
+    """Check the fields ``success`` and ``error_code`` of an answer, if it has them.
 
     Raises:
         ImError: It did not succeed; with what the answer says.
@@ -352,7 +352,7 @@ def require_success(answer: Any, what: str) -> None:
 
 
 def failure_of(answer: Any, otherwise: str, code: str) -> ImError:
-    """Returns the failure that an answer tells of: its ``status``, or its ``error_code`` and what it says in words."""
+    """Return the failure in an answer: the ``status``, or the ``error_code`` with the text."""
     status = getattr(answer, "status", None)
     if status is not None and hasattr(status, "message") and status.message:
         return status_to_error(status)
@@ -370,7 +370,7 @@ _GOOD = ("SUCCESSFUL", "SUCCESS", "NONE", "OK")
 
 
 def _error_code(answer: Any) -> int | None:
-    """The ``error_code`` of an answer whose type names the codes (control_msgs, moveit_msgs); None: it says success."""
+    """Return the named ``error_code`` of an answer (control_msgs, moveit_msgs); None for success."""
     code = getattr(answer, "error_code", None)
     code = getattr(code, "val", code)
     good = next((value for name, value in _codes(answer).items() if name in _GOOD), 0)
@@ -378,7 +378,7 @@ def _error_code(answer: Any) -> int | None:
 
 
 def _codes(answer: Any) -> dict[str, int]:
-    """The constants of the message that holds the ``error_code``."""
+    """Return the constants of the message with the ``error_code``."""
     code = getattr(answer, "error_code", None)
     holder = type(code if hasattr(code, "val") else answer)
     return {name: value for name, value in vars(holder).items() if name.isupper() and isinstance(value, int)}

@@ -1,4 +1,4 @@
-"""Messages that transitions wait for: any topic of any node.
+"""Awaited messages of transitions: any topic of any node.
 
 A topic is listened to from the moment in which its net is loaded, for discovery takes time; what counts is what arrives
 when the action has begun. Messages are decoded only while somebody waits.
@@ -40,7 +40,7 @@ class AwaitActions:
         self._topics = Endpoints(lambda name, kind: _Topic(surroundings.node, name, kind), _Topic.close)
 
     def prepare(self, action: Action) -> None:
-        """Begins to listen.
+        """Begin to listen.
 
         Raises:
             NotFoundError: No such type is installed.
@@ -49,7 +49,7 @@ class AwaitActions:
         self._topics.of(action.name, action.type).listener(action.latched)
 
     def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
-        """Takes the next message from now on; whatever comes counts, also before the coroutine has begun.
+        """Take the next message from now on; every message counts, also one before the start of the coroutine.
 
         Raises:
             ImError: It was cancelled, or the handler failed.
@@ -69,7 +69,7 @@ class AwaitActions:
         return self._take(promise, activity, action, context)
 
     def ask(self, activity: Activity, _: ActionContext) -> Answer:
-        """Returns what became of a wait whose time is over: failed, even before it is known to be called off."""
+        """Return the outcome of a wait after the time: failed, even before the cancellation is known."""
         return Answer(Outcome.FAILED, activity.doubt, asked="nobody: it only waited")
 
     def _counts(self, action: AwaitAction, context: ActionContext, message: Any) -> bool:
@@ -85,7 +85,7 @@ class AwaitActions:
 
 
 class _Topic:
-    """A topic that is listened to: for what comes, or also for what was latched before.
+    """Subscribed topic: for new messages, or also for latched ones.
 
     Args:
         node: The node.
@@ -98,19 +98,19 @@ class _Topic:
         self._listeners: dict[bool, _Listener] = {}
 
     def listener(self, latched: bool) -> "_Listener":
-        """Returns who listens, for the last message before too where that counts."""
+        """Return the listener, for a message before now too where the action wants it."""
         if latched not in self._listeners:
             self._listeners[latched] = _Listener(self._node, self._name, self._type, latched)
         return self._listeners[latched]
 
     def close(self) -> None:
-        """Listens no more."""
+        """Stop listening."""
         for listener in self._listeners.values():
             listener.close()
 
 
 class _Listener:
-    """A subscription whose quality of service follows the publishers: what they cannot give is not asked for.
+    """Subscription with the quality of service of the publishers: no more is requested than offered.
 
     Args:
         node: The node.
@@ -127,7 +127,7 @@ class _Listener:
         self._subscription = self._subscribe()
 
     def next(self, counts: Callable[[Any], bool]) -> Promise:
-        """Returns the promise of the next message that counts, or of the last one where that is latched and counts."""
+        """Return the promise of the next counting message, or of the latched one where it counts."""
         promise = self._node.promise()
         self._waiting[promise] = counts
         if self._last is not None:
@@ -135,11 +135,11 @@ class _Listener:
         return promise
 
     def drop(self, promise: Promise) -> None:
-        """Forgets a promise that nobody waits for any more."""
+        """Forget a promise without a waiting action."""
         self._waiting.pop(promise, None)
 
     def close(self) -> None:
-        """Listens no more."""
+        """Stop listening."""
         self._node.destroy_subscription(self._subscription)
 
     def _hear(self, data: bytes) -> None:
@@ -150,7 +150,7 @@ class _Listener:
                 self._offer(promise, message)
 
     def _offer(self, promise: Promise, message: Any) -> None:
-        """Keeps a promise if a message counts, or where nobody can tell whether it does."""
+        """Keep a promise if a message counts, or where the value is undecided."""
         try:
             if self._waiting[promise](message):
                 self.drop(promise)
@@ -176,7 +176,7 @@ class _Listener:
         )
 
     def _adapt(self, _: object) -> None:
-        """Asks for less: a publisher is there that cannot give what was asked for."""
+        """Request less: a publisher cannot give the requested quality of service."""
         ends = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
         reliable = all(end.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT for end in ends)
         durable = self._latched and all(end.qos_profile.durability != DurabilityPolicy.VOLATILE for end in ends)

@@ -1,4 +1,4 @@
-"""What actions reach others with, and that a name of ROS is of one type in a node."""
+"""Endpoints of actions; a name of ROS has one type in a node."""
 
 from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 class EndpointGoesError(NetError):
-    """What a name was reached with has another type and goes now; it can be made anew in a later turn of the loop."""
+    """Signal: the endpoint of a name has another type and goes now; make a new one in a later turn of the loop."""
 
 
 class Endpoints(Generic[T]):
@@ -30,7 +30,7 @@ class Endpoints(Generic[T]):
         self._made: dict[str, tuple[str, T]] = {}
 
     def of(self, name: str, type_name: str) -> T:
-        """Returns the one of a name, of this type.
+        """Return the endpoint of a name, of this type.
 
         Raises:
             NotFoundError: No such type is installed.
@@ -47,7 +47,7 @@ class Endpoints(Generic[T]):
 
 
 def require_one_type(net: Net, others: Iterable[Net]) -> None:
-    """Checks that a net, with those that run beside it, uses each name of ROS with one type.
+    """Check whether a net, with the neighbours in the node, uses each name of ROS with one type.
 
     Raises:
         NetError: It does not.

@@ -46,7 +46,7 @@ _OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GO
 
 
 class GoalActions:
-    """Sends goals and waits for their results; cancelling the activity cancels the goal.
+    """Client of goals: sends them and waits for the results; a cancelled activity cancels the goal.
 
     Args:
         surroundings: Reaches other tasks.
@@ -66,7 +66,7 @@ class GoalActions:
         self._performed: set[Activity] = set()
 
     def prepare(self, action: Action) -> None:
-        """Makes the client of an action.
+        """Create the client of an action.
 
         Raises:
             NotFoundError: No such type is installed.
@@ -75,7 +75,7 @@ class GoalActions:
         self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Sends a goal, waits for its result and has it handled; returns what is kept of it.
+        """Send a goal, wait for the result and handle it; return the kept part.
 
         Raises:
             ImError: It was rejected, aborted or cancelled, or the server is gone.
@@ -120,7 +120,7 @@ class GoalActions:
         return await around.handled(action, context, result_of(action, answer.status, answer.result))
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
-        """Asks the server what became of a goal that was sent in a former life of this process."""
+        """Ask the server for the outcome of a goal from a former incarnation of this process."""
         around, action = self._surroundings, activity.action
         assert isinstance(action, GoalAction)
         if activity in self._performed:
@@ -151,13 +151,13 @@ class GoalActions:
         return Answer(Outcome.DONE, results=kept, asked=action.name)
 
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
-        """Begins to wait for a result, and to cancel the goal when the activity is cancelled."""
+        """Begin to wait for a result, and cancel the goal with the activity."""
         result = handle.get_result_async()
         activity.when_cancelled(lambda: self._spawn(self._cancel(handle, result)))
         return result
 
     async def _cancel(self, handle: ClientGoalHandle, result: Any) -> None:
-        """Cancels a goal, again and again until the server has said that it winds down or is over."""
+        """Cancel a goal, again and again until the server confirms the end or winding down."""
         while not result.done():
             try:
                 asked = self._surroundings.wait(handle.cancel_goal_async(), None, CANCEL_TIMEOUT_S, "a cancellation")
@@ -179,17 +179,17 @@ class GoalActions:
         return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
 
     def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
-        """The client of an action, and when it was made."""
+        """Return the client of an action, and the time of creation."""
         return GuardedActionClient(self._surroundings.node, interface_class(type_name), name), monotonic()
 
 
 def packed_result(answer: Any) -> list[object]:
-    """Returns the answer to a goal as JSON data: status, type and CDR of the result."""
+    """Return the answer to a goal as JSON data: status, type and CDR of the result."""
     return [int(answer.status), *packed_message(answer.result)]
 
 
 def result_of(action: GoalAction, status: int, result: Any) -> Any:
-    """Returns the result of a goal that has succeeded.
+    """Return the result of a successful goal.
 
     Raises:
         ImError: It has not: it was cancelled or aborted, or the result says so.

@@ -1,4 +1,4 @@
-"""The loop of a node's nets: takes what has arrived, fires, writes the journal, and only then lets anything leave."""
+"""The loop of a node's nets: takes arrived events, fires, writes the journal, and then lets effects leave."""
 
 import contextlib
 import threading
@@ -19,7 +19,7 @@ MOST_AT_A_STRETCH = 120_000
 
 
 class NetLoop:
-    """Pumps nets in the thread of their node's executor.
+    """Loop of nets in the thread of the node's executor.
 
     Nothing is polled: a turn follows what arrives, and one alarm waits for the next deadline or delay of all nets.
 
@@ -55,7 +55,7 @@ class NetLoop:
                 self._wake_timer.reset()
 
     def pump(self, executor: Executor) -> bool:
-        """Pumps a net, and pauses it if it fires on and on without coming to rest; in the loop.
+        """Pump a net, and pause it if it fires on and on without rest; in the loop.
 
         Returns:
             Whether there is more to do at once.
@@ -70,7 +70,7 @@ class NetLoop:
         return more
 
     def turn(self) -> None:
-        """Takes what has arrived and fires until nothing is enabled; in the loop."""
+        """Take arrived events and fire until nothing is enabled; in the loop."""
         self._turn(everyone=False)
 
     def take_packet(self, hear: Callable[[str], None], text: str) -> None:

@@ -25,7 +25,7 @@ TICK_PERIOD_S = 0.05
 
 
 class DdsTransport:
-    """A link over DDS topics, and who runs which net.
+    """Link over DDS topics, with the nodes of all nets.
 
     Args:
         node: The node.
@@ -60,7 +60,7 @@ class DdsTransport:
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def listen(self, exchange: Exchange, loop: NetLoop) -> None:
-        """Begins to take packets.
+        """Begin to take packets.
 
         Args:
             exchange: For which; its nets are there now.
@@ -74,15 +74,15 @@ class DdsTransport:
         self._tick_timer.reset()
 
     def node_of(self, net: str) -> str:
-        """Returns the node that has announced a net, or the one of its name."""
+        """Return the node that has announced a net, or the one of the name."""
         return self._directory.get(net, net)
 
     def prepare(self, net: str) -> None:
-        """Makes the publisher to a net's node before it is needed: discovery takes time."""
+        """Create the publisher to a net's node before the first use: discovery takes time."""
         self._publisher(self.node_of(net))
 
     def send(self, node: str, message: Message) -> None:
-        """Sends a message; it arrives once, some time, and in order.
+        """Send a message; it arrives once, some time, and in order.
 
         Raises:
             NetError: Its payload is not JSON data.
@@ -93,15 +93,15 @@ class DdsTransport:
         self._wake()  # where a coroutine sends it, no turn need come by itself that lets it leave
 
     def forget(self, request_id: str) -> None:
-        """Sends nothing more about a request."""
+        """Send nothing more about a request."""
         self.link.forget(request_id)
 
     def keeps_journal(self, node: str) -> bool:
-        """Whether a node has said that it keeps a journal, in a packet or with the description of a net."""
+        """Return whether a node has announced a journal, in a packet or with the description of a net."""
         return self.link.keeps_journal(node) or node in self._journalling
 
     def flush(self) -> None:
-        """Sends what is new; call it when the journal has been written."""
+        """Send new messages; call it after the write of the journal."""
         self.link.flush()
         if not self._ticking and not self.link.idle():
             self._ticking = True
@@ -113,7 +113,7 @@ class DdsTransport:
             self._watch(node)
 
     def _watch(self, node: str) -> None:
-        """Has the exchange told when a node dies that this one has to do with."""
+        """Inform the exchange of the death of a partner node."""
         since = self._heartbeats.incarnation(node)
         self._watched[node] = self._heartbeats.watch(node, since, lambda why: self._lost(node, why))
 
@@ -145,7 +145,7 @@ class DdsTransport:
         publisher.publish(encode_packet(text))
 
     def _learn(self, description: NetDescription) -> None:
-        """Takes note of who runs a net; where that makes no sense, nobody could be written to.
+        """Note the node of a net; refuse a name without a possible publisher.
 
         Raises:
             DataError: There can be no node of that name.

@@ -1,1 +1,1 @@
-"""What nets see of the machine: the data objects of the DOM, whose commands they are, and last messages."""
+"""The machine as nets see it: data objects of the DOM, the commands, and last messages."""

@@ -14,7 +14,7 @@ Ways = tuple[Way, ...]
 
 
 class _Reading:
-    """Stands for an object that is being read."""
+    """Placeholder of an object during the reading."""
 
 
 class DomObjects:
@@ -33,7 +33,7 @@ class DomObjects:
         self._latest: dict[tuple[str, Ways], dict[str, object] | ImError | _Reading] = {}
 
     async def read(self, name: str, kind: str, ways: Sequence[tuple[str, ...]]) -> dict[str, object]:
-        """Returns fields of an object as JSON data.
+        """Return fields of an object as JSON data.
 
         Raises:
             ImError: There is none that is valid, it is of another type, or a field is no finite number.
@@ -42,7 +42,7 @@ class DomObjects:
         return plain_fields(message, ways, f"data object {name}")
 
     def latest(self, name: str, kind: str, ways: Sequence[Way]) -> dict[str, object]:
-        """Returns fields of an object as they have been read since :meth:`stale` was called.
+        """Return fields of an object, read since the last call of :meth:`stale`.
 
         Raises:
             ObjectPendingError: It is being read.
@@ -64,7 +64,7 @@ class DomObjects:
         self._latest = {}
 
     def forget(self, name: str) -> bool:
-        """Has an object read anew that has changed; returns whether a guard looks at it."""
+        """Read a changed object anew at the next use; return whether a guard needs it."""
         gone = [key for key in self._latest if key[0] == name]
         for key in gone:
             del self._latest[key]
@@ -81,7 +81,7 @@ class DomObjects:
         self._known()
 
     async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
-        """Stores an object.
+        """Store an object.
 
         Raises:
             ImError: A field does not fit, or it was refused.
@@ -89,7 +89,7 @@ class DomObjects:
         await self._dom.put(name, fill(interface_class(kind)(), fields, f"data object {name}"), place)
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
-        """Has something done, and calls back with why it failed, if it has."""
+        """Run a coroutine, and call back with the reason of the failure, if it fails."""
         self._spawn(self._run(work, done))
 
     async def _run(self, work: Coroutine[object, object, None], done: Done) -> None:

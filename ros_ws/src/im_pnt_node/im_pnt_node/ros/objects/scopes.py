@@ -1,4 +1,4 @@
-"""The data objects of commands that have ended are forgotten, also of those that ended while nobody could tell."""
+"""Deletion of the data objects of ended commands, also of commands which ended in a death of the node."""
 
 import re
 from collections.abc import Callable, Container
@@ -13,7 +13,7 @@ LOOK_S = 0.5
 
 
 class CommandScopes:
-    """Has ``/dom`` forget what belonged to commands of this node that have ended; their results are not among it.
+    """Owner of the data objects of commands: ``/dom`` deletes them after the end of a command, except the results.
 
     Args:
         node: The node.
@@ -27,14 +27,14 @@ class CommandScopes:
         self._wanted = self._running = False
 
     def tidy(self) -> None:
-        """Forgets what is left of commands that have ended, soon."""
+        """Delete the remaining objects of ended commands, soon."""
         self._wanted = True
         if not self._running and self._dom.is_there():
             self._running = True
             self._node.spawn(self._tidy())
 
     async def begin(self) -> None:
-        """Forgets what commands of former lives have left, when ``/dom`` is there."""
+        """Delete the objects of commands of former incarnations, once ``/dom`` is there."""
         while not self._dom.is_there():
             await pause(self._node, LOOK_S)
         self.tidy()

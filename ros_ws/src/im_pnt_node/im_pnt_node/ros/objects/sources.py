@@ -1,4 +1,4 @@
-"""What guards look at beside their net: the validity of data objects and the last messages of topics."""
+"""Inputs of guards beside the net: validity of data objects and last messages of topics."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -16,7 +16,7 @@ from im_pnt_node.ros.objects.validity import valid_or_not
 
 
 class Sources:
-    """Follows what guards declare (:func:`im_pnt.execution.functions.woken_by`), and says when it has changed.
+    """Follower of the declared inputs of guards (:func:`im_pnt.execution.functions.woken_by`).
 
     Args:
         node: The node.
@@ -34,7 +34,7 @@ class Sources:
     def follow(
         self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
     ) -> None:
-        """Follows a topic, so that guards may be woken by it.
+        """Follow a topic, so guards may be woken by it.
 
         Args:
             topic: Its name.
@@ -46,21 +46,21 @@ class Sources:
         self._node.create_subscription(message_type, topic, partial(self._hear, topic, check), profile)
 
     def last(self, topic: str) -> Any:
-        """Returns the last message of a topic that is followed, None before the first."""
+        """Return the last message of a followed topic, None before the first."""
         return self._last[topic]
 
     def tell(self) -> None:
-        """Has what was heard last noted again, for who begins to listen."""
+        """Note the last messages again, for a new listener."""
         for topic, message in self._last.items():
             if message is not None:
                 self._log.add("heard", topic, *packed_message(message))
 
     def valid(self, name: str) -> bool:
-        """Whether a data object that a guard has declared is valid."""
+        """Return whether a declared data object of a guard is valid."""
         return self._valid[name]
 
     def check_topics(self, net: str, sources: Iterable[str]) -> None:
-        """Checks that the topics are followed that the guards of a net are woken by.
+        """Check whether the topics of the guards of a net are followed.
 
         Raises:
             NetError: One is not.
@@ -71,13 +71,13 @@ class Sources:
                 raise NetError(f"{text}{nearest(topic, self._last)}", net=net, topic=topic)
 
     def declare(self, sources: Iterable[str]) -> None:
-        """Enters the data objects that the guards of a net are woken by; none is valid until :meth:`look` has ended."""
+        """Enter the data objects of the guards of a net; none is valid until :meth:`look` has ended."""
         for name in _named("data", sources) - self._valid.keys():
             self._valid[name] = False
             self._unknown.add(name)
 
     async def meet(self, sources: Iterable[str]) -> None:
-        """Enters the data objects that the guards of a net are woken by which is to come, and asks for their validity.
+        """Enter the data objects of the guards of a coming net, and ask for the validity.
 
         Raises:
             ImError: ``/dom`` does not tell.
@@ -87,7 +87,7 @@ class Sources:
             self._learned(name, await self._dom.is_valid(name))
 
     def keep(self, sources: Iterable[str]) -> None:
-        """Forgets the data objects that no guard is woken by any more.
+        """Drop the data objects without a guard.
 
         Args:
             sources: What the guards of all nets are woken by.
@@ -97,7 +97,7 @@ class Sources:
             self._unknown.discard(name)
 
     async def look(self) -> None:
-        """Asks for the validity of the objects that guards have declared; ends when ``/dom`` has answered."""
+        """Ask for the validity of the objects declared by guards; end with the answer of ``/dom``."""
         for name in tuple(self._valid):
             self._learned(name, await valid_or_not(self._node, self._dom, name))
 
@@ -111,13 +111,13 @@ class Sources:
         return name in self._valid
 
     def object_changed(self, name: str, valid: bool) -> None:
-        """Takes the validity of a data object that has changed."""
+        """Take in the changed validity of a data object."""
         if name in self._valid:
             self._valid[name] = valid
             self._changed(f"data:{name}")
 
     async def check(self, names: Iterable[str], done: Callable[[ImError | None], None]) -> None:
-        """Looks whether data objects are valid, and calls back with what is wrong, if anything is."""
+        """Check whether data objects are valid, and call back with the fault, if there is one."""
         try:
             for name in names:
                 if not await self._dom.is_valid(name):

@@ -1,4 +1,4 @@
-"""The token in a place and the validity of the data object for which it stands: they never disagree for long."""
+"""Agreement between the token in a place and the validity of the data object."""
 
 from collections.abc import Callable, Mapping
 
@@ -14,7 +14,7 @@ AGAIN_S = 1.0
 
 
 class Validity:
-    """Has tokens go to ``on_invalid`` whose data object is not valid.
+    """Mover of tokens to ``on_invalid`` once the data object is not valid.
 
     What ``/dom`` tells of changes may come late (the object was put again since), or never (one of both was dead, or
     had not discovered the other). So it only says which object is to be looked at; the answer of ``/dom`` counts.
@@ -37,11 +37,11 @@ class Validity:
         self._looking = False
 
     def shows(self, name: str) -> bool:
-        """Whether a token stands for an object, by its name in the DOM, and would go if that were not valid."""
+        """Return whether a token stands for an object, by the name in the DOM, and would go with the validity."""
         return any(name in executor.rule.shown_objects() for executor in self._nets.values())
 
     def turned(self) -> None:
-        """Has those objects looked at that tokens stand for now, and did not before the nets fired."""
+        """Check the objects of tokens placed by the last firings."""
         shown = self._all_shown()
         for name in shown - self._shown:
             self.look(name)
@@ -55,12 +55,12 @@ class Validity:
             self._node.spawn(self._look())
 
     def lost(self, name: str) -> None:
-        """Has the tokens go that stand for an object which is not valid."""
+        """Move the tokens of an invalid object."""
         for executor in self._nets.values():
             executor.post(ObjectInvalidated(name))
 
     async def compare(self) -> None:
-        """Looks at all objects that tokens stand for; ends when ``/dom`` has answered."""
+        """Check the objects of all tokens; end with the answer of ``/dom``."""
         for name in sorted(self._all_shown()):
             if not await valid_or_not(self._node, self._dom, name):
                 self._settled(name, False)

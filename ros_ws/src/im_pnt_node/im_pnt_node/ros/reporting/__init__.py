@@ -1,1 +1,1 @@
-"""What a node tells: firings and markings to topics, clients and the log, and what its nets can be run again from."""
+"""Reports of a node: firings and markings to topics, clients and the log, and the events for a re-run."""

@@ -1,4 +1,4 @@
-"""Publish the events that a re-run needs (:mod:`im_pnt_node.rerun.log`) on ``/pnt/events``, while subscribed to."""
+"""Publish the events for a re-run (:mod:`im_pnt_node.rerun.log`) on ``/pnt/events``, while somebody subscribes."""
 
 import inspect
 import json
@@ -30,7 +30,7 @@ MessageT = TypeVar("MessageT")
 
 
 class MissionPublisher:
-    """Tells whoever records, a message a turn, each with its number; who comes later is told the states first.
+    """Publisher of numbered events, a message a turn; a late subscriber gets the states first.
 
     A node whose nets keep no journal tells nothing.
 
@@ -57,17 +57,17 @@ class MissionPublisher:
         self._publisher = node.create_publisher(String, TOPIC, qos.EVENTS, event_callbacks=matched)
 
     def begin(self) -> None:
-        """Notes that the nets are there and may fire from now on."""
+        """Note the moment from which the nets may fire."""
         self._begun = self._anew = True
         self.publish()
 
     def loaded(self, executor: Executor) -> None:
-        """Tells of a net that has come."""
+        """Report a new net."""
         if self._begun and self._publisher.get_subscription_count():
             self._tell_state(executor)
 
     def publish(self) -> None:
-        """Publishes what was collected; nothing of before the nets may fire, as the states tell it."""
+        """Publish the collected events; those before the first firing are part of the states."""
         listened_to = self._begun and self._publisher.get_subscription_count() > 0
         self._log.recorded = listened_to and all(each.record is not None for each in self._nets())
         if not self._log.recorded:
@@ -110,17 +110,17 @@ class NotedRequests:
         self._requests, self._log = requests, log
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
-        """Sends a request."""
+        """Send a request."""
         self._log.sent(["request", activity.net, activity.number], [str(activity.action), arguments])
         self._requests.send_request(activity, arguments)
 
     def awaits_reply(self, activity: Activity) -> bool:
-        """Whether a request has been sent, and its reply is still to come."""
+        """Return whether a sent request still awaits the reply."""
         return self._requests.awaits_reply(activity)
 
 
 class NotedAnswers:
-    """Has the answers noted that tell what became of an action in doubt.
+    """Noted answers to questions about actions in doubt.
 
     Args:
         log: Is told of each.
@@ -130,7 +130,7 @@ class NotedAnswers:
         self._log = log
 
     def __call__(self, ask: Ask) -> Ask:
-        """Returns what asks the same, and notes what comes."""
+        """Return a function with the same question and noted answers."""
 
         async def asked(activity: Activity, context: ActionContext) -> Answer:
             async def work() -> Answer:
@@ -143,12 +143,12 @@ class NotedAnswers:
 
 
 def told_answer(answer: Answer) -> list[object]:
-    """Returns what became of an action as JSON data."""
+    """Return the outcome of an action as JSON data."""
     return [answer.outcome.value, encode_error(answer.error), dict(answer.results), answer.asked]
 
 
 class NotedObjects:
-    """Data objects that functions and expressions of nets read and store.
+    """Data objects read and stored by functions and expressions of nets.
 
     Args:
         dom: The client.
@@ -159,24 +159,24 @@ class NotedObjects:
         self._dom, self._log = dom, log
 
     async def get(self, name: str, message_type: type[MessageT]) -> MessageT:
-        """Returns an object; raises as the client does."""
+        """Return an object; raise as the client does."""
         return await self._log.read(["get", name], self._dom.get(name, message_type), packed_message)
 
     async def put(self, name: str, message: object, place: str = "") -> int:
-        """Stores an object; raises as the client does."""
+        """Store an object; raise as the client does."""
         self._log.sent(["put", name], packed_message(message))
         return await self._log.read(["put", name], self._dom.put(name, message, place), int)
 
     async def append(self, name: str, message: object) -> int:
-        """Appends to an object; raises as the client does."""
+        """Append to an object; raise as the client does."""
         self._log.sent(["append", name], packed_message(message))
         return await self._log.read(["append", name], self._dom.append(name, message), int)
 
     async def is_valid(self, name: str) -> bool:
-        """Whether there is a valid object of that name."""
+        """Return whether there is a valid object of a name."""
         return await self._log.read(["valid", name], self._dom.is_valid(name), bool)
 
     async def invalidate(self, name: str) -> None:
-        """Declares an object invalid; raises as the client does."""
+        """Declare an object invalid; raise as the client does."""
         self._log.sent(["invalidate", name], None)
         await self._log.read(["invalidate", name], self._dom.invalidate(name), lambda _: None)

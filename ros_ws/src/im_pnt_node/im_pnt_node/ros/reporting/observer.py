@@ -1,4 +1,4 @@
-"""Passes what nets tell on to whom it concerns: the topics, the clients of commands, the log."""
+"""Distributor of the reports of nets: to topics, clients of commands, and the log."""
 
 from collections.abc import Mapping, Sequence
 
@@ -29,22 +29,22 @@ class NodeObserver(Observer):
         self._lost_objects: set[str] = set()
 
     def fired(self, firings: Sequence[Firing]) -> None:
-        """Notes firings, and tells the clients of their commands."""
+        """Note firings, and inform the clients of the commands."""
         self._publisher.fired(firings)
         if self.commands is not None:
             self.commands.fired(firings)
 
     def progressed(self, net: str, job: Job | None, text: str, fraction: float) -> None:
-        """Tells the clients of a command."""
+        """Inform the clients of a command of the progress."""
         if job is not None and self.commands is not None:
             self.commands.progressed(job.command.id, text, fraction)
 
     def troubled(self, net: str, text: str) -> None:
-        """Writes a line of the log."""
+        """Write a line to the log."""
         self._node.get_logger().warning(f"net {net}: {text}" if net else text)
 
     def forgot(self, text: str) -> None:
-        """Writes a line of the log, goes on saying it on ``/diagnostics``, and notes it with the commands under way."""
+        """Write a loss to the log, keep it on ``/diagnostics``, and note it with the open commands."""
         self._reminders.add("journal", text)
         if self.commands is not None:
             self.commands.note_event(text)
@@ -71,13 +71,13 @@ class NodeObserver(Observer):
             self._reminders.end(subject)
 
     def unproved(self, text: str) -> None:
-        """Says of a net that runs without proof that it does, in the log, and from now on on ``/diagnostics``."""
+        """Write to the log and to ``/diagnostics``: a net runs without proof."""
         self._reminders.add("nets", text)
 
     def chose(
         self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
     ) -> None:
-        """Publishes a choice among strategies."""
+        """Publish a choice among strategies."""
         self._publisher.chose(net, probabilities, entropy, taken)
 
     def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:

@@ -28,7 +28,7 @@ GONE_S = 60.0
 
 
 class PntPublisher:
-    """Publishes what nets do on ``/pnt/firings``, ``/pnt/markings``, ``/pnt/strategies``, ``/pnt/nets``.
+    """Publisher of ``/pnt/firings``, ``/pnt/markings``, ``/pnt/strategies``, ``/pnt/nets``.
 
     What was fired is published when the turn of the loop is over, so that nobody who waits for a token waits for it; of
     markings that follow each other quickly only the last one is. Each net has its own latched publisher of markings, so
@@ -53,16 +53,16 @@ class PntPublisher:
         self._mark_due = False
 
     def fired(self, firings: Sequence[Firing]) -> None:
-        """Notes firings of a net."""
+        """Note firings of a net."""
         self._fired.append(firings)
         self._changed[firings[0].net] = None
 
     def changed(self, net: str) -> None:
-        """Notes that how a net is operated has changed."""
+        """Note a change in the operation of a net."""
         self._changed[net] = None
 
     def publish(self) -> None:
-        """Publishes what was noted; firings of one turn have one stamp."""
+        """Publish the noted events; firings of one turn have one stamp."""
         fired, self._fired = self._fired, []
         if fired and self._firings.get_subscription_count() > 0:
             now, publish = self._now(), self._firings.publish
@@ -86,7 +86,7 @@ class PntPublisher:
                 self.marked(self.nets[net])
 
     def marked(self, executor: Executor) -> None:
-        """Publishes the marking of a net, and how it is operated."""
+        """Publish the marking of a net, and the mode of operation."""
         marking, name = executor.marking(), executor.net.name
         activities = list(executor.activities)
 
@@ -112,7 +112,7 @@ class PntPublisher:
         )
 
     def chose(self, net: str, probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
-        """Publishes a choice among strategies."""
+        """Publish a choice among strategies."""
         self._choices.publish(
             StrategyChoice(
                 stamp=self._now(),
@@ -125,7 +125,7 @@ class PntPublisher:
         )
 
     def described(self, executor: Executor) -> None:
-        """Publishes a net: whom it serves, and the text of its file."""
+        """Publish a net: the clients, and the text of the file."""
         net = executor.written
         if (going := self._going.pop(net.name, None)) is not None:
             self._node.alarms.cancel(going)
@@ -137,7 +137,7 @@ class PntPublisher:
         )
 
     def withdrawn(self, net: str) -> None:
-        """Publishes that a net has gone, as a description without content, also for whoever comes within a minute."""
+        """Publish the removal of a net, as a description without content, kept for late subscribers for a minute."""
         self._descriptions[net].publish(NetDescription(net=net, node=self._node.get_fully_qualified_name()))
         self._going[net] = self._node.alarms.after(GONE_S, lambda: self._forget(net))
 
@@ -148,7 +148,7 @@ class PntPublisher:
                 self._node.destroy_publisher(publisher)
 
     def refused(self, net: str, message: str, nets: Sequence[Net], refusals: Sequence[Counterexample]) -> None:
-        """Publishes why a net was refused, with the firing sequence that shows it, if there is one.
+        """Publish the refusal of a net, with a firing sequence as the counterexample, if there is one.
 
         Args:
             net: Name of the net.

@@ -1,4 +1,4 @@
-"""Ports: how the messages of each Service become its requests, and its results messages."""
+"""Ports: conversion between the messages of each Service and the requests and results."""
 
 from im_vss.ros.ports.port import Port, TriggerPort
 

@@ -54,7 +54,7 @@ class CalibratePort(Port):
 
 
 def told(result: CalibrateResult) -> str:
-    """The outcome; where another lens model is proposed, that the Service makes one only: its answer holds no other."""
+    """Return the outcome as a sentence; a proposed lens model is named as the only one of the answer."""
     message = result.calibration.message
     if not any(verdict.lens for verdict in result.calibration.verdicts):
         return message
@@ -63,7 +63,7 @@ def told(result: CalibrateResult) -> str:
 
 
 def from_request(message: Calibrate.Request) -> CalibrateRequest:
-    """Cameras, observations and known lengths of a request, that of a caller or one out of a bag.
+    """Return cameras, observations and known lengths of a request, from a client or out of a bag.
 
     Raises:
         DataError: An observation or a known length is malformed.
@@ -94,7 +94,7 @@ def from_observation(message: ObservationMessage) -> Observation:
 
 
 def from_known_length(message: KnownLength, number: int) -> SeenLength:
-    """A known length from a message.
+    """Return a known length from a message.
 
     Args:
         message: The message.
@@ -113,7 +113,7 @@ def from_known_length(message: KnownLength, number: int) -> SeenLength:
 
 
 def from_spots(messages: Sequence[Spot], place: str) -> dict[str, SeenSpot]:
-    """Spots of one light by camera, from messages; those that were not found are left out.
+    """Return spots of one light by camera, from messages, without those not found.
 
     Args:
         messages: The messages.
@@ -147,7 +147,7 @@ def is_covariance(matrix: Array) -> bool:
 def to_report(
     calibration: Calibration, offset: tuple[float, float, float], message: str, **fields: Any
 ) -> CalibrationReport:
-    """A calibration as a message.
+    """Convert a calibration to a message.
 
     Args:
         calibration: The estimate.

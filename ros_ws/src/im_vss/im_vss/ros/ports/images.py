@@ -1,4 +1,4 @@
-"""Ports of the Services that look at images: snap, spots, circles, lines, fiducials."""
+"""Ports of the Services of images: snap, spots, circles, lines, fiducials."""
 
 import json
 from dataclasses import replace
@@ -43,11 +43,11 @@ class SnapPort(Port):
     kind: ClassVar[type] = Snap
 
     def request(self, message: Snap.Request) -> SnapRequest:
-        """Cameras and exposure."""
+        """Read cameras and exposure."""
         return SnapRequest(tuple(message.cameras), message.exposure)
 
     def answer(self, result: SnapResult, response: Snap.Response) -> None:
-        """Images and camera infos, of the same stamps."""
+        """Fill in images and camera infos, of the same stamps."""
         for frame in result.frames:
             entry = self.rig.book[frame.camera]
             response.images.append(to_image(entry.frame, frame.stamp_ns, frame.image))
@@ -61,11 +61,11 @@ class SpotFindPort(Port):
     kind: ClassVar[type] = SpotFind
 
     def request(self, message: SpotFind.Request) -> SpotFindRequest:
-        """Cameras and exposure, or a look."""
+        """Read cameras and exposure, or a look."""
         return SpotFindRequest(tuple(message.cameras), message.exposure, message.look)
 
     def answer(self, result: SpotFindResult, response: SpotFind.Response) -> None:
-        """A spot, or the cause of its absence, and the candidates, for each camera."""
+        """Fill in a spot, or the cause of the absence, and the candidates, for each camera."""
         response.spots = [to_spot(spot) for spot in result.spots]
         response.candidates = [to_candidates(spot) for spot in result.spots]
         response.timing_json = json.dumps(result.timing)
@@ -77,7 +77,7 @@ class SpotLookPort(Port):
     kind: ClassVar[type] = SpotLook
 
     def request(self, message: SpotLook.Request) -> SpotLookRequest:
-        """Cameras and exposure."""
+        """Read cameras and exposure."""
         return SpotLookRequest(tuple(message.cameras), message.exposure)
 
     def answer(self, result: str, response: SpotLook.Response) -> None:
@@ -91,11 +91,11 @@ class SpotFindStereoPort(Port):
     kind: ClassVar[type] = SpotFindStereo
 
     def request(self, message: SpotFindStereo.Request) -> SpotFindStereoRequest:
-        """Cameras and exposure."""
+        """Read cameras and exposure."""
         return SpotFindStereoRequest(tuple(message.cameras), message.exposure)
 
     def answer(self, result: SpotFindStereoResult, response: SpotFindStereo.Response) -> None:
-        """The point, or why there is none; what each camera saw."""
+        """Fill in the point, or the cause of the absence, and the finding of each camera."""
         stereo = result.stereo
         response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
         response.point.header = to_header("world", result.spots[0].stamp_ns)
@@ -131,7 +131,7 @@ class CircleFindPort(Port):
 
 
 def to_ellipse(circle: EllipseFit) -> Ellipse:
-    """A circle as a message; `fit.contrast` is positive where the outside is the brighter side."""
+    """Convert a circle to a message; `fit.contrast` is positive where the outside is the brighter side."""
     return Ellipse(
         u=circle.u,
         v=circle.v,
@@ -164,7 +164,7 @@ class LineFindPort(Port):
 
 
 def to_segment(line: LineFit) -> LineSegment:
-    """A line as a message."""
+    """Convert a line to a message."""
     return LineSegment(
         start=line.start,
         end=line.end,
@@ -181,7 +181,7 @@ class FiducialPosePort(Port):
     kind: ClassVar[type] = FiducialPose
 
     def request(self, message: FiducialPose.Request) -> FiducialPoseRequest:
-        """Cameras and numbers."""
+        """Read cameras and numbers."""
         return FiducialPoseRequest(tuple(message.cameras), tuple(message.ids), message.exposure)
 
     def answer(self, result: FiducialPoseResult, response: FiducialPose.Response) -> None:

@@ -31,7 +31,7 @@ class LaserPointPort(Port):
     kind: ClassVar[type] = LaserPoint
 
     def request(self, message: LaserPoint.Request) -> LaserPointRequest:
-        """Angles or target."""
+        """Read angles or target."""
         first, second = (float(angle) for angle in message.angles)
         place = message.target
         target = np.array([place.x, place.y, place.z]) if message.to_target else None
@@ -51,13 +51,13 @@ class LaserSpot3dPort(Port):
     kind: ClassVar[type] = LaserSpot3d
 
     def request(self, message: LaserSpot3d.Request) -> LaserSpot3dRequest:
-        """Cameras and angles."""
+        """Read cameras and angles."""
         first, second = (float(angle) for angle in message.angles)
         angles = None if message.present else (first, second)
         return LaserSpot3dRequest(tuple(message.cameras), angles, message.exposure)
 
     def answer(self, result: LaserSpot3dResult, response: LaserSpot3d.Response) -> None:
-        """The point, or why there is none; what each camera saw."""
+        """Fill in the point, or the cause of the absence, and the finding of each camera."""
         stereo = result.stereo
         response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
         response.angles = [result.beam.mirror1, result.beam.mirror2]
@@ -80,12 +80,12 @@ class LineScanPort(Port):
     kind: ClassVar[type] = LineScan
 
     def request(self, message: LineScan.Request) -> LineScanRequest:
-        """Cameras and angles."""
+        """Read cameras and angles."""
         span, sweep = ((float(pair[0]), float(pair[1])) for pair in (message.span, message.sweep))
         return LineScanRequest(tuple(message.cameras), span, sweep, message.lines, message.exposure)
 
     def answer(self, result: LineScanResult, response: LineScan.Response) -> None:
-        """The points, and what was rejected."""
+        """Fill in the points, and the rejected ones."""
         response.cloud = to_cloud(result.points, result.brightness, result.stamp_ns)
         response.count = len(result.points)
         response.causes, response.rejected = list(result.rejected), list(result.rejected.values())
@@ -118,7 +118,7 @@ class LaserCalibratePort(Port):
     kind: ClassVar[type] = LaserCalibrate
 
     def request(self, message: LaserCalibrate.Request) -> LaserCalibrateRequest:
-        """Cameras and angles."""
+        """Read cameras and angles."""
         return LaserCalibrateRequest(
             tuple(message.cameras), tuple(message.mirror1), tuple(message.mirror2), message.apply
         )

@@ -33,17 +33,17 @@ class Port(ABC):
         """Fill a response from the Service's result."""
 
     def succeed(self, response: Any, remarks: Sequence[str]) -> None:
-        """Mark a response as the answer of a request that was carried out; remarks join the one in its status."""
+        """Mark a response as the answer of a finished request; remarks join the one in the status."""
         response.success = True
         response.status = ok_status("; ".join(filter(None, (response.status.message, *remarks))))
 
     def refuse(self, error: ImError, response: Any) -> None:
-        """Say in a response what went wrong."""
+        """Write an error into a response."""
         response.status = to_status(error)
 
 
 class TriggerPort(Port):
-    """For Services that are asked with nothing and answer a sentence: `std_srvs/srv/Trigger`."""
+    """Port of Services without arguments and with a sentence as answer: `std_srvs/srv/Trigger`."""
 
     kind: ClassVar[type] = Trigger
 
@@ -60,5 +60,5 @@ class TriggerPort(Port):
         response.message = "; ".join((response.message, *remarks))
 
     def refuse(self, error: ImError, response: Trigger.Response) -> None:
-        """Say what went wrong."""
+        """Write an error into a response."""
         response.message = error.message
