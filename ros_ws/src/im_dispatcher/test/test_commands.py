@@ -181,7 +181,7 @@ def test_commands_are_named_by_name_file_or_folder(folder: Path) -> None:
         ("mve", "did you mean 'move'"),
         ("./nothing.yaml", "nothing.yaml: there is no such net file"),
         ("/proc/self/fd", "there is no net file"),
-        ("", "no command is named: give net files, folders of them, or names of calibrate_camera, "),
+        ("", "no command is named: give net files, folders of them, shipped, or names of calibrate_camera, "),
     ],
 )
 def test_a_command_that_there_is_not_is_named(name: str, message: str) -> None:

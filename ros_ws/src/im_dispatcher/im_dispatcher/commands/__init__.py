@@ -17,6 +17,9 @@ from im_pnt.netfile import load_net
 
 NETS = Path(__file__).parent.parent / "nets"
 
+SHIPPED = "shipped"
+"""Name of all shipped commands together."""
+
 
 def shipped() -> list[str]:
     """Return names of the shipped commands: those of the net files."""
@@ -27,7 +30,7 @@ def net_files(named: Iterable[str]) -> list[Path]:
     """The net files of commands.
 
     Args:
-        named: Names of shipped commands, paths of net files, and of folders of them.
+        named: ``shipped`` for all shipped commands, names of some, paths of net files, and of folders of them.
 
     Raises:
         NotFoundError: There is no such command.
@@ -37,9 +40,10 @@ def net_files(named: Iterable[str]) -> list[Path]:
     for name in filter(None, (each.strip() for each in named)):
         path = Path(name)
         if "/" not in name and not path.suffix:
-            if name not in shipped():
-                raise NotFoundError(kind="command that is shipped", name=name, known=shipped())
-            found = [NETS / f"{name}.yaml"]
+            names = shipped() if name == SHIPPED else [name]
+            if not set(names) <= set(shipped()):
+                raise NotFoundError(kind="command that is shipped", name=name, known=[SHIPPED, *shipped()])
+            found = [NETS / f"{each}.yaml" for each in names]
         elif path.is_dir():
             found = sorted(path.glob("*.yaml"))
             if not found:
@@ -50,7 +54,7 @@ def net_files(named: Iterable[str]) -> list[Path]:
             raise ConfigError(f"{path}: there is no such net file or folder", file=str(path))
         files += [file for file in found if file not in files]
     if not files:
-        raise ConfigError(f"no command is named: give net files, folders of them, or names of {', '.join(shipped())}")
+        raise ConfigError(f"no command is named: give net files, folders of them, {SHIPPED}, or names of {', '.join(shipped())}")
     return files
 
 
