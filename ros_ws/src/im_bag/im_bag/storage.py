@@ -1,4 +1,4 @@
-"""Files of bags as ``rosbags`` reads them, whole: also without an index, and with what SQLite keeps beside a file.
+"""Readers for complete bag files: also files without an index, and SQLite files with a log beside the file.
 
 Of MCAP files it finds channels in the summary only, and passes by chunks whose messages have no index; both may be left
 out of a file that is whole (https://mcap.dev/spec, "Summary Section", "Message Index"). Hashes it takes from
@@ -115,12 +115,12 @@ class WholeMcapReader(McapReader):
 
 
 class WholeSqliteReader(Sqlite3Reader):
-    """Reads a file with the log that a recorder which was killed has left beside it."""
+    """Reader of a SQLite file together with the log left beside the file by a killed recorder."""
 
     _copy: TemporaryDirectory[str] | None = None
 
     def open(self) -> None:
-        """Open the file, or where there is a log beside it a copy of both, in which SQLite has taken up the log.
+        """Open the file; if a log lies beside the file, open a copy of both after SQLite has merged the log.
 
         Raises:
             ReaderError: The file is damaged, or there is no room for the copy.
@@ -149,7 +149,7 @@ class WholeSqliteReader(Sqlite3Reader):
 
 
 def _by_ending(path: Path) -> Any:
-    """Return the reader of a file of a bag whose metadata do not tell the kind of the files."""
+    """Return the reader of a bag file by the file name's ending, for metadata without the kind of the files."""
     if path.suffix not in _BY_ENDING:
         raise ReaderError(f"{path.name} is no file of a bag: {', '.join(_BY_ENDING)}")
     return _BY_ENDING[path.suffix](path)

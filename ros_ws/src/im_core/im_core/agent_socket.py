@@ -22,7 +22,7 @@ _LONGEST_DETAIL = 10_000
 
 @dataclass(frozen=True)
 class TaskLife:
-    """What an agent tells of the present life of a task.
+    """Present life of a task, as told by an agent.
 
     Attributes:
         incarnation: Number that the task drew when it started; 0: none is known yet.
@@ -37,7 +37,7 @@ class TaskLife:
 
 @dataclass(frozen=True)
 class AgentOrder:
-    """What an agent tells the processes.
+    """Order of an agent to the processes.
 
     Attributes:
         phase: The last phase of the start-up that all tasks may enter, of :class:`im_core.startup.StartupPhase`.
@@ -54,7 +54,7 @@ class AgentOrder:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task tells the agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of the nets by name."""
+    """Report of a task to the agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of the nets by name."""
 
     task: str
     incarnation: int
@@ -81,7 +81,7 @@ class AgentSocket:
 
     @classmethod
     def inherited(cls) -> Self | None:
-        """The end that an agent has given to this process, None if there is none; children of this one get none."""
+        """Return the socket end given by an agent to the process, None if none; child processes get none."""
         descriptor = os.environ.pop(VARIABLE, "")
         if not descriptor:
             return None
@@ -89,16 +89,16 @@ class AgentSocket:
 
     @classmethod
     def of(cls, descriptor: int) -> Self:
-        """The end of a file descriptor, which is its own from now on."""
+        """Take over a file descriptor, and return the socket end made of the descriptor."""
         os.set_inheritable(descriptor, False)
         return cls(socket.socket(fileno=descriptor))
 
     def close(self) -> None:
-        """Close this end."""
+        """Close the socket end of the process."""
         self._end.close()
 
     def send(self, text: str) -> bool:
-        """Send a message if there is room for it now; whether there was. Nothing is waited for."""
+        """Send a message if there is room now, without waiting; return whether there was room."""
         try:
             self._end.send(text.encode(), socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
         except OSError:  # the other process is stopped, and its queue full; or it has ended
@@ -106,11 +106,11 @@ class AgentSocket:
         return True
 
     def report(self, report: TaskReport) -> None:
-        """Send a report to the agent. One for which there is no room is dropped: the next sign of life repeats it."""
+        """Send a report to the agent; without room a report is dropped, and repeated with the next sign of life."""
         self.send(_json(replace(report, detail=report.detail[:_LONGEST_DETAIL])))
 
     def reports(self) -> Iterator[TaskReport]:
-        """Take the reports that have come; nothing is waited for.
+        """Yield the reports received so far, without waiting.
 
         Raises:
             DataError: One is none.
@@ -125,7 +125,7 @@ class AgentSocket:
             yield read_json(TaskReport, told.decode(), "the report of a task")
 
     def orders(self) -> Iterator[AgentOrder]:
-        """Wait for each order of the agent, until the agent has ended; for a thread of its own."""
+        """Yield each order of the agent, waiting between orders, until the agent has ended; for a separate thread."""
         while told := self._end.recv(_LARGEST):
             yield read_json(AgentOrder, told.decode(), "the order of an agent")
 

@@ -85,7 +85,7 @@ class Fault:
         return self.told(quoted_text)
 
     def told(self, quote: Callable[[str], str]) -> str:
-        """What is wrong, with the value as a function quotes it, and the nearest right name."""
+        """Describe the fault, with the value quoted by a function, and the nearest valid name."""
         hint = nearest(str(self.location[-1]), self.known) if self.known else ""
         value = self.value
         if isinstance(value, (int, float, str, bool)) and repr(value) not in self.words:
@@ -205,7 +205,7 @@ def _config_error(
 
 
 def _shown_field(location: Location, model: type[pydantic.BaseModel] | None, quote: Quotation) -> str:
-    """A location as text; keys that the file has chosen are quoted within the limit of the error."""
+    """Format a location as text; keys chosen by the file are quoted within the limit of the error."""
     if model is None:
         return field_name(location)
     own = (isinstance(part, int) or part in _keys(model, location[:at]) for at, part in enumerate(location))

@@ -1,4 +1,4 @@
-"""The signals that ask a process to end, and the one way to heed them."""
+"""End signals of a process, and the one way to handle the signals."""
 
 import signal
 from collections.abc import Callable
@@ -9,7 +9,7 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def heed_end_signals(handler: Callable[[int, FrameType | None], object]) -> None:
-    """Have every signal that asks to end call a handler.
+    """Call a handler for every end signal.
 
     SIGHUP stays ignored where it was ignored from the beginning: ``nohup`` lets a program outlive its terminal. SIGINT
     does not: a shell ignores it for what it starts in the background.

@@ -139,7 +139,7 @@ def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
 
 
 def make_mark(path: Path, content: str) -> None:
-    """Make a file whose presence is a statement: the death of the process that made it cannot take it back.
+    """Make a marker file: the marker survives the death of the creating process.
 
     Nothing waits for the disk: :func:`synchronise_mark` does. On a full disk the file may lack its content.
 

@@ -1,4 +1,4 @@
-"""Paths of files and folders that messages name: they lie below configured folders, whoever sends the message."""
+"""Paths of files and folders in messages: always below configured folders, for any sender."""
 
 import hashlib
 import os
@@ -15,7 +15,7 @@ MORE_FOLDERS = "IM_FOLDERS"
 
 
 def message_folders() -> list[Path]:
-    """Folders that paths in messages lie below: the results, what clients handed over, and those of ``IM_FOLDERS``.
+    """Return the allowed folders of paths in messages: results, files handed over by clients, ``IM_FOLDERS``.
 
     Raises:
         StoreError: One of the machine's own cannot be made.
@@ -26,7 +26,7 @@ def message_folders() -> list[Path]:
 
 
 def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
-    """Resolve a path that a message names, links followed.
+    """Resolve a path from a message, links followed.
 
     Args:
         path: The path; a relative one is of the first folder. Whether there is such a file is not told.
@@ -50,7 +50,7 @@ def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
 
 
 def hand_over(path: Path) -> Path:
-    """Copy a file of a client to where the machine may read it.
+    """Copy a file of a client to a folder readable by the machine.
 
     Args:
         path: The file, wherever it is.

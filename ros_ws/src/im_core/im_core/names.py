@@ -25,7 +25,7 @@ CALIBRATION, ESTOP = "calibration", "estop"
 
 
 def run_dir() -> Path:
-    """Folder for logs, journals, databases and sockets of this machine; made if missing, for this user alone.
+    """Return the machine's folder of logs, journals, databases and sockets; made if missing, for the user alone.
 
     Raises:
         StoreError: It cannot be made, belongs to another user, or may be written by other users.

@@ -34,7 +34,7 @@ def require_own(path: Path) -> int | None:
 
 
 def check_owner(path: Path, status: os.stat_result, way_out: str = "set another ROS_DOMAIN_ID") -> None:
-    """Refuse a file or folder that belongs to another user, or that other users may write into.
+    """Refuse a file or folder of another user, or one writable by other users.
 
     Args:
         path: Its name, for the message.
@@ -54,7 +54,7 @@ def check_owner(path: Path, status: os.stat_result, way_out: str = "set another 
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file is there and belongs to this user; a link is not followed."""
+    """Return whether a file exists and belongs to the user; a link is not followed."""
     try:
         return path.lstat().st_uid == os.geteuid()
     except OSError:
@@ -62,7 +62,7 @@ def is_own(path: Path) -> bool:
 
 
 def user(uid: int) -> str:
-    """A user, by number and, where the host knows one, by name."""
+    """Format a user as number and, if known to the host, name."""
     try:
         return f"user {uid} ({pwd.getpwuid(uid).pw_name})"
     except KeyError:

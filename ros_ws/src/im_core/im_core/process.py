@@ -355,13 +355,13 @@ def await_ends(children: Sequence[ChildProcess], patience: Patience, until_s: fl
 
 
 def last_words(log: Path, begin: int = 0) -> str:
-    """The last line of a log that is not empty, or an empty string; arguments as of :func:`end_of_log`."""
+    """Return the last non-empty line of a log, or an empty string; arguments as of :func:`end_of_log`."""
     lines = [line.strip() for line in end_of_log(log, begin, 4096).splitlines() if line.strip()]
     return lines[-1] if lines else ""
 
 
 def end_of_log(log: Path, begin: int, most_bytes: int) -> str:
-    """The end of a log, of what stands from the byte ``begin`` on; empty if it cannot be read.
+    """Return the end of a log, from the byte ``begin`` on; empty if not readable.
 
     Of a log that is shorter than ``begin`` all counts: it was rotated since.
     """

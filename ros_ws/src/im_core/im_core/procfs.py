@@ -88,12 +88,12 @@ def threads_of(pid: int) -> list[int]:
 
 
 def thread_name(pid: int, thread: int) -> str:
-    """The name of a thread; empty if it has ended."""
+    """Return the name of a thread; empty for an ended thread."""
     return (_told(f"/proc/{pid}/task/{thread}/comm") or "").rstrip()
 
 
 def waits_of(pid: int, thread: int) -> tuple[int, float] | None:
-    """How often a thread has given up the processor to wait, and the time on one [s]; None if it has ended."""
+    """Return a thread's number of voluntary waits, and the time on a processor [s]; None for an ended thread."""
     status, found = _told(f"/proc/{pid}/task/{thread}/status"), scheduled(pid, thread)
     if not status or found is None:
         return None
@@ -101,7 +101,7 @@ def waits_of(pid: int, thread: int) -> tuple[int, float] | None:
 
 
 def private_bytes(pid: int) -> int:
-    """Memory of a process that is private and may be written, as RLIMIT_DATA counts it [bytes]; 0 if there is none."""
+    """Return the private writable memory of a process, as counted by RLIMIT_DATA [bytes]; 0 if there is none."""
     told = _told(f"/proc/{pid}/statm")
     return int(told.split()[5]) * _PAGE if told else 0
 

@@ -1,4 +1,4 @@
-"""Synchronised start-up (paper, section 3): the phases, and the topics that tell of them."""
+"""Synchronised start-up (paper, section 3): the phases, and the topics of the start-up."""
 
 import hashlib
 import os
@@ -61,7 +61,7 @@ def nets_told(detail: str) -> tuple[str, ...]:
 
 
 class StartupPhase(IntEnum):
-    """What the bootstrap asks of all tasks; told on :data:`PHASE_TOPIC`, too, where it orders nothing."""
+    """Phase ordered by the bootstrap for all tasks; also on :data:`PHASE_TOPIC`, for information only."""
 
     LOAD = 0
     CONFIGURE = 1

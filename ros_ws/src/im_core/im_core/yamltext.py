@@ -88,7 +88,7 @@ def quoted_text(text: str, most: int = SHOWN) -> str:
 
 
 def shortened(text: str, most: int = SHOWN) -> str:
-    """Returns a text, or the beginning with dots behind it."""
+    """Return a text, or only the beginning followed by dots."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
@@ -99,11 +99,11 @@ class Quotation:
         self._left = SHOWN
 
     def __call__(self, text: str) -> str:
-        """Returns the beginning of a text in quotes."""
+        """Return the beginning of a text in quotes."""
         return repr(self.cut(text))
 
     def cut(self, text: str) -> str:
-        """Returns the beginning of a text."""
+        """Return the beginning of a text."""
         shown = shortened(text, self._left)
         self._left -= min(self._left, len(text))
         return shown
@@ -170,7 +170,7 @@ class Found(NamedTuple):
 
 
 def find(root: Value, location: Location) -> Found:
-    """Follow a location as far as it exists; a value without a list counts as a list of one."""
+    """Follow a location to the deepest existing value; a value without a list counts as a list of one."""
     value, key, way = root, None, list[int | str]()
     for part in location:
         if isinstance(part, int) and value.kind is not Kind.LIST:

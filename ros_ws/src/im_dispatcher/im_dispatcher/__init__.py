@@ -1,4 +1,4 @@
-"""The Dispatcher (paper, section 6): receives commands, decomposes them by nets, and dispatches the steps.
+"""Dispatcher (paper, section 6): receives commands, decomposes commands by nets, and dispatches the steps.
 
 A command is a module of :mod:`im_dispatcher.commands` beside its net in ``nets/``; what it decides is plain Python that
 sees the node as a :class:`CommandHost`. Knows the nets (``im_pnt``, ``im_pnt_analysis``) and the cell (``im_cell``);

@@ -15,7 +15,7 @@ ValueT = TypeVar("ValueT")
 
 
 class CommandHost(Protocol):
-    """The node of commands, as the functions see it."""
+    """Node of the commands, as seen by the command functions."""
 
     seed: int
 
@@ -36,7 +36,7 @@ class CommandHost(Protocol):
         """
 
     async def get_object(self, name: str, kind: type[ValueT]) -> ValueT:
-        """Return a data object; one put by this node costs no call.
+        """Return a data object; an object put by the same node costs no call.
 
         Raises:
             ImError: There is none that is valid, or ``/dom`` does not answer.
@@ -49,10 +49,10 @@ class CommandHost(Protocol):
         """
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Return a value computed from the world outside, in a thread of its own, for slow work."""
+        """Return a value computed from the world outside, in a separate thread, for slow work."""
 
     def time_steps(self, net: str, times: StepTimes) -> None:
-        """Time the firings of a net, and of the nets it needs."""
+        """Time the firings of a net, and of all nets required by the net."""
 
     def nets_for(self, net: str) -> Sequence[Net]:
         """Return a net as written, with the known nets of the services."""

@@ -136,7 +136,7 @@ class PoseLoop:
 
     @property
     def looked_progress(self) -> float:
-        """Share of visited poses at the time of that one, 0..1."""
+        """Share of visited poses at the time of the last look, 0..1."""
         return self.looked_number / self.poses
 
     @property
@@ -169,7 +169,7 @@ class PoseLoop:
         return number
 
     def look(self) -> PoseVisit:
-        """Note a look at the present pose, and return it.
+        """Note a look at the present pose, and return the visit.
 
         Raises:
             DataError: There is none.
@@ -201,7 +201,7 @@ class PoseLoop:
         return self.skipped
 
     def dispensable(self, failure_code: str) -> bool:
-        """Return whether a failure concerns one pose only, and enough poses remain without it."""
+        """Return whether a failure concerns one pose only, and enough other poses remain."""
         return failure_code in POSE_FAILURES and self.poses - self.skipped - 1 >= FEWEST_POSES
 
     def to_json(self) -> list[object]:

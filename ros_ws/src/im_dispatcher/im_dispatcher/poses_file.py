@@ -71,7 +71,7 @@ class PosesFile(Model):
 
 
 def load_named_poses(path: str) -> PosesFile:
-    """Read the poses file that a message names; it is of the package, or below the folders that messages may name.
+    """Read a poses file named by a message; of the package, or below the folders allowed for messages.
 
     Args:
         path: The file; empty for the cell's own.
@@ -85,7 +85,7 @@ def load_named_poses(path: str) -> PosesFile:
 
 
 def load_poses(path: str | Path) -> PosesFile:
-    """Read a poses file of this computer's user.
+    """Read a poses file of the computer's user.
 
     Args:
         path: The file.

@@ -29,7 +29,7 @@ class SkippedPose:
 
 @dataclass(frozen=True)
 class SolverReport:
-    """Report of a calibration on itself, as JSON data: data object ``calibration``."""
+    """Report of a calibration, as JSON data: data object ``calibration``."""
 
     content: dict[str, object]
 
@@ -141,7 +141,7 @@ def _rejections(skipped: Sequence[SkippedPose]) -> list[dict[str, str]]:
 
 
 def make_directory(results: Path, stamp: str) -> Path:
-    """Make a new folder ``results/<stamp>``, with a counter behind it for two runs in one second.
+    """Make a new folder ``results/<stamp>``, with a counter appended for two runs in one second.
 
     Raises:
         StoreError: It cannot be made.
@@ -161,7 +161,7 @@ def make_directory(results: Path, stamp: str) -> Path:
 
 
 def write_report(directory: Path, report: Mapping[str, object]) -> Path:
-    """Write ``report.json`` at one stroke, and point ``latest`` beside the folder to it.
+    """Write ``report.json`` atomically, and point the link ``latest`` beside the folder to the folder.
 
     Raises:
         StoreError: It cannot be written; ``latest`` is what it was.

@@ -25,7 +25,7 @@ class ObjectCache:
         self._lock = threading.Lock()
 
     def get(self, name: str) -> Version | None:
-        """Return an object, if it is here."""
+        """Return an object if cached."""
         with self._lock:
             version = self._versions.get(name)
             if version is not None:

@@ -1,4 +1,4 @@
-"""The file of the data objects: nothing acknowledged is lost, and what is damaged is noticed, said and set aside.
+"""File of the data objects: nothing acknowledged is lost; damage is noticed, reported and set aside.
 
 Each byte is under a checksum. The file of the store is written only when the write-ahead log is moved into it, by
 :meth:`StoreFile.move_log`; its checksum stands in the list of transactions (:mod:`im_dom.transactions`). SQLite checks
@@ -82,7 +82,7 @@ class StoreFile:
         self.move_log()
 
     def number(self) -> None:
-        """Give the transaction that goes on the number.
+        """Assign the next number to the current transaction.
 
         Raises:
             sqlite3.Error: It cannot be written.
@@ -90,7 +90,7 @@ class StoreFile:
         self.db.execute("UPDATE last SET number = ?", (self._number + 1,))
 
     def committed(self, changed: Sequence[tuple[str, int, bool]]) -> None:
-        """List the transaction that is on the disk now.
+        """List the transaction now on the disk.
 
         Args:
             changed: Name, version and validity of the objects that it has changed; version 0: deleted.
@@ -107,7 +107,7 @@ class StoreFile:
                 self._most_log = max(_MOST_LOG, self._path.stat().st_size // 4)
 
     def move_log(self) -> None:
-        """Move the write-ahead log into the file; where the disk does not allow that now, the log stays."""
+        """Move the write-ahead log into the file; if the disk refuses the move now, the log stays."""
         if self._path is None:
             return
         with suppress(sqlite3.Error, OSError):
@@ -133,7 +133,7 @@ class StoreFile:
             self._list.close()
 
     def _check(self, path: Path) -> Salvage | None:
-        """Look for damage; where there is some, set the files aside and return what is whole of them.
+        """Look for damage; if there is any, set the files aside and return the intact content.
 
         Raises:
             DataError: It cannot be opened.
@@ -265,7 +265,7 @@ def _sum(path: Path) -> tuple[int, int]:
 
 
 def _set_aside(path: Path) -> Path:
-    """Moves a file, and what is beside it, into a folder of its own."""
+    """Move a file, with the companion files, into a separate folder."""
     folder, number = path.with_name(f"{path.stem}-damaged-{stamp_name()}"), 1
     while folder.exists():
         number += 1

@@ -37,17 +37,17 @@ class ObjectRecord:
     data_checksum: int = 0
 
     def checksum(self) -> int:
-        """Return the checksum of all that is known of the object, that of the data included (CRC-32)."""
+        """Return the checksum of the object's complete record, including the checksum of the data (CRC-32)."""
         return zlib.crc32(repr(astuple(self)).encode())
 
     def fits(self, data: object) -> bool:
-        """Whether data, as they were read, are those of the object."""
+        """Return whether data, as read from the store, match the record of the object."""
         return isinstance(data, bytes) and len(data) == self.size and zlib.crc32(data) == self.data_checksum
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """What is known of an object that was lost.
+    """Knowledge left of a lost object.
 
     Attributes:
         version: Its newest version, as far as is known; 0: it is not known.

@@ -1,4 +1,4 @@
-"""What is whole in a damaged object store, and what is lost."""
+"""Salvage of a damaged object store: intact content and losses."""
 
 import shutil
 import sqlite3
@@ -21,7 +21,7 @@ _PAGES_AT = 28  # where the first page tells how many there are
 
 @dataclass
 class Salvage:
-    """What was found in a damaged store.
+    """Content found in a damaged store.
 
     Attributes:
         versions: The versions that are whole.
@@ -45,7 +45,7 @@ class Salvage:
 
 
 def salvage(path: Path, listed: Listed | None, mend: bool) -> Salvage:
-    """Read what is whole in a store; the files are not touched.
+    """Read the intact content of a store without changing the files.
 
     Args:
         path: File of the store.
@@ -81,7 +81,7 @@ def _mend_first_page(copy: Path) -> None:
 
 
 def _read(db: sqlite3.Connection, found: Salvage) -> None:
-    """Read all rows that table or index name."""
+    """Read all rows listed in a table or an index."""
     rows, keys = _Scan(db, _ROWS), _Scan(db, _KEYS)
     known = {rowid: (name, version) for name, version, rowid in keys.rows}
     lost: dict[str, int] = {}
@@ -120,7 +120,7 @@ def _read(db: sqlite3.Connection, found: Salvage) -> None:
 
 
 class _Scan:
-    """Rows of a statement, from both ends up to where it breaks."""
+    """Rows of a statement, read from both ends up to the damaged part."""
 
     def __init__(self, db: sqlite3.Connection, statement: str) -> None:
         found: dict[tuple[Any, ...], None] = {}
@@ -135,7 +135,7 @@ class _Scan:
 
 
 def _compare(found: Salvage, listed: Listed) -> None:
-    """Name the objects whose last change by the list is not there."""
+    """Name the objects with the last listed change missing from the store."""
     newest = found.newest()
     for name, change in listed.changes.items():
         record = newest.get(name)

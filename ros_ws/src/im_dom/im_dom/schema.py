@@ -54,7 +54,7 @@ def row_of(record: ObjectRecord, data: bytes) -> tuple[object, ...]:
 
 
 def record_of(row: tuple[Any, ...]) -> tuple[ObjectRecord, bool]:
-    """Return what a row tells of a version, and whether the row is whole.
+    """Return the version described by a row, and whether the row is intact.
 
     Args:
         row: :data:`COLUMNS`; the data may follow.
@@ -68,5 +68,5 @@ def record_of(row: tuple[Any, ...]) -> tuple[ObjectRecord, bool]:
 
 
 def request_checksum(name: str, request: str, version: int) -> int:
-    """Return the checksum of a request to append that is remembered (CRC-32)."""
+    """Return the checksum of a remembered append request (CRC-32)."""
     return zlib.crc32(repr((name, request, version)).encode())

@@ -154,7 +154,7 @@ class ObjectStore:
         self._too_old.clear()
 
     def _keep(self) -> None:
-        """Take over the changes and reads of the transaction: they are on the disk."""
+        """Take over the changes and reads of the transaction, now on the disk."""
         if self._changed:
             changed = [(name, its[-1] if its else None) for name, its in self._changed.items()]
             self._file.committed([(name, its.version, its.valid) if its else (name, 0, False) for name, its in changed])
@@ -191,7 +191,7 @@ class ObjectStore:
         kind_hash: str = "",
         command: str = "",
     ) -> ObjectRecord:
-        """Store an object and make it valid; older versions are kept, within :data:`KEPT_VERSIONS`.
+        """Store an object and make the object valid; older versions are kept, within :data:`KEPT_VERSIONS`.
 
         Args:
             name: Its name; what belongs to a command begins with that.
@@ -236,7 +236,7 @@ class ObjectStore:
         return self._kept.get(name, ()) if changed is None else changed
 
     def _damage(self, name: str) -> Damage | None:
-        """What is known of the loss of an object; None: it was not lost, or has been put again."""
+        """Return the damage record of a lost object; None if the object was not lost, or has been put again."""
         return None if name in self._changed else self._damaged.get(name)
 
     def append(
@@ -384,12 +384,12 @@ class ObjectStore:
         return record
 
     def records(self, prefix: str = "") -> list[ObjectRecord]:
-        """All objects whose name begins with ``prefix``, by name; those that are damaged tells :meth:`damages`."""
+        """Return all objects with names beginning with ``prefix``, sorted; for damaged ones see :meth:`damages`."""
         names = sorted(name for name in {**self._kept, **self._changed} if name.startswith(prefix))
         return [versions[-1] for name in names if (versions := self._versions(name)) and not self._damage(name)]
 
     def damages(self, prefix: str = "") -> list[str]:
-        """Return a sentence for each damaged object whose name begins with ``prefix``."""
+        """Return a sentence for each damaged object with a name beginning with ``prefix``."""
         known = sorted(self._damaged.items())
         return [
             DamagedObjectError(self._path, name, damage.text).message
@@ -398,7 +398,7 @@ class ObjectStore:
         ]
 
     def invalidate(self, name: str, source: str, stamp_ns: int) -> ObjectRecord:
-        """Declare an object invalid; it stays listed.
+        """Declare an object invalid; the object stays listed.
 
         Raises:
             NotFoundError: There is none of that name.

@@ -1,4 +1,4 @@
-"""The list of what the write-ahead log of the object store must hold, in a file beside the store.
+"""List of required content of the object store's write-ahead log, in a file beside the store.
 
 SQLite ends the replay of a write-ahead log at the first frame whose checksum is wrong, without a word. Against that,
 each transaction is listed here when it is on the disk: its number, and the objects that it has changed. A line is a
@@ -40,7 +40,7 @@ class Change:
 
 @dataclass
 class Listed:
-    """What a list tells.
+    """Content of a list of transactions.
 
     Attributes:
         file: Size and checksum of the file of the store; None: it was being written.
@@ -81,7 +81,7 @@ class TransactionList:
             raise StoreError.of("opened", path, error) from error
 
     def add(self, number: int, changed: Sequence[tuple[str, int, bool]]) -> None:
-        """List a transaction; on a full disk it is listed with a later one.
+        """List a transaction; on a full disk the transaction is listed with a later one.
 
         Args:
             number: Of the transaction.
@@ -90,7 +90,7 @@ class TransactionList:
         self._write(_line([number, changed]))
 
     def begin_move(self) -> None:
-        """Note that the file of the store is going to be written; the disk has the note when this returns.
+        """Note the coming write to the file of the store; the note is on the disk at the return.
 
         Raises:
             OSError: The disk is full or has failed.
@@ -150,6 +150,6 @@ def _line(content: object) -> bytes:
 
 
 def _content(line: bytes) -> object:
-    """What a line tells; None: it is damaged."""
+    """Return the content of a line; None for a damaged line."""
     checksum, _, text = line.partition(b" ")
     return json.loads(text) if checksum == b"%08x" % zlib.crc32(text) else None

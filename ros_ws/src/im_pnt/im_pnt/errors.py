@@ -7,7 +7,7 @@ from im_core.errors import ImError
 
 
 class NetError(ImError):
-    """Net with a fault of its own, from any file."""
+    """Net with an internal fault, from any file."""
 
     def __init__(self, message: str, **facts: object) -> None:
         super().__init__(message, code="net", **facts)
@@ -25,7 +25,7 @@ _UNPROVED_HINT = "; 'pnt prove --timeout S' takes more time to prove it, 'start 
 
 
 class VerificationError(ImError):
-    """Readable net that must not run.
+    """Readable net not allowed to run.
 
     Args:
         net: Its name, or those of several nets.
@@ -44,7 +44,7 @@ class VerificationError(ImError):
 
 
 class JournalError(ImError):
-    """Journal that cannot be read, written, or used with these nets; nothing was started.
+    """Journal not readable, not writable, or not usable with the given nets; nothing was started.
 
     Args:
         message: One sentence.

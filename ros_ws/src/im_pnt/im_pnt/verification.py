@@ -17,7 +17,7 @@ KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource", "ass
 
 @dataclass(frozen=True, slots=True)
 class Counterexample:
-    """Fault, and the shortest way to it.
+    """Fault, and the shortest way to the fault.
 
     Attributes:
         kind: One of :data:`KINDS`.
@@ -39,7 +39,7 @@ class Verification(Protocol):
 
     @property
     def states(self) -> int | None:
-        """Number of reachable markings; None where they were not counted."""
+        """Number of reachable markings; None if not counted."""
 
     @property
     def time_s(self) -> float:

@@ -1,4 +1,4 @@
-"""Statements on nets before they run: may they, how long will they take, and the next firings.
+"""Statements on nets before a run: permission to run, expected durations, and the next firings.
 
 For whoever writes nets or decides whether to load them. Knows ``im_core`` and the model, files and verdict types of
 ``im_pnt``; nothing of ROS. Folders, from the lowest: ``structure`` (what the arcs tell), ``composition`` (several nets

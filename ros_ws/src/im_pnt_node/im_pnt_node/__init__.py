@@ -1,4 +1,4 @@
-"""Nets that talk, last and are ROS nodes: remote places, journal, re-run, the node, and ``pnt run``.
+"""Nets as communicating, lasting ROS nodes: remote places, journal, re-run, the node, and ``pnt run``.
 
 An :class:`Exchange` joins the nets of a process with each other and with those of other processes; a :class:`Journal`
 brings them back after the death of the process. The ROS node is :class:`im_pnt_node.ros.node.PntNode`; this face does

@@ -12,7 +12,7 @@ from im_sim.friction import DryFriction
 
 
 class HoldingBrakes:
-    """Brakes that hold, or let go, a stated delay after the command: springs and coils take the time.
+    """Brakes with a stated delay to hold, or let go, after the command: springs and coils take the time.
 
     Args:
         n: Number of joints.
@@ -30,11 +30,11 @@ class HoldingBrakes:
 
     @property
     def obey(self) -> bool:
-        """Whether every brake is as it was told to be."""
+        """Whether every brake is in the commanded state."""
         return self._agreed != b""
 
     def tick(self, commanded: NDArray[np.bool_]) -> None:
-        """Let a tick pass under a command, shape (n,); a command that is taken back starts the delay anew."""
+        """Let a tick pass under a command, shape (n,); a command taken back starts the delay anew."""
         if commanded.tobytes() == self._agreed:
             return
         self._waited = np.where(commanded != self.engaged, self._waited + 1, 0)
@@ -116,7 +116,7 @@ class Actuators:
         return self._friction.stuck
 
     def prepare(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-        """Compute the part of :meth:`applied` that depends on ``q`` and ``v`` only, ahead of the command."""
+        """Compute ahead of the command the part of :meth:`applied` depending on ``q`` and ``v`` only."""
         if self._friction.all_slip:
             return  # most likely M is not needed
         self._find_inertia(q, v)

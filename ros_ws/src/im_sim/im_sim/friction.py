@@ -52,7 +52,7 @@ class DryFriction:
         return 1 not in (v * self._sign < self._zero).tobytes()
 
     def factorise(self, inertia: NDArray[np.float64]) -> None:
-        """Compute the part of :meth:`solve` that depends on H only, for joints in the state of the last step."""
+        """Compute the part of :meth:`solve` depending on H only, for joints in the state of the last step."""
         if not self.stuck:
             self._cholesky.compute(inertia * self._coupled + self._alone)
         self._factorised: NDArray[np.float64] | None = inertia

@@ -1,4 +1,4 @@
-"""The laser scanner's mirrors: they move at a finite rate and never come to rest at quite the same angle."""
+"""The laser scanner's mirrors, moving at a finite rate and never coming to rest at quite the same angle."""
 
 import numpy as np
 

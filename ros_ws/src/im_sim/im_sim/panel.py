@@ -16,7 +16,7 @@ FAULTS = (*_OF_JOINTS, "power_loss", "stall")
 
 
 class FaultPanel:
-    """Panel of faults: breaks a testbed, and mends it; physics obeys from the next tick on.
+    """Panel of faults: breaks and mends a testbed; physics obeys from the next tick on.
 
     Args:
         cell: Names of joints and grippers.
@@ -64,7 +64,7 @@ class FaultPanel:
         return self._sentence(faults)
 
     def put_in_jaws(self, gripper: str, width: float, stiffness: float, mass: float) -> str:
-        """Put an object between the jaws of a gripper, or take it away; return the present objects as a sentence.
+        """Put an object between the jaws of a gripper, or take one away; return the present objects as a sentence.
 
         Args:
             gripper: E.g. ``left_gripper``.
@@ -112,7 +112,7 @@ class Lights:
         self._link = link
 
     def switch(self, name: str, on: bool) -> None:
-        """Switch a light; exposures see it from the next tick on.
+        """Switch a light; exposures see the change from the next tick on.
 
         Raises:
             NotFoundError: There is no light of that name.

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def simulate(instance: str, config: Path | None, period: float, factor: float, seed: int) -> None:
-    """Create the link and run the tick loop until a signal ends it.
+    """Create the link and run the tick loop until a signal ends the loop.
 
     Raises:
         ConfigError: The cell's parameters are wrong.

@@ -97,7 +97,7 @@ class Plant:
         self._stands = False
 
     def prepare(self) -> None:
-        """Compute the part of the next tick that depends on the present state only, ahead of the command."""
+        """Compute ahead of the command the part of the next tick depending on the present state only."""
         if not self._stands:
             self._actuators.prepare(self.q, self.v)
 
@@ -131,7 +131,7 @@ class Plant:
         self._world.close()
 
     def _move(self) -> None:
-        """Do the steps of a tick, until nothing moves; without power it then stands."""
+        """Do the steps of a tick, until nothing moves; without power the plant then stands."""
         self._stands = False
         for _ in range(self._substeps):
             q, v = self.q, self.v

@@ -126,7 +126,7 @@ class Encoders:
         self._period_s = cell.period
 
     def break_(self, faults: Faults, tick: int, reading: NDArray[np.float64]) -> None:
-        """Put faults in force at a tick with this reading, shape (n,): a frozen one stays as it is."""
+        """Put faults in force at a tick with the given reading, shape (n,): a frozen one stays unchanged."""
         newly = faults.encoder_frozen & ~self._frozen
         self._frozen_since[newly] = tick
         self._frozen_reading[newly] = reading[newly]

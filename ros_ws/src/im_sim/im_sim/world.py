@@ -31,7 +31,7 @@ class Contact:
 
 
 class World:
-    """Pybullet client (DIRECT) with the cell in it, driven by joint torques.
+    """Pybullet client (DIRECT) with the cell inside, driven by joint torques.
 
     Args:
         cell: Links, joints, obstacles.
@@ -143,7 +143,7 @@ class World:
 
 
 def _contact(point: Sequence[Any]) -> Contact:
-    """Contact point as pybullet reports it: normal force, then two friction forces with the directions."""
+    """Read a contact point as reported by pybullet: normal force, then two friction forces with the directions."""
     position, normal = np.array(point[6]), np.array(point[7])
     force = point[9] * normal + point[10] * np.array(point[11]) + point[12] * np.array(point[13])
     return Contact(position, force)

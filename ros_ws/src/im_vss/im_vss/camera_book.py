@@ -147,7 +147,7 @@ class CameraBook:
         return self._covariance
 
     def remark(self, cameras: Iterable[str]) -> str:
-        """Return a remark on covariances by some cameras, a clause; empty if they are complete."""
+        """Return a remark on covariances by some cameras, a clause; empty for complete covariances."""
         unknown = [camera for camera in cameras if camera not in self._covariance.cameras]
         if not unknown:
             return ""
@@ -191,7 +191,7 @@ class CameraBook:
         return self._directory
 
     def rectified(self, models: Mapping[str, CameraModel]) -> dict[str, Rectified]:
-        """Return R and P of cameras with these models; those of a stereo pair where both are given.
+        """Return R and P of cameras with the given models; the stereo pair's R and P where both are given.
 
         Raises:
             NotFoundError: A camera is not known.
@@ -253,7 +253,7 @@ class CameraBook:
 
 
 def nominal(camera: Camera) -> CameraModel:
-    """Return a camera as the cell's drawing has it, without distortion."""
+    """Return a camera as in the cell's drawing, without distortion."""
     lens = camera.intrinsics
     rotation, translation = camera.pose()
     return CameraModel(

@@ -119,7 +119,7 @@ class Catalogue(Model):
         return self.closure(name for name, service in self.services.items() if service.process == process)
 
     def deployment(self) -> dict[str, Any]:
-        """Return the ``hosts`` of a deployment file for these Services: host -> process -> task."""
+        """Return the ``hosts`` of a deployment file for the Services: host -> process -> task."""
         hosts: dict[str, Any] = {}
         for name, process in self.processes.items():
             parameters = {"calibration": "${calibration}"}

@@ -34,7 +34,7 @@ class Corners:
 
 
 def refine_corners(image: Image, camera: CameraModel, rough: Array, cells: int, noise: SensorNoise) -> Corners | None:
-    """Fit the four edges of a black square on white, and intersect them.
+    """Fit and intersect the four edges of a black square on white.
 
     Args:
         image: Pixels, shape (h, w) [DN].
@@ -151,7 +151,7 @@ def with_calibration(pose: PlatePose, corners: Corners, camera: CameraModel, siz
 
 
 def _square(size: float) -> Array:
-    """Return the corners of a plate's square in its own frame, upper left first, clockwise, shape (4, 3) [m]."""
+    """Return the corners of a plate's square in the plate's frame, upper left first, clockwise, shape (4, 3) [m]."""
     half = size / 2.0
     return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
 

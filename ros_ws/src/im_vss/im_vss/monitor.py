@@ -92,7 +92,7 @@ class Monitors:
             self._frames[frame.camera] = frame
 
     def draw(self, marker: Marker) -> Picture | None:
-        """Return the monitor's image with a marker on it; None if the monitor is dark."""
+        """Return the monitor's image with a marker drawn in; None if the monitor is dark."""
         with self._lock:
             frame = self._frames.get(marker.camera)
         if frame is None:

@@ -1,4 +1,4 @@
-"""Looks: exposed images with a search for the light that goes on while the arms move."""
+"""Looks: exposed images with a search for the light, going on while the arms move."""
 
 import threading
 from collections import OrderedDict
@@ -50,7 +50,7 @@ class Looks(Generic[Found]):
                 self._looks.popitem(last=False)
 
     def found(self, name: str, cameras: tuple[str, ...], timeout_s: float, check: Callable[[], None]) -> Found:
-        """Wait for the result of a look, and return it.
+        """Wait for and return the result of a look.
 
         Args:
             name: Of the look.

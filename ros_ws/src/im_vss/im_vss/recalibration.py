@@ -37,7 +37,7 @@ _PAIR_NS = 500_000_000
 
 @dataclass
 class RecordedCalibration:
-    """Call of the Service ``calibrate``, as a bag holds it.
+    """Call of the Service ``calibrate``, as held by a bag.
 
     Attributes:
         request: The message `im_msgs/srv/Calibrate` of the request.
@@ -62,7 +62,7 @@ class RecordedCalibration:
         return sizes
 
     def led_offset(self) -> tuple[tuple[float, float, float], float] | None:
-        """Nominal place of the light in the wrist frame, and how well it was known [m]; None: the answer says none."""
+        """Return the light's nominal place in the wrist frame and the prior deviation [m]; None: not in the answer."""
         match self.report:
             case {
                 "led_offset_nominal_m": [float() | int() as x, float() | int() as y, float() | int() as z],
@@ -212,7 +212,7 @@ def _search_discs(bag: Path) -> dict[tuple[str, int], SearchDisc]:
 
 
 def _pairs(bag: Path, camera: str, stamps: set[int]) -> Iterator[tuple[int, Any, Any]]:
-    """Yield stamp, image without light and image with it, of each look of a camera with images in the bag."""
+    """Yield stamp, image without light and image with light, of each look of a camera with images in the bag."""
     topic = f"/{camera}/image_raw"
     if topic not in topics_of(bag):
         return

@@ -22,7 +22,7 @@ from im_vss.settings import VssSettings
 
 
 class CameraControls:
-    """Controls of each camera, and the common exposure time; any thread may set and read them."""
+    """Controls of each camera, and the common exposure time; any thread may set and read the controls."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

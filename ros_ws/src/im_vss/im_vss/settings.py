@@ -125,7 +125,7 @@ class LaserSettings(Model):
 
 
 class FrameSourceEntry(Model):
-    """Source of images: a :class:`im_cell.frames.FrameSource` as ``module:Class``, and its own settings."""
+    """Source of images: an :class:`im_cell.frames.FrameSource` as ``module:Class``, with separate settings."""
 
     implementation: str
     settings: dict[str, Any]
@@ -161,7 +161,7 @@ class VssSettings(Model):
         return wanted
 
     def check_cameras(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of cameras in a request, if they are all known and differ.
+        """Return the names of cameras in a request, if all known and different.
 
         Raises:
             NotFoundError: One is not known.

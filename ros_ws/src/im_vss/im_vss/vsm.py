@@ -37,7 +37,7 @@ class VisionState:
 
 
 class VisionServicesManager:
-    """Manager of Services: loads the parts of the Services in use, and routes requests to them by name."""
+    """Manager of Services: loads the parts of the Services in use, and routes requests to Services by name."""
 
     def __init__(self, rig: Rig, catalogue: Catalogue, process: str = PROCESS) -> None:
         """Load the closure of the Services in use.

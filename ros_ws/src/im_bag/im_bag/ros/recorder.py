@@ -1,4 +1,4 @@
-"""``record``: every topic of the ROS domain into a bag, also those that appear later, until a signal asks to end."""
+"""``record``: record all topics of the ROS domain, also later ones, into a bag until an end signal."""
 
 import argparse
 import sys

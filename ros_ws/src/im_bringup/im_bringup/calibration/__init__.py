@@ -1,1 +1,1 @@
-"""What commands print of a calibration: the report in short, and the true error."""
+"""Output of commands about a calibration: a short report, and the true error."""

@@ -84,7 +84,7 @@ class SilentTasks:
         self._look_at = -math.inf
 
     def heard(self, name: str, pid: int, progress: Progress) -> None:
-        """A sign of life of a task came; once it is ready it may fall silent. What it does before may take long."""
+        """Note a sign of life of a task; a task may be silent for long before "ready", and fall silent after."""
         for other in [known for known in self._silences if known[0] == name]:
             del self._silences[other]
         if progress is Progress.READY:
@@ -144,7 +144,7 @@ class Bootstrap:
                 self._agent.replace(name, pid, detail, now)
 
     def reported(self, report: TaskReport, pid: int, host: str, now: float) -> None:
-        """Take a report that the agent of a host has of a task.
+        """Take a task report forwarded by the agent of a host.
 
         Args:
             report: It.
@@ -164,18 +164,18 @@ class Bootstrap:
 
     @property
     def awaits_nets(self) -> bool:
-        """Whether all tasks are configured, and have reported which nets they run."""
+        """Whether all tasks are configured, and have reported the nets run by each."""
         return self.phase is StartupPhase.CONFIGURE and done(self.phase, self.registry.records())
 
     def seen(self, name: str, incarnation: int) -> None:
-        """Take a sign of life that came over DDS, perhaps made up: it ends the silence of a task, nothing else."""
+        """Note a possibly forged sign of life received over DDS: end the silence of a task, nothing else."""
         with suppress(NotFoundError):
             record = self.registry.find(name)
             if record.incarnation == incarnation:
                 self._silence.heard(name, record.pid, record.progress)
 
     def order(self, host: str) -> AgentOrder:
-        """What the agent of a host is to have the tasks do."""
+        """Return the order for the tasks of a host, addressed to the agent of the host."""
         return AgentOrder(int(self.phase), self.registry.lives(host))
 
     def poll(self, now: float) -> list[Started | Died]:

@@ -1,4 +1,4 @@
-"""Signals that ask to end, in commands that have something to put away before they do."""
+"""Handling of end signals in commands with cleanup to do before the end."""
 
 import signal
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from im_core.end_signals import END_SIGNALS, heed_end_signals
 
 
 def interrupt_once() -> None:
-    """Let the first signal that asks to end raise KeyboardInterrupt, and ignore those that follow.
+    """Let the first end signal raise KeyboardInterrupt, and ignore all following ones.
 
     Ctrl-C in a terminal reaches a script and its child, and the script passes it on: without this the second one
     would cut the cleaning up short. It also works where a shell started the command in the background, which ignores
@@ -21,7 +21,7 @@ def interrupt_once() -> None:
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Put off KeyboardInterrupt to the end of the block: what it begins is then known as a whole, or not begun.
+    """Delay KeyboardInterrupt to the end of the block: work begun in the block is recorded fully or not begun.
 
     Raises:
         KeyboardInterrupt: A signal that asks to end came within the block.

@@ -90,12 +90,12 @@ def remove_shared_memory() -> list[str]:
 
 
 def of_others() -> list[Path]:
-    """What is left in shared memory under names of this ROS domain, and is not removed by this user."""
+    """List files left in shared memory under names of the ROS domain after the user's cleanup."""
     return left(f"{names.instance()}_")
 
 
 def foreign_sentence(others: Sequence[Path]) -> str:
-    """Say of files in shared memory whose they are, or that one cannot be removed, as a folder."""
+    """Return a sentence on files in shared memory: the owning user, or the impossible removal, as of a folder."""
     try:
         require_own(others[0])
     except LinkError as error:

@@ -150,7 +150,7 @@ def write(record: MachineRecord) -> None:
 
 
 def remove() -> None:
-    """Remove the record, unless it belongs to another user."""
+    """Remove the record, unless another user owns the file."""
     if is_own(record_path()):
         record_path().unlink(missing_ok=True)
 

@@ -58,7 +58,7 @@ class MachineNets:
         self.proved = True
 
     def reported(self, node: str, digests: Mapping[str, str]) -> None:
-        """Take the digests of the nets of a node: a description counts only if it has the digest that was reported."""
+        """Take the net digests of a node: a net description counts only if the digest equals the reported one."""
         self._digests.update({(node, net): digest for net, digest in digests.items()})
 
     def described(self, node: str, net: str, description: str) -> None:

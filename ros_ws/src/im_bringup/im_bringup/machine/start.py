@@ -400,7 +400,7 @@ def print_ready(record: MachineRecord, seconds: float) -> None:
 
 
 def print_unfinished(resume: bool) -> None:
-    """Say of each command that had not ended how it is now, and of one that is paused what to do with it."""
+    """Print the present state of each unfinished command, and the ways to continue or end a paused one."""
     unfinished = unfinished_commands.noted(names.run_dir())
     goes_on = resume and not (names.run_dir() / names.ESTOP).exists()
     for command in unfinished:

@@ -1,4 +1,4 @@
-"""The mark of a start that is under way: only one a ROS domain on a host, and ``stop`` asks it to end through the mark.
+"""Mark of a running start: at most one per ROS domain and host; ``stop`` uses the mark to request the end.
 
 The mark is a socket with a name that no file has, which goes with the process that holds it. Any user of the host may
 take such a name; the kernel tells whose process has it.
@@ -25,7 +25,7 @@ _MOST_ASKING = 64
 
 
 class StartMark:
-    """The mark while it is held.
+    """Mark of a running start, held by the present process.
 
     Args:
         listening: The socket.
@@ -36,7 +36,7 @@ class StartMark:
         self._asking: list[socket.socket] = []
 
     def stop_asked(self) -> bool:
-        """Whether ``stop`` of this user waits for the end of this start."""
+        """Return whether ``stop`` of the same user waits for the end of the running start."""
         with suppress(OSError):  # nobody else asks
             for _ in range(_MOST_ASKING):
                 asking, _ = self._listening.accept()
@@ -54,7 +54,7 @@ class StartMark:
 
 @contextmanager
 def only_one() -> Iterator[StartMark]:
-    """Hold the mark of this ROS domain: each start makes way for its own machine, and would end that of the other.
+    """Hold the mark of the ROS domain: of two starts at a time, each would end the machine of the other.
 
     Raises:
         StateError: Another process holds it; the message says whose that is.
@@ -73,7 +73,7 @@ def only_one() -> Iterator[StartMark]:
 
 
 def end_start() -> bool:
-    """Ask the start of this user that is under way to end, and wait until it has; whether there was one."""
+    """Request the end of the user's running start and wait for the end; return whether there was one."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.settimeout(_HEARS_S)
         try:
@@ -95,7 +95,7 @@ def _name() -> str:
 
 
 def _holder_told() -> str:
-    """Who holds the mark, and what to do."""
+    """Name the holder of the mark, and the way out."""
     domain, way_out = names.instance().removeprefix("im"), "set another ROS_DOMAIN_ID"
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.settimeout(_HEARS_S)
@@ -113,7 +113,7 @@ def _holder_told() -> str:
 
 
 def _process(peer: socket.socket) -> tuple[int, int]:
-    """The process at the other end of a socket, and the user, as the kernel knows them."""
+    """Return process and user at the other end of a socket, as known to the kernel."""
     told = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, owner, _ = _CREDENTIALS.unpack(told)
     return pid, owner

@@ -66,7 +66,7 @@ class BootstrapKeeper:
             self._child.send_signal(self._stopped)
 
     def run(self) -> int:
-        """Run until a bootstrap ends on its own; return the exit code, 1 if killed and not started again."""
+        """Run until a bootstrap exits; return the exit code, 1 if killed and not started again."""
         while self._stopped is None:
             try:
                 self._child, hang = self._spawn()

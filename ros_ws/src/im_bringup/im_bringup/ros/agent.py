@@ -1,4 +1,4 @@
-"""Node ``/agent_<host>``: the agent of a host other than the bootstrap's; it follows the orders of the bootstrap."""
+"""Node ``/agent_<host>``: the agent of a host other than the bootstrap's; follows the orders of the bootstrap."""
 
 import argparse
 import json
@@ -80,7 +80,7 @@ class AgentNode(GuardedNode):
             self._follow(read_json(HostOrder, opened.content, topic))
 
     def _follow(self, told: HostOrder) -> None:
-        """Do what the bootstrap asks for."""
+        """Carry out the order of the bootstrap."""
         phase = member(StartupPhase, told.order.phase, "the phase that the bootstrap orders")
         if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started

@@ -1,4 +1,4 @@
-"""The agents of other hosts, as the bootstrap sees them: signed orders to each, and the reports of the tasks."""
+"""Agents of other hosts, seen from the bootstrap: signed orders to each agent, and reports of the tasks."""
 
 import json
 from collections.abc import Collection
@@ -20,7 +20,7 @@ ACKNOWLEDGED_S = 2.0
 
 
 class RemoteAgents:
-    """Tells the agents of other hosts what to do, and takes what they report.
+    """Sender of orders to the agents of other hosts, and receiver of the agents' reports.
 
     An agent asks by reporting; the answer names the life of the agent that asked.
 
@@ -43,13 +43,13 @@ class RemoteAgents:
             node.create_subscription(String, reports_topic(host), partial(self._hear, host), qos.EVENTS)
 
     def order(self) -> None:
-        """Tell each agent what is new."""
+        """Send each agent the changed orders."""
         for host, link in self._links.items():
             if link.peer and self._content(host) != self._sent[host]:
                 self._send(host, link.peer)
 
     def acknowledged(self) -> bool:
-        """Wait until all agents have got what was sent to them, at most :data:`ACKNOWLEDGED_S`; whether they have."""
+        """Wait at most :data:`ACKNOWLEDGED_S` until all agents have acknowledged; return whether all did."""
         deadline = clock.monotonic() + ACKNOWLEDGED_S
         return all(
             publisher.wait_for_all_acked(Duration(seconds=max(0.0, deadline - clock.monotonic())))

@@ -171,7 +171,7 @@ class DispatcherClient(InterruptibleNode):
             self._heard, self._incarnation = clock.monotonic(), message.incarnation
 
     def _is_vouched(self, incarnation: int) -> bool:
-        """Whether the record of the machine of this host, if there is one, has the same incarnation."""
+        """Return whether the machine record of the local host, if there is one, has the same incarnation."""
         if incarnation == self._incarnation:
             return True
         record = machine.read()

@@ -96,7 +96,7 @@ NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 
 
 class OwnOutput:
-    """Standard output or error of a program, without what rclpy says there: 7.1 warns of each timer beyond eight.
+    """Standard output or error of a program, without the rclpy 7.1 warning of each timer beyond eight.
 
     What cannot be written (a full disk, a reader or a terminal that has gone) ends nothing: the machine is waited for.
 
@@ -175,7 +175,7 @@ def _close(stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
-    """Within it ROS is there, and a node spins that signals which ask to end interrupt.
+    """Initialise ROS for the block, and spin a node; end signals interrupt the block.
 
     Args:
         make: Makes the node.

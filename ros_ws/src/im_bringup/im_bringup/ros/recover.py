@@ -150,7 +150,7 @@ class RecoverClient(InterruptibleNode):
         return f"MCS is {message.state}{': ' + reason if reason else ''}"
 
     def _unreached(self, tasks: Container[str]) -> list[str]:
-        """What nodes say of tasks that no message of them reaches."""
+        """Return the nodes' statements on tasks out of reach of the nodes' messages."""
         now = clock.monotonic()
         told = [(name.partition(LINK)[2], at, text) for name, (at, text) in [*self._links.items()]]
         return [text for node, at, text in told if node in tasks and now - at < _LINKS_S]

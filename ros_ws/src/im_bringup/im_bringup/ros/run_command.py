@@ -260,12 +260,12 @@ def handed_over(arguments: Mapping[str, object]) -> dict[str, object]:
 
 
 def same_under_way(client: CommandClient, symbol: str) -> CommandState | None:
-    """Return the oldest command of a symbol that has not ended, None if there is none."""
+    """Return the oldest unfinished command of a symbol, None if there is none."""
     return next((state for state in client.under_way() if state.symbol == symbol), None)
 
 
 def offered(client: CommandClient, state: CommandState) -> bool:
-    """Say how to attach to a command that is under way, and ask whether to, where somebody can answer.
+    """Print how to attach to a running command, and ask whether to attach if a person can answer.
 
     Raises:
         KeyboardInterrupt: Somebody interrupts the question.
@@ -313,7 +313,7 @@ def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) ->
 
 
 def show_calibration(results: Mapping[str, Any], who: str) -> int:
-    """Print what a calibration has found; returns the exit code."""
+    """Print the results of a calibration; return the exit code."""
     report = results["report"]
     print(f"\n{who}: done: {'; but '.join(filter(None, (report['message'], results.get('message'))))}")
     print(summary(report))

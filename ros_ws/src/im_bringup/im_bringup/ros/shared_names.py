@@ -1,4 +1,4 @@
-"""Names that two nodes serve, one of them a node of the machine: which of them answers is chance."""
+"""Names served by two nodes, one being a node of the machine: either node may answer."""
 
 from collections.abc import Collection
 
@@ -18,7 +18,7 @@ _SUCCESSION_S = LEASE_S + 2.0 * LOOK_S
 
 
 class SharedNames:
-    """Looks for services and actions of the machine that a second node serves; tells of them on ``/diagnostics``.
+    """Search for services and actions of the machine served by a second node; report on ``/diagnostics``.
 
     Args:
         node: The bootstrap's.

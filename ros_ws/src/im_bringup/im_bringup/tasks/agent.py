@@ -75,7 +75,7 @@ class Started:
 
 @dataclass(frozen=True)
 class Died:
-    """Event: a process ended on its own, together with the tasks in the process.
+    """Event: a process ended without request, together with the tasks in the process.
 
     Attributes:
         tasks: Names of its tasks.
@@ -113,7 +113,7 @@ Spawn = Callable[[ProcessCommand, Mapping[str, str], Sequence[int]], ChildProces
 
 
 def spawn_process(command: ProcessCommand, environment: Mapping[str, str], inherit: Sequence[int]) -> ChildProcess:
-    """Start a process; it is asked to end if this thread dies.
+    """Start a process; the death of the starting thread requests the end of the process.
 
     Where it may, it begins as a copy of this one.
 
@@ -164,7 +164,7 @@ class Agent:
         return [self._start(slot) for slot in self._slots]
 
     def poll(self, now: float) -> list[Started | Died]:
-        """Notice processes that ended, end those that hang or grow, and start again those whose time has come.
+        """Notice ended processes, end processes with a fault (stuck, too much memory), and restart the due ones.
 
         Args:
             now: Monotonic time [s].
@@ -193,13 +193,13 @@ class Agent:
         return events
 
     def order(self, order: AgentOrder) -> None:
-        """Have all processes follow an order, also those that are started from now on; the last one counts."""
+        """Pass an order to all processes, also to processes started later; the last order counts."""
         self._order = order.text()
         for slot in self._slots:
             self._tell(slot)
 
     def reports(self) -> list[tuple[TaskReport, int]]:
-        """What tasks of this host have reported since the last time, each with the process.
+        """Return all task reports of the host since the last call, each with the process.
 
         Raises:
             DataError: A report makes no sense.
@@ -286,7 +286,7 @@ class Agent:
         return Started(slot.command.tasks, slot.child.pid, slot.restarts)
 
     def _tell(self, slot: _Slot) -> None:
-        """Give a process the order that it does not have yet; where it has no room for it, the next look does."""
+        """Send a process the pending order; if the socket is full, try again at the next poll."""
         if slot.child is None or slot.socket is None or slot.ordered == self._order:
             return
         if slot.socket.send(self._order):
@@ -305,7 +305,7 @@ class Agent:
 
 
 def _fault(slot: _Slot, now: float) -> str:
-    """Why a process that runs is to be ended, a clause; empty if it is not."""
+    """Return the reason to end a running process, as a clause; empty if there is none."""
     if slot.child is None or slot.standstill is None or slot.receivers is None:
         return ""
     hang = slot.standstill.found(now) or slot.receivers.found(now)

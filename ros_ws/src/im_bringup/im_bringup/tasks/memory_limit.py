@@ -1,4 +1,4 @@
-"""How much memory a process of the machine may have: one that grows without end dies and is started again.
+"""Memory limit of a process of the machine: a process with endless growth dies and is started again.
 
 A packet of 52 bytes makes Fast DDS allocate all the memory of a computer (docs/security.md). Without a limit the whole
 computer stands still; with one the process ends, mostly by an exception of C++ that nothing catches.
@@ -24,7 +24,7 @@ _STACKS = 1 << 18
 
 
 def limit_memory(mib: int, pid: int = 0) -> None:
-    """Limit the memory of a process, and of each process that it starts from now on.
+    """Limit the memory of a process, and of each process started later by the process.
 
     What counts is memory that is private and may be written (RLIMIT_DATA): neither shared memory, nor addresses that
     libraries reserve in advance, which are many times what they use and would count for RLIMIT_AS.
@@ -40,7 +40,7 @@ def limit_memory(mib: int, pid: int = 0) -> None:
 
 
 def excess(pid: int, mib: int) -> str:
-    """Why a process is to be ended, a clause; empty if it has enough memory left.
+    """Return the reason to end a process, as a clause; empty if enough memory is left.
 
     Args:
         pid: The process.
@@ -51,7 +51,7 @@ def excess(pid: int, mib: int) -> str:
 
 
 def refused(code: int, log: Path, begin: int) -> bool:
-    """Whether a process ended because it was refused memory.
+    """Return whether a process ended after a refused memory allocation.
 
     Args:
         code: Its exit code, negative for a signal.

@@ -28,7 +28,7 @@ class Receivers:
         self._waited: dict[int, tuple[int, float]] = {}  # number of waits of each thread, CPU time when it was new
 
     def found(self, now: float) -> str:
-        """Why the process counts as stuck, a clause; empty if it does not.
+        """Return the reason to count the process as stuck, as a clause; empty if not stuck.
 
         Args:
             now: Monotonic time [s].

@@ -93,7 +93,7 @@ class Registry:
         self._records[name] = replace(self.find(name), progress=Progress.DEAD, detail=detail)
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> bool:
-        """A report came.
+        """Record a report of a task.
 
         Args:
             name: Task that sent it.
@@ -127,7 +127,7 @@ class Registry:
         return replace(record, heard=now) != new
 
     def lives(self, host: str) -> dict[str, TaskLife]:
-        """The present lives of all tasks, as the agent of a host tells them."""
+        """Return the present lives of all tasks, in the form for the agent of a host."""
         return {
             record.name: TaskLife(
                 record.incarnation,

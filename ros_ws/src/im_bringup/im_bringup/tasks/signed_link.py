@@ -1,4 +1,4 @@
-"""Messages between the bootstrap and the agent of another host: every participant can read them, none can forge them.
+"""Messages between the bootstrap and the agent of another host: readable by all participants, forgeable by none.
 
 Each message is signed with a secret that the hosts share. It names the present lives of its sender and of its receiver
 and has a number: what was recorded, of this run or of a former one, is not taken a second time.
@@ -35,7 +35,7 @@ class _Message:
 
 @dataclass(frozen=True)
 class HostOrder:
-    """What the bootstrap tells the agent of another host.
+    """Order of the bootstrap to the agent of another host.
 
     Attributes:
         order: What its tasks are to do.
@@ -53,7 +53,7 @@ HostReports = list[tuple[TaskReport, int]]
 
 
 def orders_topic(host: str) -> str:
-    """The topic on which the bootstrap tells the agent of a host what to do, as :class:`HostOrder`."""
+    """Return the topic for orders of the bootstrap to the agent of a host, as :class:`HostOrder`."""
     return f"/{agent_name(host)}/orders"
 
 
@@ -63,7 +63,7 @@ def reports_topic(host: str) -> str:
 
 
 def agent_name(host: str) -> str:
-    """Name of the node that is the agent of a host."""
+    """Return the name of the agent node of a host."""
     return "agent_" + re.sub(r"\W", "_", host)
 
 
@@ -81,7 +81,7 @@ class Opened:
 
 
 def read_secret(environ: Mapping[str, str]) -> bytes:
-    """Read the secret that the hosts of a machine share.
+    """Read the secret shared by the hosts of a machine.
 
     Raises:
         ConfigError: There is none, others may read it, or it is too short to be one.
@@ -150,7 +150,7 @@ class SignedLink:
         return Opened(message.sender, message.content if self._is_fresh(message) else None)
 
     def _is_fresh(self, message: _Message) -> bool:
-        """Whether a message is for this life, and new; the first one of a new life of the other end ends the former."""
+        """Return whether a message is new and for the present life; a new life of the other end ends the former."""
         if message.receiver != self._life:
             return False
         if message.sender not in self._peers:

@@ -1,4 +1,4 @@
-"""Chi-square gates: choice of spots explained by the noise, judged without influence of the spots themselves.
+"""Chi-square gates: choice of spots explained by the noise, judged without influence of the tested spots.
 
 Where a pose does not fit, one camera's spot is wrong, or the robot's position that all cameras share.
 """

@@ -116,7 +116,7 @@ class Coroutines:
         self._run(work)
 
     def step(self) -> None:
-        """Run coroutines that can go on until they wait; in the loop, which has the turn after some of them."""
+        """Run all ready coroutines until each waits; call in the loop, which gets a turn after some coroutines."""
         for _ in range(_AT_ONCE):
             if not self._ready:
                 return

@@ -279,7 +279,7 @@ class GuardedActionServer(ActionServer):
         ActionServer.register_execute_callback(self, execute)
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[[Any], Any] | None) -> None:
-        """As in rclpy, whose executor looks at every goal that waits after every event; the node's loop does not."""
+        """Begin a goal in the node's loop; rclpy's executor would look at every waiting goal after each event."""
         run: Callable[..., Coroutine[object, object, None]] = self._execute_goal  # rclpy says no types
         self._guard.begin(run(execute_callback or self._execute_callback, goal_handle))
 
@@ -342,7 +342,7 @@ class GuardedActionServer(ActionServer):
             self._guard.late_answers.keep(self._what, header, answer)
 
     def _cancelling(self, request: Any) -> Any:
-        """The answer to a cancellation that was carried out; rclpy has dropped its own."""
+        """Return the answer to a completed cancellation; rclpy has dropped the original answer."""
         asked = bytes(request.goal_info.goal_id.uuid)  # zeros stand for all goals
         chosen = [handle for uuid, handle in self._goal_handles.items() if uuid == asked or not any(asked)]
         cancelling = [GoalInfo(goal_id=handle.goal_id) for handle in chosen if handle.is_cancel_requested]

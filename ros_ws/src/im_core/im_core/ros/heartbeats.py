@@ -1,4 +1,4 @@
-"""Who is alive: follows the heartbeats of tasks, and waits for answers only while the answerer lives.
+"""Liveness of tasks: follow the heartbeats, and wait for answers only while the answering task lives.
 
 Every participant of DDS can publish a heartbeat. A heartbeat of a task of the machine counts only if the agent of this
 process vouches for its incarnation (:attr:`im_core.ros.node.ManagedNode.lives`). The agent alone says whether the task
@@ -127,11 +127,11 @@ class Heartbeats:
         return last
 
     def _vouched(self, task: str) -> TaskLife | None:
-        """What the agent tells of a task; None if it is none of the machine, or nobody tells."""
+        """Return the agent's record of a task; None for tasks outside the machine, or without an agent."""
         return None if self._node.lives is None else self._node.lives.get(task)
 
     def _room(self) -> bool:
-        """Whether a task is followed that nobody has asked for, and that no agent tells of."""
+        """Return whether there is room to follow a task neither requested by anyone nor known to an agent."""
         return self._node.lives is None and len(self._last) < MOST_TASKS
 
     def _silence_s(self, task: str, last: Heartbeat) -> float:
@@ -158,7 +158,7 @@ class Heartbeats:
         return unwatch
 
     def on_return(self, returned: Callable[[str], None]) -> None:
-        """Have a function called with the name of each task that is heard after it was started again."""
+        """Register a function, called with the name of each task heard again after a restart."""
         self._returned.append(returned)
 
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:

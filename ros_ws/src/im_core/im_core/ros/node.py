@@ -138,7 +138,7 @@ class ManagedNode(GuardedNode):
         self.get_logger().error(error.message)
 
     def serve(self, agent: AgentSocket) -> None:
-        """Report to the agent that has started this process from now on; before the node is spun."""
+        """Report from now on to the agent of the process; call before the node is spun."""
         self._agent, self.lives = agent, {}
         self._publish_status()
 

@@ -182,7 +182,7 @@ def spin_in_thread(*nodes: rclpy.node.Node) -> Spinner:
 def main(
     make_node: Callable[[], NodeT], args: Sequence[str] | None = None, at_end: Callable[[NodeT], None] | None = None
 ) -> int:
-    """Run one node as a process until a signal asks to end, or SHUTDOWN; within :func:`gathered`, add it only.
+    """Run one node as a process until an end signal or SHUTDOWN; within :func:`gathered`, only add the node.
 
     Args:
         make_node: Makes the node, after ROS is initialised.
@@ -252,7 +252,7 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
 
 
 def _serve(agent: AgentSocket | None, nodes: Sequence[ManagedNode]) -> None:
-    """Have the nodes follow the orders of the agent that started this process, if there is one."""
+    """Have the nodes follow the orders of the agent of the process, if there is one."""
     if agent is None:
         for node in nodes:
             if not node.get_parameter("standalone").value:

@@ -1,4 +1,4 @@
-"""Nodes that serve a service or an action: where two nodes serve one name, either of them may answer."""
+"""Servers of a service or an action: if two nodes serve one name, either one may answer."""
 
 from rclpy.node import Node
 
@@ -10,7 +10,7 @@ _REQUESTS = ("rq{}Request", "rq{}/_action/send_goalRequest")
 
 
 def servers_of(node: Node, name: str) -> list[str]:
-    """Find the nodes that serve a name, as the graph of ROS knows them now.
+    """Find the nodes serving a name, as known to the ROS graph now.
 
     Args:
         node: Whose view of the graph is asked.
@@ -24,7 +24,7 @@ def servers_of(node: Node, name: str) -> list[str]:
 
 
 def doubt(node: Node, name: str) -> str:
-    """Say that a stranger may have answered: a clause, empty where the servers of a name are of one node name.
+    """Describe a possible answer by a stranger: a clause, empty if all servers of a name share one node name.
 
     A node that was killed stays in the graph for the lease of DDS, beside the one that was started in its place.
     """
@@ -35,12 +35,12 @@ def doubt(node: Node, name: str) -> str:
 
 
 def reason(node: Node, words: str, name: str) -> str:
-    """Complete the reason that a server gave for a failure: it is never empty, and names all servers."""
+    """Complete the failure reason given by a server: never empty, with the names of all servers."""
     parts = (words or f"the server of {name} gave no reason", doubt(node, name))
     return "; ".join(part for part in parts if part)
 
 
 def doubted(node: Node, error: ImError, name: str) -> ImError:
-    """The error that an answer of a server told of, with the names of all servers."""
+    """Return the error from a server's answer, with the names of all servers."""
     clause = doubt(node, name)
     return ImError.restored(error.code, f"{error.message}; {clause}", error.facts) if clause else error

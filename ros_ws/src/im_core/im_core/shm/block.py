@@ -171,7 +171,7 @@ def _open(name: str) -> tuple[mmap.mmap | None, str]:
 
 
 def dead_owner(name: str) -> int:
-    """Find the process that created a block and died without removing it; 0 where there is none.
+    """Find the dead creator of a block left behind; return 0 if there is none.
 
     Args:
         name: Name given by the creator.

@@ -87,7 +87,7 @@ def _path(name: str) -> Path:
 
 
 def _open(name: str) -> posix_ipc.Semaphore | None:
-    """Open a semaphore of this user, None if there is none.
+    """Open a semaphore of the user, None if there is none.
 
     Its owner is looked up by name before and after: the same inode, which others may not remove, was opened between.
     """

@@ -18,7 +18,7 @@ MOST_VARIANTS = 200
 
 @dataclass(frozen=True)
 class Variant:
-    """Command with a choice of the arguments that decide on the resources.
+    """Command with a choice of the arguments relevant for the resources.
 
     Attributes:
         name: Its transition of the net ``cell``.
@@ -37,7 +37,7 @@ class Variant:
     declared: CommandDeclaration = field(hash=False)
 
     def is_meant(self, arguments: Mapping[str, object]) -> bool:
-        """Return whether arguments, with the defaults, have this choice."""
+        """Return whether arguments, with the defaults, have the variant's choice."""
         return all(arguments.get(name) == value for name, value in self.choice.items())
 
 
@@ -86,7 +86,7 @@ class Needs:
         return next(variant.net for variant in self.variants.values() if variant.symbol == symbol)
 
     def variant(self, symbol: str, arguments: Mapping[str, object]) -> Variant:
-        """Return the variant of a command with these arguments.
+        """Return the variant of a command for the given arguments.
 
         Raises:
             NetError: Nothing; its arguments were not checked.

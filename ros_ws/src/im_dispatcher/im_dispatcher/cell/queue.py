@@ -63,7 +63,7 @@ class WaitingLine:
         return sorted((self.claim(job.command) for job in jobs), key=lambda claim: claim.rank)
 
     def coming(self) -> list[Claim]:
-        """Return the commands just written: the net will take them in the next turn."""
+        """Return the commands just written: taken by the net in the next turn."""
         return [self.claim(job.command) for job in self._executor().coming()]
 
     def running(self) -> list[Claim]:
@@ -111,7 +111,7 @@ class WaitingLine:
         return {turn_of(name): guard(name) for name in self._needs.variants}
 
     def lets(self, variant: str, command: Command) -> bool:
-        """Return whether a command is next, and begins as this variant."""
+        """Return whether a command is next, and begins as the given variant."""
         asking = self.claim(command)
         return asking.variant.name == variant and its_turn(asking, self.waiting())
 

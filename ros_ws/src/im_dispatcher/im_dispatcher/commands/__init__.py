@@ -22,7 +22,7 @@ SHIPPED = "shipped"
 
 
 def shipped() -> list[str]:
-    """Return names of the shipped commands: those of the net files."""
+    """Return names of the shipped commands, equal to the names of the net files."""
     return sorted(path.stem for path in NETS.glob("*.yaml"))
 
 
@@ -59,7 +59,7 @@ def net_files(named: Iterable[str]) -> list[Path]:
 
 
 def load_named_net(path: str) -> Net:
-    """Read the net file that a message names; it is shipped, or below the folders that messages may name.
+    """Read a net file named by a message; shipped, or below the folders allowed for messages.
 
     Args:
         path: The file, as of :func:`im_pnt.netfile.load_net`. What it includes lies below the same folders.

@@ -173,7 +173,7 @@ class CalibrateCamera:
         await self._skip(ctx, str(ctx.memory["looked"]), _loop(ctx).looked_progress)
 
     async def take_up(self, ctx: ActionContext) -> None:
-        """Give the present pose back, if there is one: it is visited again."""
+        """Give the present pose back, if there is one: the pose is visited again."""
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
@@ -241,7 +241,7 @@ class CalibrateCamera:
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
-        """Return the poses of a command; read them again after a restart or in a recording."""
+        """Return the poses of a command; read the file again after a restart or in a recording."""
         if self._file is None or self._file[0] != ctx.command.id or self._host.recorded:
             self._file = ctx.command.id, await self._host.get_object(ctx.object(POSES), PosesFile)
         return self._file[1]
@@ -301,7 +301,7 @@ class CalibrateCamera:
         )
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
-        """Return the times of a command; after a restart, continue those of the former incarnation."""
+        """Return the times of a command; after a restart, continue the times of the former incarnation."""
         if self._times.command != ctx.command.id:
             self._times.command = ctx.command.id
             self._times.add_times(ctx.memory.get("times"))

@@ -1,4 +1,4 @@
-"""The node as commands see it: data objects are plain values here, and messages outside."""
+"""Node seen from commands: data objects are plain values inside, and messages outside."""
 
 import json
 import math
@@ -32,7 +32,7 @@ class DispatcherHost:
         self._timed: list[tuple[str, StepTimes]] = []
 
     def attach(self, node: PntNode) -> None:
-        """Set the node behind this host."""
+        """Set the node behind the host."""
         self._node, self.seed = node, node.seed
         node.create_subscription(Firing, "/pnt/firings", self._note_firing, qos.EVENTS)
 
@@ -56,15 +56,15 @@ class DispatcherHost:
         return self._host.noted(key, compute)
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Return a value computed from the world outside, in a thread of its own."""
+        """Return a value computed from the world outside, in a separate thread."""
         return await self._host.noted_apart(key, compute, *arguments)
 
     def time_steps(self, net: str, times: StepTimes) -> None:
-        """Time the firings of a net, and of the nets it needs."""
+        """Time the firings of a net, and of all nets required by the net."""
         self._timed.append((net, times))
 
     def nets_for(self, net: str) -> Sequence[Net]:
-        """Return a net as written, with the nets it needs."""
+        """Return a net as written, with all required nets."""
         return self._node.net_with_servers(net)
 
     def now(self) -> float:
@@ -89,7 +89,7 @@ class DispatcherHost:
                 times.note_end(name, message.command_id, stamp, message.duration)
 
     def _is_step(self, net: str, message: Firing) -> bool:
-        """Return whether a transition is one of a net, or of the nets it needs: firings come from any sender."""
+        """Return whether a transition belongs to a net or a required net: firings come from any sender."""
         nets = self.nets_for(net) if net in self._node.exchange.nets else ()
         return any(each.name == message.net and message.transition in each.transitions for each in nets)
 

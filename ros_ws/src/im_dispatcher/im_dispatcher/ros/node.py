@@ -72,7 +72,7 @@ class Dispatcher(PntNode):
         super().phase_configure()
 
     def completed(self, nets: list[Net]) -> list[Net]:
-        """Return the nets, and before them the net of the resources, which hands commands on.
+        """Return the nets, preceded by the resource net, which hands commands on.
 
         A journal brings that back as it was: perhaps the process died between a net and what its commands need.
         """
@@ -82,7 +82,7 @@ class Dispatcher(PntNode):
         return [*(before or [self._library.kept(cell.cell_net(self._needs))]), *others]
 
     def require_together(self, nets: Iterable[Net]) -> None:
-        """Check nets together; the net of the cell reads the commands, and hands them on."""
+        """Check nets together; the net of the cell reads the commands, and hands the commands on."""
         super().require_together(net for net in nets if net.name != cell.NAME)
 
     def phase_start(self) -> None:
@@ -156,7 +156,7 @@ class Dispatcher(PntNode):
         self.functions.guards.update(self._line.guards())
 
     async def _cell_for(self, needs: Needs, beside: Sequence[Net] = (), without: str = "") -> tuple[Net, Verification]:
-        """Make the net of the cell for other needs, and verify it with the later running nets."""
+        """Make the net of the cell for other needs, and verify the net with all nets running later."""
         net = cell.cell_net(needs)
         return net, await self.loader.verified(net, beside, without)
 
@@ -165,7 +165,7 @@ class Dispatcher(PntNode):
 
     @contextmanager
     def _cell_changes(self, needs: Needs, net: Net, report: Verification) -> Iterator[None]:
-        """Replace the net of the cell by one for the coming needs, with the net that comes or goes meanwhile.
+        """Replace the net of the cell by one for the coming needs, with the coming or leaving net meanwhile.
 
         Raises:
             StateError: A command waits or runs that would need something else, or is not there any more.
@@ -188,7 +188,7 @@ class Dispatcher(PntNode):
         started: Callable[[int], None] | None = None,
         priority: int = 0,
     ) -> CommandOutcome:
-        """Run a command; without free resources it waits or is refused, by the declaration.
+        """Run a command; without free resources the command waits or is refused, by the declaration.
 
         Of a command that needs nothing, a second one is refused.
 

@@ -71,7 +71,7 @@ class DomNode(ManagedNode):
         self.create_service(InvalidateObject, "/dom/invalidate", self._invalidate, qos_profile=qos.QUEUED_SERVICE)
 
     def phase_shutdown(self) -> None:
-        """Close the store, unless an operation in it hangs."""
+        """Close the store, unless a store operation hangs."""
         if self._worker is not None and self._worker.close() and self._store is not None:
             self._store.close()
 
@@ -154,7 +154,7 @@ class DomNode(ManagedNode):
         self.spawn(self._abandon(net, self._places.of(net), DESCRIBED_S if stranger and not description.json else 0.0))
 
     async def _abandon(self, net: str, places: frozenset[str], wait_s: float) -> None:
-        """Invalidate objects of places removed from a net: no token can stand for them.
+        """Invalidate objects of places removed from a net: no token can refer to such objects.
 
         Args:
             net: Its name.

@@ -58,7 +58,7 @@ def check_message(name: str, kind: str, data: bytes) -> str:
 
 
 def extended(name: str, kind: str, data: bytes, more: bytes) -> bytes:
-    """Return a message with sequences grown by those of another of the type; the other fields stay.
+    """Return a message with sequences extended by the ones of another message; the other fields stay.
 
     Args:
         name: Of the object, for errors.

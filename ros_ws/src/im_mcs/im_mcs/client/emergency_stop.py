@@ -1,4 +1,4 @@
-"""The emergency stop as the node takes it: power, mark, answer, in this order, from any thread."""
+"""Emergency stop on the node's side: power, mark, answer, in order, from any thread."""
 
 import threading
 
@@ -15,7 +15,7 @@ _ANSWER_S, _LOOK_S = 0.2, 0.002
 
 
 class EmergencyStop:
-    """Stop the machine at once, and remember that until the reset; knows no ROS and no loop.
+    """Stop the machine at once, and remember the stop until the reset; without ROS and without a loop.
 
     Args:
         circuits: The second way to the power.
@@ -33,7 +33,7 @@ class EmergencyStop:
         self.count = 0
 
     def stop(self, reason: str, servo: ServoClient | None) -> str:
-        """Stop the machine, and return what is so after at most 0.2 s, as a sentence.
+        """Stop the machine, and describe the state after at most 0.2 s in a sentence.
 
         The servo is told before its power is cut, so that it names this cause; nothing waits for it.
 
@@ -74,7 +74,7 @@ class EmergencyStop:
             self.cause = self._latch.read()  # a watch may have stopped the machine anew
 
     def _tell(self, servo: ServoClient, reason: str, replies: list[ServoReply]) -> bool:
-        """Send the stop to the servo; return whether it was sent."""
+        """Send the stop to the servo; return whether the send succeeded."""
         try:
             servo.send(Event.ESTOP, {"reason": reason}, replies.append)
         except ImError:  # a servo that takes no requests: the circuits do it

@@ -117,7 +117,7 @@ class ServoClient:
         return number
 
     def snapshot(self) -> NDArray[np.void]:
-        """Newest state of the servo, shape (); where it died or hangs in the middle of writing, the one before."""
+        """Return the newest state of the servo, shape (); after a write cut off by death or hang, the previous one."""
         with suppress(LinkError):
             self._newest = self._channel.snapshot.read()
         return self._newest
@@ -127,7 +127,7 @@ class ServoClient:
         return STATES[int(self.snapshot()["state"])]
 
     def samples(self) -> list[dict[str, Any]]:
-        """What the joints did since the last call: fields of :func:`im_mcs.protocol.samples.sample_type`, as lists."""
+        """Return joint samples since the last call: fields of :func:`im_mcs.protocol.samples.sample_type`, as lists."""
         return self._channel.samples.take_samples()
 
     def evidence(self, number: int) -> dict[str, Any] | None:
@@ -142,7 +142,7 @@ class ServoClient:
         return self._records.read(number)
 
     def beat(self) -> None:
-        """Give the servo a sign of life; from the first one on it watches for the next."""
+        """Give the servo a sign of life; after the first one the servo watches for the next."""
         self._channel.heartbeat.beat()
 
     def silence_s(self) -> float:
@@ -162,7 +162,7 @@ class ServoClient:
             on_reply(ServoReply(error, {}))
 
     def suspend(self, error: ImError) -> None:
-        """Answer requests as :meth:`give_up` does until :meth:`resume`, for a hanging servo; call it during the hang.
+        """Answer requests as :meth:`give_up` does until :meth:`resume`, for a hanging servo; call during the hang.
 
         An emergency stop is passed on nevertheless, and acts when the process wakes. So does the cancelling of
         everything whose sender has been told that it failed.

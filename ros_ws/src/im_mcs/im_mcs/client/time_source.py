@@ -8,7 +8,7 @@ from im_core.errors import LinkError
 
 
 class TimeSource(Protocol):
-    """Time of the testbed, as clients need it."""
+    """Time of the testbed, from the clients' view."""
 
     @property
     def tick(self) -> int:
@@ -65,7 +65,7 @@ class TestbedTime:
 
 
 class FlowingTime:
-    """Time that passes by itself, as that of real hardware does."""
+    """Time passing without requests, as on real hardware."""
 
     tick = 0
 

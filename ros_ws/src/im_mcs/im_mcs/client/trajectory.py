@@ -120,7 +120,7 @@ class Course(TimedPoints):
         return Course(self.times[first:] + delay_s, self.q[first:], v, a)
 
     def held(self, time_s: float, q: NDArray[np.float64]) -> "Course":
-        """Return the course with a point at rest at ``q`` before it, shape (n,)."""
+        """Return the course with a preceding point at rest at ``q``, shape (n,)."""
         v, a = (None if x is None else np.vstack([np.zeros_like(q), x]) for x in (self.v, self.a))
         return Course(np.append(time_s, self.times), np.vstack([q, self.q]), v, a)
 

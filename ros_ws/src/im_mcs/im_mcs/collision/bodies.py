@@ -1,4 +1,4 @@
-"""Shapes of the cell, and the distances between them (coal, through pinocchio)."""
+"""Shapes of the cell, and the distances between the shapes (coal, through pinocchio)."""
 
 from dataclasses import dataclass
 

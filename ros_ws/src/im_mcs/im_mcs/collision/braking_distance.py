@@ -1,4 +1,4 @@
-"""Places of rest of joints that brake now."""
+"""Places of rest of joints braking from now on."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -24,7 +24,7 @@ class Positions(Protocol):
 
 
 class PlannedMotion(Protocol):
-    """Motion in its own time."""
+    """Motion as a function of time."""
 
     @property
     def duration(self) -> float:

@@ -1,4 +1,4 @@
-"""Distances at every servo tick: slow down before bodies come close, stop before they come too close."""
+"""Distances at every servo tick: slow down before bodies come close, stop before bodies come too close."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ def _lever(model: CellModel, carrier: int, between: list[int], ends: NDArray[np.
 
 
 def _axis(model: CellModel, joint: int) -> NDArray[np.float64]:
-    """Return the axis of a revolute joint in its own frame, shape (3,)."""
+    """Return the axis of a revolute joint in the joint's frame, shape (3,)."""
     data = model.pin.createData()
     q = pin.neutral(model.pin)
     jacobian = pin.computeJointJacobian(model.pin, data, q, joint)
@@ -92,7 +92,7 @@ class Proximity:
 
 
 class CollisionMonitor:
-    """Watch over all pairs of bodies at the places of rest of joints that brake now.
+    """Watch over all pairs of bodies at the places of rest of joints braking from now on.
 
     Pairs that braking brings closer slow the motion down from ``slow_down_m`` on, and stop it at ``stop_m``. Motion
     that takes bodies apart, or leaves their distance, goes on at any distance: after a stop the way back is free.
@@ -163,7 +163,7 @@ class CollisionMonitor:
         return Proximity(distance, *self._names[closest], self._ceiling, culprit is not None)
 
     def _refresh(self) -> int:
-        """Measure some pairs in turn, and those possibly closest within the zone; return the closest."""
+        """Measure some pairs in turn, and all possibly closest ones within the zone; return the closest."""
         lower, distance = self._lower, self._bodies.distance
         for pair in next(self._turns):
             lower[pair] = distance(pair)

@@ -67,7 +67,7 @@ class Controller(Protocol):
         ...
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for this tick, shape (n,) [Nm or N]; the loop limits them."""
+        """Return torques for the current tick, shape (n,) [Nm or N]; the loop limits the torques."""
         ...
 
 

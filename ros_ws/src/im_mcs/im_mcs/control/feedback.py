@@ -47,7 +47,7 @@ class VelocityEstimator:
 
 
 class FeedbackParameters(ConfigModel):
-    """Gains as the poles of a joint of its own inertia, so one line serves joints of any size.
+    """Gains as the poles of a joint with inertia included, so one line serves joints of any size.
 
     With inertia ``I`` the gains are ``kp = I w^2``, ``kd = 2 zeta w I``, ``ki = kp w_i``.
     """

@@ -49,7 +49,7 @@ class GuardedLaw:
             self._fault = self._failed("hold_integral", error)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for this tick, shape (n,) [Nm or N], finite.
+        """Return torques for the current tick, shape (n,) [Nm or N], finite.
 
         Raises:
             ControlLawError: The law raised an error, or returned something else.

@@ -1,4 +1,4 @@
-"""Joint impedance: the arm as springs and dampers around the setpoint; it yields to a push."""
+"""Joint impedance: the arm as springs and dampers around the setpoint; the arm yields to a push."""
 
 import numpy as np
 import pydantic

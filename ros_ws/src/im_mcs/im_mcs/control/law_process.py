@@ -1,4 +1,4 @@
-"""Control law in a process of its own, seen from the servo loop (paper, section 4: multiprocessor algorithms)."""
+"""Control law in a separate process, seen from the servo loop (paper, section 4: multiprocessor algorithms)."""
 
 import itertools
 import json
@@ -25,7 +25,7 @@ _NUMBERS = itertools.count()
 
 
 class LawProcess:
-    """Process of a law: started before the loop, ended with it, and by the kernel if the loop dies.
+    """Process of a law: started before the loop, ended with the loop, and by the kernel if the loop dies.
 
     Args:
         law: ``module:Class``.
@@ -109,7 +109,7 @@ class LawProcess:
             raise ControlLawError(self._ending(), controller=self.law, pid=self.pid)
 
     def close(self) -> None:
-        """End the process, by force if it does not listen."""
+        """End the process, by force if unresponsive."""
         if self._process.poll() is None:
             self._link.view["end"][()] = True
             self._link.question.post()
@@ -159,7 +159,7 @@ class RemoteLaw:
         self._hold = int(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for this tick, shape (n,) [Nm or N].
+        """Return torques for the current tick, shape (n,) [Nm or N].
 
         Raises:
             ControlLawError: The law failed, its process is gone, or it was late too often.

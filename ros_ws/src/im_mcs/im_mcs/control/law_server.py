@@ -19,7 +19,7 @@ _LOOK_S = 0.5
 
 
 def main() -> int:
-    """Serve a law until the servo ends it or is gone; 1 if the law cannot be made, with the reason in the link."""
+    """Serve a law until the servo sends the end or is gone; 1 if the law cannot be made, reason in the link."""
     job: dict[str, Any] = json.load(sys.stdin)
     model = ControlledModel(Cell.model_validate(job["cell"]), job["model_error"])
     link = LawLink.attach(job["link"], model.n, len(model.wrists), _ATTACH_S)

@@ -17,7 +17,7 @@ _SHADOW_S = 0.036
 
 @dataclass
 class _Share:
-    """Working law, and the rest of the law before it.
+    """Working law, and the remaining share of the previous law.
 
     Attributes:
         law: The law.
@@ -85,7 +85,7 @@ class ControlLaws:
 
     @property
     def late(self) -> int:
-        """Number of late answers of laws in processes of their own; the ticks went without them."""
+        """Number of late answers of laws in separate processes; the ticks went on without the answers."""
         return sum(law.late for law in self._laws.values() if isinstance(law, RemoteLaw))
 
     @property
@@ -93,7 +93,7 @@ class ControlLaws:
         return self._model is not None and self._model.changing
 
     def switch(self, name: str) -> None:
-        """Let another law take over from the next tick on; do nothing if it is in force.
+        """Let another law take over from the next tick on; do nothing if already in force.
 
         Raises:
             NotFoundError: The configuration has no such law.
@@ -120,7 +120,7 @@ class ControlLaws:
         self._present.law.hold_integral(hold)
 
     def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for this tick, shape (n,) [Nm or N].
+        """Return torques for the current tick, shape (n,) [Nm or N].
 
         Raises:
             ControlLawError: A law failed, be it the one in the shadow.

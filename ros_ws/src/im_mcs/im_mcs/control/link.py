@@ -1,4 +1,4 @@
-"""Shared memory between the servo loop and a control law in a process of its own."""
+"""Shared memory between the servo loop and a control law in a separate process."""
 
 from typing import Any, Self
 

@@ -1,4 +1,4 @@
-"""Source of the groups' control laws: made in the servo process, or served by processes of their own."""
+"""Source of the groups' control laws: made in the servo process, or served by separate processes."""
 
 from typing import Any
 
@@ -69,7 +69,7 @@ class LawSource:
 
     @property
     def late(self) -> dict[str, int]:
-        """Late answers so far of each law with a process of its own."""
+        """Late answers so far of each law with a separate process."""
         counts = dict.fromkeys(self._processes, 0)
         for (law, _, _), remote in self._remote.items():
             counts[law] += remote.late

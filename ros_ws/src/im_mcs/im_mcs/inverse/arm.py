@@ -14,7 +14,7 @@ SINGULARITIES = ("shoulder", "elbow", "wrist")
 
 
 class Arm:
-    """The last six joints before a frame: two that meet, an elbow parallel to the second, and a spherical wrist.
+    """Last six joints before a frame: two intersecting axes, an elbow parallel to the second, a spherical wrist.
 
     The determinant of its Jacobian is the product of three factors (R.P. Paul, C.N. Stevenson, "Kinematics of robot
     wrists", 1983): how far the wrist's centre is from the first axis (shoulder), how far the elbow is bent, and the

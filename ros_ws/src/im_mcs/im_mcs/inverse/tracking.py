@@ -62,7 +62,7 @@ class ArmTracker:
         return np.concatenate([target.translation - pose.translation, pin.log3(target.rotation @ pose.rotation.T)])
 
     def solve(self, target: pin.SE3, guess: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Positions of all joints that meet a pose, only the arm's differing from ``guess``; None if none is near.
+        """Return all joint positions to reach a pose, only the arm's changed from ``guess``; None if none is near.
 
         Args:
             target: Wanted pose of the wrist in ``world``.

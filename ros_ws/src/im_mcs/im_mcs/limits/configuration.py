@@ -50,7 +50,7 @@ class Group(Model):
 
 
 class LimitShares(Model):
-    """Shares of the cell's limits used by MCS, and bounds of its own."""
+    """Shares of the cell's limits used by MCS, and additional MCS bounds."""
 
     position_margin: float = Field(ge=0, description="distance kept from the end stops [rad or m]")
     velocity: float = Field(gt=0, le=1)
@@ -97,7 +97,7 @@ class Switching(Model):
 
 
 class LawProcesses(Model):
-    """Control laws in a process of their own each, joined to the loop by the inter-processor blocking."""
+    """Control laws in one process each, joined to the loop by the inter-processor blocking."""
 
     laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
     patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")

@@ -17,7 +17,7 @@ _NONE = SlotLimits()
 
 
 class JointLimits:
-    """Limits of all joints, and sentences about values beyond them.
+    """Limits of all joints, and sentences about values beyond the limits.
 
     Attributes:
         lower: Least positions, shape (n,) [rad or m].
@@ -100,7 +100,7 @@ class JointLimits:
     def check_positions(
         self, index: NDArray[np.intp], values: Sequence[float], where: str, beyond: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return positions for the joints ``index`` as an array, if they may be commanded, or measured.
+        """Return positions for the joints ``index`` as an array, if allowed as commanded or measured values.
 
         Args:
             index: Joints, shape (n,).

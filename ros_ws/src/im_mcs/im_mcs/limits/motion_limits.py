@@ -45,7 +45,7 @@ class MotionLimits:
         return type(self)(self.velocity[index], self.acceleration[index], self.jerk[index])
 
     def along(self, way: NDArray[np.float64]) -> tuple[float, float, float]:
-        """Limits of speed, acceleration and jerk of the fraction of a straight ``way``, shape (n,), not all zero."""
+        """Return speed, acceleration and jerk limits of the fraction of a straight ``way``, shape (n,), not zero."""
         used = np.abs(way)
         with np.errstate(divide="ignore", over="ignore"):
             return (

@@ -108,7 +108,7 @@ def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
 
 
 def check_settings(name: str, settings: Mapping[str, object]) -> None:
-    """Check whether there is a driver ``module:Class`` with these settings.
+    """Check the existence of a driver ``module:Class`` with the given settings.
 
     Raises:
         ConfigError: There is none, or it does not take them; says what it takes.

@@ -1,4 +1,4 @@
-"""Kinematics and dynamics of the cell in the eyes of MCS, and the command that prints them."""
+"""Kinematics and dynamics of the cell as modelled by MCS, and the command to print both."""
 
 from im_mcs.model.dynamics import CellModel
 from im_mcs.model.payload import ControlledModel, Payload

@@ -59,7 +59,7 @@ class CellModel:
         return int(self.pin.getFrameId(frame))
 
     def joints_below(self, frame: str) -> NDArray[np.intp]:
-        """Return ranks of the joints that move a frame with all the loads, shape (k,).
+        """Return ranks of the joints moving a frame with all the loads, shape (k,).
 
         Raises:
             NotFoundError: There is no such frame.

@@ -35,7 +35,7 @@ class Payload:
     def checked(
         cls, mass: float, center: Sequence[float], inertia: Sequence[float], rated_kg: float, reach_m: float
     ) -> "Payload":
-        """Return a payload, if a rigid body can have it and the arm may carry it.
+        """Return a payload, if possible for a rigid body and allowed for the arm.
 
         Args:
             mass: [kg].
@@ -124,7 +124,7 @@ class ControlledModel(CellModel):
         return self._present
 
     def set_payload(self, wrist: str, payload: Payload, ticks: int) -> None:
-        """Change the payload of a wrist, from the next :meth:`advance` on and wholly after ``ticks`` of them.
+        """Change the payload of a wrist, from the next :meth:`advance` on, completely after ``ticks`` calls.
 
         Raises:
             NotFoundError: There is no such wrist.

@@ -17,7 +17,7 @@ class Follower(Protocol):
 
     @property
     def ahead(self) -> Ahead | None:
-        """Direction of a curved path; None: it goes straight on, or each joint for itself."""
+        """Direction of a curved path; None for a straight path, or independent joints."""
         ...
 
     @property
@@ -52,7 +52,7 @@ class Follower(Protocol):
 
     @property
     def between(self) -> Setpoint | None:
-        """Setpoints of the ticks between the last knot and the one before it, shape (ticks - 1, n) each, if known."""
+        """Setpoints of the ticks between the last knot and the previous one, shape (ticks - 1, n) each, if known."""
         ...
 
     @property
@@ -70,7 +70,7 @@ class Follower(Protocol):
 
 
 class GroupPlanner:
-    """Follower of one motion after the other; between them it holds.
+    """Follower of one motion after the other; holds the position between motions.
 
     A motion is evaluated every ``divisor`` ticks (the paper: "typically calculated at a frequency that is a multiple of
     the servo frequency"), at *knots*, and there for the ticks up to the next one, at once. Of a stream, setpoints in
@@ -102,7 +102,7 @@ class GroupPlanner:
         self._ready: list[Setpoint] = []
 
     def follow(self, trajectory: Trajectory, start_rate: float) -> None:
-        """Follow ``trajectory`` from this knot on; run at ``start_rate`` it must begin with the present setpoint."""
+        """Follow ``trajectory`` from the current knot on; required begin at ``start_rate``: the present setpoint."""
         self.follower = PathFollower(trajectory, start_rate, self.limits, self.period_s, self.divisor)
 
     def start_rate(self, rate: float) -> float:
@@ -110,7 +110,7 @@ class GroupPlanner:
         return max(rate, least_rate(self._knot.v, self._knot.a, self.limits))
 
     def start_state(self, start_rate: float) -> Setpoint:
-        """Return the first state of a trajectory at this knot, in its own time."""
+        """Return the first state of a trajectory at the current knot, in the trajectory's time."""
         if start_rate == 0.0:
             return Setpoint.at_rest(self._knot.q)
         return Setpoint(self._knot.q, self._knot.v / start_rate, self._knot.a / start_rate**2)
@@ -161,7 +161,7 @@ class GroupPlanner:
         return self.setpoint
 
     def look_ahead(self) -> None:
-        """Prepare the next knot while nothing waits for it, if the next setpoint is one to compute."""
+        """Prepare the next knot during idle time, if the next setpoint is one to compute."""
         if not self._ready:
             self.follower.look_ahead()
 

@@ -38,7 +38,7 @@ examples:  scripts/run.sh im_mcs poses --cameras wall table --output poses.yaml
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Generate poses; exit code 1 if it cannot be done, with the reason on standard error."""
+    """Generate poses; exit code 1 on failure, with the reason on standard error."""
     options = _parser().parse_args(arguments)
     try:
         selector, group = make_selector(options.config, options.group, options.cameras)

@@ -21,7 +21,7 @@ _FEWEST = 25
 
 
 class CommonView:
-    """Places of a light in view of all cameras: sampled positions of the arm, those in every image.
+    """Places of a light in view of all cameras: sampled arm positions, only the ones in every image.
 
     Attributes:
         lower: Corner of the box around these places, shape (3,) [m].

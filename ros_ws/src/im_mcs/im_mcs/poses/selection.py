@@ -51,7 +51,7 @@ def spread_of(lights: NDArray[np.float64], wrists: NDArray[np.float64], usable: 
 
 
 def farthest_first(points: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """Ranks of points, shape (count,): the innermost, then always the farthest from those before (Gonzalez, 1985).
+    """Return ranks of points, shape (count,): the innermost, then always the farthest (Gonzalez, 1985).
 
     They leave holes at most twice as large as the best choice would.
 
@@ -181,7 +181,7 @@ class PoseSelector:
         return pool
 
     def _try(self, candidate: Candidate) -> PlacedPose | str:
-        """Return a candidate with joint positions, or the reason against it."""
+        """Return a candidate with joint positions, or the reason against the candidate."""
         lack = "are out of reach"
         for start in (self._common.start(candidate.light), self._home[self._index]):
             *_, attempt = self._solver.descent(candidate.wrist, self._home, start)
@@ -209,7 +209,7 @@ class PoseSelector:
         return None
 
     def _order(self, pool: Sequence[PlacedPose], wanted: Sequence[int]) -> tuple[list[PlacedPose], list[int]]:
-        """From home always to the next pose that is reached soon on a free, direct way; and those without any."""
+        """Order poses from home, always to the next one soon reached on a free, direct way; return also the rest."""
         here, left, ordered = self._home[self._index], list(wanted), list[PlacedPose]()
         while left:
             for k in sorted(left, key=lambda k: (self._duration(here, pool[k].q), k)):
@@ -248,7 +248,7 @@ class PoseSelector:
 
 
 def _nearest_other(lights: NDArray[np.float64], k: int, tried: set[int]) -> int | None:
-    """Return the untried light nearest to light ``k``, None if all were tried; it counts as tried from now on."""
+    """Return the untried light nearest to light ``k`` and mark as tried; None if all were tried."""
     for other in np.argsort(np.linalg.norm(lights - lights[k], axis=1), kind="stable"):
         if int(other) not in tried:
             tried.add(int(other))

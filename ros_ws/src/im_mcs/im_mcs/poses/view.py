@@ -1,4 +1,4 @@
-"""Places and views of cameras, and the best turn of a light for all of them."""
+"""Places and views of cameras, and the best turn of a light for all cameras."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -163,7 +163,7 @@ class ServoChannel:
 
     @staticmethod
     def dead_owner(instance: str) -> int:
-        """Find the process of an owner that died in the possession of a channel; 0 where there is none."""
+        """Find the owner process dead in possession of a channel; return 0 if there is none."""
         return dead_owner(f"{instance}_mcs_evidence")
 
     def close(self) -> None:

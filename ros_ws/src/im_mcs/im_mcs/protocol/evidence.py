@@ -104,14 +104,14 @@ class Recorder:
             self.keep()
 
     def freeze(self) -> int:
-        """Keep the ring after the row of this tick; return the number of the record, one for a tick."""
+        """Keep the ring after the current tick's row; return the number of the record, one per tick."""
         if not self._wanted:
             self._wanted = True
             self.newest += 1
         return self.newest
 
     def keep(self) -> None:
-        """Copy the ring now if :meth:`freeze` asked for it: there may be no row of this tick."""
+        """Copy the ring now if requested by :meth:`freeze`: the current tick may have no row."""
         if not self._wanted:
             return
         self._wanted = False

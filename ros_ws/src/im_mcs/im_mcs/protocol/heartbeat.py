@@ -51,7 +51,7 @@ class ServoHeartbeat:
         self._counters[self._mine] += 1
 
     def silence_s(self) -> float:
-        """Return the time without a sign of the other side on this one, as :class:`Silence` counts [s].
+        """Return the time without a sign of the other side, as counted by :class:`Silence` [s].
 
         It is 0 before the first; a side that does not listen for a while is not deceived about the other.
         """

@@ -1,4 +1,4 @@
-"""Points in time on the way to the servo: few of them as JSON, many in shared memory of their own."""
+"""Points in time on the way to the servo: few as JSON, many in separate shared memory."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def share_points(name: str, points: TimedPoints) -> tuple[SharedBlock, dict[str,
 
 
 def shared_points(given: Mapping[str, Any], most: int | None) -> TimedPoints:
-    """Return the points behind a reference in a request, where they are in memory.
+    """Return the points behind a reference in a request, located in shared memory.
 
     Args:
         given: As :func:`share_points` returns it.

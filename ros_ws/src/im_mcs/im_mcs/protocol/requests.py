@@ -62,7 +62,7 @@ class Policy(StrEnum):
 
 
 class ServoRequest(Model):
-    """Arguments of a request; a number may be infinite or none where the cell's limits decide over it."""
+    """Arguments of a request; a number may be infinite or none where the cell's limits decide instead."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=True)
 
@@ -261,7 +261,7 @@ class ReserveRequest(ServoRequest):
 
 
 class TakeOverRequest(ReserveRequest):
-    """Take a group away from the owner: the motion ends on the path, and it is reserved for another owner."""
+    """Take a group away from the owner: the motion ends on the path, and the group is reserved for a new owner."""
 
 
 class ReleaseRequest(ServoRequest):
@@ -338,7 +338,7 @@ class CancelRequest(ServoRequest):
 
 
 class PauseRequest(ServoRequest):
-    """Halt a group on the path; all of them without a name."""
+    """Halt a group on the path; all groups without a name."""
 
     group: Text = ""
 
@@ -351,7 +351,7 @@ class ResumeRequest(ServoRequest):
 
 
 class SetSpeedRequest(ServoRequest):
-    """Set the share of the planned speed, for this motion and later ones."""
+    """Set the share of the planned speed, for the current motion and later ones."""
 
     group: Text
     scale: Annotated[float, Field(ge=SLOWEST, le=1, description=f"a number from {SLOWEST:g} to 1")]
@@ -376,7 +376,7 @@ class SetControllerRequest(ServoRequest):
 
 
 class SetPayloadRequest(ServoRequest):
-    """Set the load of the wrist of a group: mass [kg], centre [m], inertia about it [kg m2]."""
+    """Set the load of the wrist of a group: mass [kg], centre [m], inertia about the centre [kg m2]."""
 
     group: Text
     mass: Amount
@@ -464,7 +464,7 @@ def parse_request(message: Mapping[str, Any], max_points: int, max_trajectory_po
 
 
 def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fault: Fault) -> str:
-    """Return the fault of a request as a sentence; a field with a description is named by it."""
+    """Return the fault of a request as a sentence; a field with a description is named by the description."""
     where, value, here = fault.location, reprlib.repr(fault.value), model
     below: Any = given
     for rank, part in enumerate(where):

@@ -65,7 +65,7 @@ class SampleRing:
         return cls(SharedBlock.attach(name, timeout_s), dtype)
 
     def next_record(self) -> NDArray[np.void]:
-        """Return the record to fill next, shape (); :meth:`push_record` makes it readable."""
+        """Return the record to fill next, shape (); :meth:`push_record` makes the record readable."""
         return self._records[int(self._head[0]) % _KEPT : int(self._head[0]) % _KEPT + 1].reshape(())
 
     def push_record(self) -> None:

@@ -44,7 +44,7 @@ _ANSWERED_S = 0.5
 
 
 class Refusals:
-    """Counter of refused messages by topic, each sentence said once, for any numbers in it; fit for several threads.
+    """Counter of refused messages by topic; a sentence is logged once for any numbers inside; thread-safe.
 
     Args:
         logger: Of the node.
@@ -84,7 +84,7 @@ class TakeOvers:
         self._newest: dict[str, str] = {}
 
     def add(self, group: str, before: str, owner: str, by: Sequence[str]) -> str:
-        """Note a takeover: group, the owner before and now, and the operator, by name; return it as a sentence."""
+        """Note a takeover: group, owners before and now, operator, by name; return the note as a sentence."""
         was, now = (f"'{name}'" if name else "anyone" for name in (before, owner))
         sentence = f"group '{group}', until now of {was}, is taken over for {now} by {', '.join(by)}"
         self._newest[group] = sentence
@@ -171,7 +171,7 @@ class McsAccess:
         return group_in_force(self.config, name)
 
     def check(self, message: Any) -> None:
-        """Check the size of a client's message, before any work with it.
+        """Check the size of a client's message, before any work with the message.
 
         Raises:
             DataError: A text or a list is too long, or a number is not finite or too large.
@@ -252,7 +252,7 @@ class McsAccess:
         return f"MCS is {self.state.value}"
 
     async def stop(self, event: Event) -> str:
-        """Stop by ``protective_stop``, or ``reset`` an emergency stop; where that led, as a sentence.
+        """Stop by ``protective_stop``, or ``reset`` an emergency stop; return the resulting state as a sentence.
 
         Raises:
             ImError: It is refused, or ended badly.

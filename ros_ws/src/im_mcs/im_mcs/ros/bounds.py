@@ -1,4 +1,4 @@
-"""Size before work: the largest allowed message, checked before any work with it."""
+"""Size checks: the largest allowed message, checked before any work with the message."""
 
 import math
 from collections.abc import Sequence

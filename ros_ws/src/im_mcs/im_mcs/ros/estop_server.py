@@ -1,4 +1,4 @@
-"""``/mcs/estop``, in a loop of its own: it answers whatever the loop of the node does."""
+"""``/mcs/estop``, in a separate loop: answers independently of the node's loop."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from im_mcs.state import Event
 
 
 class EstopServer:
-    """The service ``/mcs/estop`` of a second node, ``mcs_estop``, in a thread of its own.
+    """Service ``/mcs/estop`` of a second node, ``mcs_estop``, in a separate thread.
 
     Args:
         access: MCS.

@@ -1,4 +1,4 @@
-"""Node ``/mcs``: motion control of all joints; the servo runs in a process of its own."""
+"""Node ``/mcs``: motion control of all joints; the servo runs in a separate process."""
 
 import sys
 from collections.abc import Callable
@@ -66,7 +66,7 @@ class McsNode(ManagedNode):
         self._publish_state()
 
     def phase_configure(self) -> None:
-        """Start the servo process and wait until it holds the testbed: lifecycle *inactive*, MCS cold."""
+        """Start the servo and wait until the servo holds the testbed: lifecycle *inactive*, MCS cold."""
         self._mcs.keeper.start_blocking(self._mcs.config)
         self._mcs.lifecycle.follow("configure")
         self._publish_state()
@@ -78,7 +78,7 @@ class McsNode(ManagedNode):
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 
     def phase_shutdown(self) -> None:
-        """End the servo process; the testbed brakes by itself."""
+        """End the servo process; the testbed brakes without a servo."""
         self._mcs.keeper.close()
         self._estop.close()
 

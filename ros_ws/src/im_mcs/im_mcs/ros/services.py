@@ -250,7 +250,7 @@ class KinematicsServices:
         return best_positions(self._mcs.client().snapshot())
 
     async def _ask(self, question: Callable[..., _Answer], *arguments: object) -> _Answer:
-        """Answer a question in a thread; only a few may wait at a time, because all of them slow the loop down.
+        """Answer a question in a thread; only a few may wait at a time, since waiting questions slow the loop down.
 
         Raises:
             ImError: There are too many already, or there is no answer.

@@ -45,7 +45,7 @@ _FRESH_S = 0.1
 
 
 class ServoOwner:
-    """Running servo process, with the way to it.
+    """Running servo process, with the way to the servo.
 
     Must be made in a thread that lives as long as the node: the process dies with the thread that started it.
 
@@ -75,13 +75,13 @@ class ServoOwner:
 
     @property
     def client(self) -> ServoClient:
-        """Way to the servo, once it is ready."""
+        """Way to the servo, once ready."""
         if self._client is None:
             raise StateError("the servo process is not ready yet")
         return self._client
 
     def ready(self) -> bool:
-        """Return whether the servo runs and holds the testbed; ask until it does.
+        """Return whether the servo runs and holds the testbed; ask until true.
 
         Raises:
             LinkError: It ended, or was not ready in time; the message says why.
@@ -173,7 +173,7 @@ class ServoKeeper:
 
     @property
     def read_past(self) -> PowerReading | None:
-        """Power and brakes, read past a servo that says nothing of them now; None where it measures them.
+        """Power and brakes, read past a servo without present readings; None if the servo measures both.
 
         Hardware that cannot be asked is told as it is without a servo.
         """
@@ -185,7 +185,7 @@ class ServoKeeper:
 
     @property
     def stop_cause(self) -> str:
-        """Cause of a latched emergency stop, or empty; it outlives the servo process."""
+        """Cause of a latched emergency stop, or empty; outlives the servo process."""
         return self._stop.cause
 
     @property
@@ -211,13 +211,13 @@ class ServoKeeper:
         return self._owner.client
 
     def explain(self, error: ImError) -> ImError:
-        """A refusal in the state in which the death of the last ``/mcs`` has left the machine names that death."""
+        """Return the error; to a refusal in the state left by the last ``/mcs`` death, add the death as the cause."""
         if not self._death or error.facts.get("state") != State.COLD.value:
             return error
         return ImError.restored(error.code, f"{error.message}; the cause of this state: {self._death}", error.facts)
 
     def start_blocking(self, config: McsConfig) -> None:
-        """Start the servo process and wait until it holds the testbed.
+        """Start the servo process and wait until the servo holds the testbed.
 
         Raises:
             ImError: It cannot be started, or the testbed does not answer.
@@ -252,7 +252,7 @@ class ServoKeeper:
         self._take_owner(owner)
 
     def estop(self, reason: str) -> str:
-        """Stop at once, whatever state MCS is in, and latch it; return what is so, as a sentence. From any thread."""
+        """Stop at once, in any state of MCS, and latch the stop; describe the result in a sentence. From any thread."""
         owner, hang = self._owner, self._hang
         said = self._stop.stop(reason, None if owner is None else owner.client)
         self._node.spawn(calling(self._follow_stop))
@@ -261,7 +261,7 @@ class ServoKeeper:
         return f"MCS is {self.state.value}; {said}" + (f": {hang.message}" if hang is not None else "")
 
     def _follow_stop(self) -> None:
-        """Let the node follow a stop that was asked for; in the loop."""
+        """Let the node follow a requested stop; in the loop."""
         self._testbed_lost = False
         self.follow()
         self._changed()
@@ -307,7 +307,7 @@ class ServoKeeper:
             self._node.spawn(self._synchronise())
 
     def _take_owner(self, owner: ServoOwner) -> None:
-        """Take over a servo process; tell it of an emergency stop latched meanwhile, or found."""
+        """Take over a servo process; pass on an emergency stop latched meanwhile, or found."""
         self._owner = owner
         if not self._stop.cause and self._circuits.is_cut():
             self._hold("the emergency stop circuit was found cut")
@@ -315,7 +315,7 @@ class ServoKeeper:
             owner.client.send(Event.ESTOP, {"reason": self._stop.cause})
 
     def close(self) -> None:
-        """End the servo process; the testbed brakes by itself. Forget the reports."""
+        """End the servo process; the testbed brakes without a servo. Forget the reports."""
         owner, self._owner, self._hang = self._owner, None, None
         if owner is not None:
             owner.close()
@@ -349,7 +349,7 @@ class ServoKeeper:
         self._tell_again(owner.client)
 
     def _tell_again(self, client: ServoClient) -> None:
-        """Stop a servo without knowledge of an emergency stop: it hung then, or the testbed was away."""
+        """Stop a servo without knowledge of an emergency stop: the servo hung then, or the testbed was away."""
         if not self._stop.cause or self._resets or self._hang is not None or client.state() is State.ESTOPPED:
             return
         if clock.monotonic() > self._told_again:
@@ -389,7 +389,7 @@ class ServoKeeper:
             raise LinkError(f"the servo process cannot be started: {error}") from error
 
     def _listen_to(self, client: ServoClient) -> None:
-        """Refuse requests while the servo runs but gives no sign of life, or hears none; no client waits for it."""
+        """Refuse requests while the running servo gives or hears no sign of life; no client waits for the servo."""
         why = ""
         if client.silence_s() > self._silence_s:
             why = f"it has given no sign of life for {self._silence_s:g} s"

@@ -22,7 +22,7 @@ _BELL_S = 0.1
 
 
 class TopicChannels(GuardedNode):
-    """Joint states into shared memory, efforts out of it.
+    """Joint states into shared memory, efforts out of shared memory.
 
     Args:
         name: Of the shared memory.

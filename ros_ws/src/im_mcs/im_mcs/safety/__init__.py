@@ -1,4 +1,4 @@
-"""Safety supervisor: limits in force at all times, and watches that stop the machine (not safety-rated)."""
+"""Safety supervisor: limits in force at all times, and watches able to stop the machine (not safety-rated)."""
 
 from im_mcs.safety.limiter import SetpointLimiter
 from im_mcs.safety.watches import Reaction, SafetyFinding, Situation, Supervisor, Watch

@@ -116,7 +116,7 @@ class SetpointLimiter:
         return self._any_catching
 
     def _leaves_range(self, wanted: NDArray[np.float64], near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the joints ``near`` the end of the range with a braking way beyond it, shape (n,)."""
+        """Return the joints ``near`` the end of the range with a braking way beyond the end, shape (n,)."""
         outside = np.zeros_like(near)
         motion = self._motion
         for k in np.flatnonzero(near & ~self._free).tolist():

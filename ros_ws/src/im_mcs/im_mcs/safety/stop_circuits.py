@@ -24,7 +24,7 @@ class StopCircuits:
         self._without = [name for name, circuit in found.items() if circuit is None]
 
     def cut(self) -> str:
-        """Take the power away wherever a circuit reaches; return what has been done, as a sentence."""
+        """Cut the power wherever a circuit reaches; return the actions done, as a sentence."""
         done, failed = self._each(lambda circuit: circuit.cut())
         said = [f"the stop circuit of {', '.join(done)} is cut"] * bool(done)
         said += [f"that of {name} is not: {why}" for name, why in failed.items()]
@@ -36,7 +36,7 @@ class StopCircuits:
         self._each(lambda circuit: circuit.restore())
 
     def is_cut(self) -> bool:
-        """Say whether one is cut, perhaps since before this process."""
+        """Return whether any circuit is cut, perhaps since before the process began."""
         return any(self._each(lambda circuit: circuit.is_cut())[0].values())
 
     def reading(self) -> PowerReading | None:

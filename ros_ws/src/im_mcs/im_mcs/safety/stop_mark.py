@@ -1,4 +1,4 @@
-"""The mark of an emergency stop: a file of the run folder that outlives the processes of MCS, until the reset."""
+"""Mark of an emergency stop: a file of the run folder, kept until the reset, also after the MCS processes end."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from im_mcs.safety.stop_circuits import StopCircuits
 
 
 class StopMark:
-    """Keep an emergency stop beyond the life of the process that took the power.
+    """Keep an emergency stop beyond the life of the process cutting the power.
 
     The presence of the file is the statement, its content is the cause. Node and servo process both make it.
     """
@@ -29,7 +29,7 @@ class StopMark:
             return f"an emergency stop whose cause cannot be read: {error.sentence}"
 
     def keep(self, cause: str) -> None:
-        """Make the mark, without a wait for the disk; a mark that is there stays.
+        """Make the mark, without a wait for the disk; an existing mark stays.
 
         Raises:
             StoreError: The file cannot be made.
@@ -37,7 +37,7 @@ class StopMark:
         make_mark(self.path, f"{cause}\n")
 
     def synchronise(self) -> None:
-        """Wait until the mark outlives a loss of power; a mark that was cleared meanwhile needs nothing.
+        """Wait until the mark is safe against a loss of power; a mark cleared meanwhile needs nothing.
 
         Raises:
             StoreError: The disk has failed.
@@ -69,7 +69,7 @@ class StopLatch:
         self._mark, self._circuits = mark, circuits
 
     def read(self) -> str:
-        """Read the cause of the emergency stop that is kept; empty where there is none."""
+        """Read the cause of the kept emergency stop; empty if there is none."""
         return self._mark.read()
 
     def keep(self, cause: str) -> str:

@@ -1,4 +1,4 @@
-"""Watches: each checks one possible fault in every tick with power on; the supervisor asks them all."""
+"""Watches: each checks one possible fault in every tick with power on; the supervisor runs all watches."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ class SafetyFinding:
 
 
 class WatchedGroup(Protocol):
-    """Group as watches see it."""
+    """Group from the watches' view."""
 
     @property
     def name(self) -> str:
@@ -109,7 +109,7 @@ class Watch(Protocol):
 
 
 class PowerWatch:
-    """Watch over the power: the testbed may cut it by itself."""
+    """Watch over the power: the testbed may cut the power without a command."""
 
     def check(self, now: Situation) -> SafetyFinding | None:
         """An e-stop of the hardware is one of MCS."""
@@ -119,7 +119,7 @@ class PowerWatch:
 
 
 class BrakeWatch:
-    """Watch over brakes that open or engage against the command.
+    """Watch over brakes opening or engaging against the command.
 
     A joint whose brake opens by itself falls; one whose brake engages by itself works against its motor, and would
     leap once it is free. Both are an e-stop. A brake that has been told to move is given the time that the transition
@@ -336,7 +336,7 @@ class LeaseWatch:
 
 
 class Supervisor:
-    """All watches, those of e-stops first.
+    """All watches, e-stop watches first.
 
     Args:
         watches: In the order in which they are asked.
@@ -364,7 +364,7 @@ class Supervisor:
         )
 
     def check(self, now: Situation) -> list[SafetyFinding]:
-        """Return the fault of this tick; nothing after an e-stop, which includes all."""
+        """Return the fault of the current tick; nothing after an e-stop, which includes all."""
         findings = []
         for watch in self._watches:
             finding = watch.check(now)

@@ -1,1 +1,1 @@
-"""The servo loop: all layers once a tick, in a process of its own without ROS (``python -m im_mcs.servo``)."""
+"""Servo loop: all layers once a tick, in a separate process without ROS (``python -m im_mcs.servo``)."""

@@ -9,7 +9,7 @@ from im_mcs.servo.process import run
 
 
 def main(arguments: list[str]) -> int:
-    """Run the servo; 1 if it cannot be started, with the reason on standard error."""
+    """Run the servo; return 1 if the servo cannot be started, with the reason on standard error."""
     try:
         config = load_config(Path(arguments[1]) if len(arguments) > 1 and arguments[1] else None)
         if len(arguments) > 2:

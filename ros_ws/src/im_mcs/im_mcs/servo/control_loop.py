@@ -74,7 +74,7 @@ class ControlLoop:
                 self.engaged.append(group)
 
     def disengage(self, groups: Container[str]) -> None:
-        """End setpoints and torques of groups, from this tick on."""
+        """End setpoints and torques of groups, from the current tick on."""
         self.tau = self.tau.copy()
         for group in self.engaged:
             if group.name in groups:
@@ -104,7 +104,7 @@ class ControlLoop:
         return []
 
     def look_around(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
-        """Check the distances along this tick's setpoints; they bound the setpoints of the next tick.
+        """Check the distances along the current tick's setpoints as a bound for the setpoints of the next tick.
 
         The slots need not wait for it, nor for what can be prepared of these.
 

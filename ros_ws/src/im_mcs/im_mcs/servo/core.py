@@ -113,12 +113,12 @@ class Mcs:
 
     @property
     def setpoint(self) -> NDArray[np.float64]:
-        """Positions, velocities and accelerations followed in this tick, shape (3, n)."""
+        """Positions, velocities and accelerations followed in the current tick, shape (3, n)."""
         return self.loop.setpoint
 
     @property
     def tau(self) -> NDArray[np.float64]:
-        """Torques of this tick, shape (n,)."""
+        """Torques of the current tick, shape (n,)."""
         return self.loop.tau
 
     def tick(self, messages: Iterable[dict[str, Any]]) -> None:
@@ -172,7 +172,7 @@ class Mcs:
             self.answers.reply(request_id(message), error)
 
     def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
-        """Decelerate groups on the paths and hold them until resumed; all groups if none are named."""
+        """Decelerate groups on the paths and hold the groups until resumed; all groups if none are named."""
         self.end_torque_streams(self.loop.torque_streams.end_streams(fault, groups))
         for group in self.loop.engaged:
             if group.goals and group.protective is None and (groups is None or group.name in groups):
@@ -258,7 +258,7 @@ class Mcs:
         self.disengage(tuple(self.groups))
 
     def forget_stop(self) -> None:
-        """Let no later process begin with the emergency stop that is reset.
+        """Let no later process begin with the emergency stop being reset.
 
         Raises:
             StoreError: The mark cannot be removed.
@@ -288,7 +288,7 @@ class Mcs:
             return [*said, error.message]
 
     def _complete_stop(self) -> None:
-        """Keep an emergency stop whose power is gone, then tell ended goals: nothing comes before power and mark.
+        """Keep an emergency stop with power cut, then notify ended goals: power and mark come before all else.
 
         A loss of the testbed needs no mark: nobody has stopped the machine, and the next reservation resets it.
         """
@@ -356,7 +356,7 @@ class Mcs:
         self.grippers.update(self.measured)
 
     def _follow_up(self) -> None:
-        """Report the progress of goals; watch the rest of braked groups. No torque waits for it."""
+        """Report the progress of goals; watch the rest of braked groups. No torque waits for the report."""
         m = self.measured
         for group in self.groups.values():
             self.answers.tell_progress(group, m.tick)

@@ -65,7 +65,7 @@ class Machine(Protocol):
         ...
 
     def protective_stop(self, fault: ImError) -> None:
-        """Decelerate all groups on the paths and hold them."""
+        """Decelerate all groups on the paths and hold the groups."""
         ...
 
     def estop(self, fault: ImError) -> None:
@@ -181,7 +181,7 @@ class Dispatch:
         return False
 
     def _stream(self, number: int, request: StreamRequest) -> bool:
-        """Take streaming setpoints or torques; return whether they opened a goal, answered at the end."""
+        """Take streaming setpoints or torques; return whether a goal was opened, with the answer at the end."""
         mcs = self._mcs
         self._manager.reservations.require_driver(request.group, Sender(names=[request.owner]))
         group, goal = mcs.groups[request.group], self._goal(number)

@@ -18,7 +18,7 @@ _REACHED_M = 1e-3
 
 @dataclass
 class GripperMotion:
-    """Moving jaws, until they stand still: at the wanted opening, or against something.
+    """Moving jaws, until at a standstill: at the wanted opening, or against an object.
 
     Those whose reading is not steady, or that give none, stand when they have come no further for a long while.
 
@@ -135,7 +135,7 @@ class Grippers:
         self._moving[slot] = GripperMotion(number, slot, last=there, place=there)
 
     def cancel(self, number: int, fault: ImError, measured: NDArray[np.float64]) -> bool:
-        """Stop jaws at the place; the request ends with ``fault`` once they stand.
+        """Stop jaws at the present place; the request ends with ``fault`` after the standstill.
 
         Args:
             number: Of the request that let them move.
@@ -154,7 +154,7 @@ class Grippers:
         return True
 
     def update(self, m: Measured) -> None:
-        """Report jaws that have come to a stand."""
+        """Report jaws at a standstill."""
         if not self._moving:
             return
         for motion in [each for each in self._moving.values() if each.update(m.gripper, self._patience_ticks)]:

@@ -176,7 +176,7 @@ class ControlledGroup:
             self.monitor.restart()
 
     def request(self, goal: Goal, request: MoveRequest) -> None:
-        """Take up a motion; the next ticks prepare it.
+        """Take up a motion; the next ticks prepare the motion.
 
         Raises:
             StateError: Another motion is under way and the policy is to refuse, or a protective stop holds the group.
@@ -267,11 +267,11 @@ class ControlledGroup:
         self._rates.protective = None
 
     def set_speed(self, scale: float) -> None:
-        """Set the share of the planned speed, above 0 and up to 1, for this motion and later ones."""
+        """Set the share of the planned speed, above 0 and up to 1, for the current motion and later ones."""
         self._rates.override = scale
 
     def set_ceiling(self, scale: float) -> None:
-        """Upper bound of the rate, in steps of 0.05 up to 1 and at least one of them; beside the client's override."""
+        """Set the upper bound of the rate, in steps of 0.05 from 0.05 to 1; independent of the client's override."""
         self._rates.ceiling = max(int(scale * _CEILING_STEPS), 1) / _CEILING_STEPS
 
     def drop_goals(self) -> list[Goal]:
@@ -311,7 +311,7 @@ class ControlledGroup:
         return self.setpoint
 
     def cut(self, setpoint: Setpoint, joints: Sequence[str], tick: int) -> None:
-        """Note the setpoint left by limits in this tick: a motion along a path cannot succeed any more.
+        """Note the setpoint left by limits in the current tick: a motion along a path cannot succeed any more.
 
         Args:
             setpoint: What is followed.
@@ -342,7 +342,7 @@ class ControlledGroup:
         gravity: NDArray[np.float64],
         wanted: Setpoint,
     ) -> NDArray[np.float64]:
-        """Return torques of this tick, shape (n,), for the present setpoint of the planner.
+        """Return torques of the current tick, shape (n,), for the present setpoint of the planner.
 
         Args:
             tick: Number of the tick.
@@ -420,7 +420,7 @@ class ControlledGroup:
             self._end_queued(rank, ImError(unplanned, code="internal", group=self.name))
 
     def _stop_before(self, rank: int, queued: Queued) -> None:
-        """Stop the motion before a waiting one that was to take over from it."""
+        """Stop the motion before a waiting one, which was to take over."""
         waiting = list(self._queue)
         self._queue = deque(waiting[:rank])
         self._interrupt(self._replaced(queued.goal))
@@ -433,7 +433,7 @@ class ControlledGroup:
         return current is None or (current.goal.fault is None and current.stream is None)
 
     def _start(self, queued: Queued) -> Setpoint:
-        """Return the first state of a waiting motion, in its own time."""
+        """Return the first state of a waiting motion, in the motion's time."""
         if queued.policy is Policy.REPLACE:
             return self.planner.start_state(self._start_rate(queued))
         rank = self._queue.index(queued)
@@ -491,7 +491,7 @@ class ControlledGroup:
             )
 
     def _interrupt(self, fault: ImError) -> None:
-        """End the motion under way early; those behind it end at once."""
+        """End the motion under way early; the motions queued behind end at once."""
         current = self._current
         if current is not None and current.goal.fault is None:
             current.goal.fault = fault
@@ -503,7 +503,7 @@ class ControlledGroup:
         self._rates.protective = None
 
     def _end_queued(self, rank: int, fault: ImError) -> None:
-        """End the waiting motion of a rank, and those behind it."""
+        """End the waiting motion of a rank, and all motions queued behind."""
         ended = [self._queue.pop() for _ in range(len(self._queue) - rank)]
         for queued in reversed(ended):
             self._finish(queued.goal, fault, 0)
@@ -529,7 +529,7 @@ class ControlledGroup:
             self._close_gate(fault)
 
     def _close_gate(self, fault: ImError) -> None:
-        """Close the gate of a stopped stream: the next setpoint must not restart it."""
+        """Close the gate of a stopped stream: the next setpoint must not restart the stream."""
         if self._current is not None and (lease := self._current.lease) is not None:
             self.gate.close(lease.owner, lease.seconds, fault)
 

@@ -38,7 +38,7 @@ class GuardedTestbed:
         self.wall_period_s = self._testbed.wall_period_s
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether it came.
+        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether the tick came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -46,7 +46,7 @@ class GuardedTestbed:
         return _guard("wait", self._testbed.wait, timeout_s)
 
     def time_asked(self) -> bool:
-        """Return whether a tick must come: time passes by itself, or on request.
+        """Return whether a tick must come: time passes without requests, or on request.
 
         Raises:
             LinkError: It does not say.
@@ -55,7 +55,7 @@ class GuardedTestbed:
 
     @property
     def hardware_pid(self) -> int:
-        """Process of this host with the ticks; 0 where there is none."""
+        """Process of the local host with the ticks; 0 where there is none."""
         return self._testbed.hardware_pid
 
     def read(self) -> Measured:
@@ -75,7 +75,7 @@ class GuardedTestbed:
         _guard("write", self._testbed.write, drive)
 
     def faults(self) -> list[str]:
-        """Return the faults reported by hardware itself.
+        """Return the faults reported by hardware.
 
         Raises:
             LinkError: Some does not answer.

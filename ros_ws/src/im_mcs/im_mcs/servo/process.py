@@ -89,7 +89,7 @@ class ServoProcess:
         self._running = False
 
     def _owner_alive(self) -> bool:
-        """Whether the owner runs; asked twice a tick, looked at every 20 ms, for that takes a tenth of a tick."""
+        """Return whether the owner runs; asked twice a tick, checked every 20 ms (takes a tenth of a tick)."""
         now = clock.monotonic()
         if self._owner_runs and now >= self._next_look:
             self._owner_runs = self._channel.requests.owner_alive()
@@ -110,7 +110,7 @@ class ServoProcess:
         return self._mcs.wants_time and not self._mcs.held
 
     def _turn(self) -> None:
-        """Wait for a tick and run it; without a tick, look after the link and refuse impossible requests."""
+        """Wait for a tick and run the tick; without a tick, look after the link and refuse impossible requests."""
         self._channel.heartbeat.beat()
         try:
             if not self._reporter.linked:
@@ -126,7 +126,7 @@ class ServoProcess:
             self._lose(error)
 
     def _wait(self) -> bool:
-        """Wait for a tick; return whether it came. At clock factor 0 none comes while nobody wants time.
+        """Wait for a tick; return whether a tick came. At clock factor 0, none comes without a request for time.
 
         The testbed is silent only while it could tick and this process listens; time in which a busy computer let
         either of them wait does not count. Nor is it silent while whoever has sent a request has not come to asking
@@ -193,7 +193,7 @@ class ServoProcess:
         self._send_events()
 
     def _tell_state(self) -> None:
-        """Send a change of state, of any group, before the answers that came with it."""
+        """Send a change of state, of any group, before the accompanying answers."""
         manager = self._mcs.manager
         now = manager.state, manager.states
         if now != self._told:

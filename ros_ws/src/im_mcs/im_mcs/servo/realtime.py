@@ -37,7 +37,7 @@ class Pacer:
         self._deadline = 0.0
 
     def wait(self) -> None:
-        """Sleep until the deadline of this tick."""
+        """Sleep until the deadline of the current tick."""
         if self.period_s == 0.0:
             self.ticks += 1
             return

@@ -1,4 +1,4 @@
-"""Reports of the servo on itself: the snapshot and the samples."""
+"""Reports of the servo about the servo: the snapshot and the samples."""
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Reporter:
         self._compute_s += _SMOOTHING * (seconds - self._compute_s)
 
     def sample(self) -> None:
-        """Write a sample, if it is time for one."""
+        """Write a sample, if due."""
         mcs, m = self._mcs, self._mcs.measured
         if self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
             return

@@ -48,7 +48,7 @@ class StreamGate:
             self._ticks_left -= 1
 
     def require_open(self, owner: str) -> None:
-        """Check whether a message may open a stream, or renew it; another owner's always may.
+        """Check whether a message may open or renew a stream; a message of another owner always may.
 
         Raises:
             StateError: His stream was ended, and he has not been silent since; the silence is counted anew.

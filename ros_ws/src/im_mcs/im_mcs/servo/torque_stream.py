@@ -43,7 +43,7 @@ class TorqueStreams:
         return bool(self._streams)
 
     def torque(self, group: str) -> NDArray[np.float64] | None:
-        """Return the wanted torques of a group, shape (n,) [Nm or N]; None if it is not driven."""
+        """Return the wanted torques of a group, shape (n,) [Nm or N]; None if the group is not driven."""
         stream = self._streams.get(group)
         return None if stream is None else stream.tau
 

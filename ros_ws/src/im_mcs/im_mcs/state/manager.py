@@ -29,7 +29,7 @@ _NO_FACTS: Mapping[str, object] = {}
 
 
 class Arms(Protocol):
-    """Layers above the slots, as the state manager uses them."""
+    """Layers above the slots, from the state manager's view."""
 
     def engage(self, groups: Sequence[str]) -> None:
         """Let the groups hold the measured place."""
@@ -44,7 +44,7 @@ class Arms(Protocol):
         ...
 
     def forget_stop(self) -> None:
-        """Let no later process begin with the emergency stop that is reset.
+        """Let no later process begin with the emergency stop being reset.
 
         Raises:
             StoreError: The mark of the stop cannot be removed.
@@ -124,7 +124,7 @@ class StateManager:
 
     @property
     def power(self) -> bool:
-        """Commanded power: whether any group needs it."""
+        """Commanded power: true if any group needs power."""
         return bool(self._needing)
 
     @property
@@ -181,7 +181,7 @@ class StateManager:
         return next_state(state, event, group, self.cause)
 
     def _disposes(self, event: Event, group: str, sender: Sender) -> bool:
-        """Return whether the sender may change a group; a lost owner cannot leave power and brakes as they are."""
+        """Return whether the sender may change a group; with a lapsed lease, anyone may disable motion and power."""
         given_up = event in (Event.DISABLE_MOTION, Event.POWER_OFF) and self.reservations.has_lapsed(
             group, self.measured.stamp_ns
         )
@@ -192,7 +192,7 @@ class StateManager:
         return {group for running in self._running for group in running.groups}
 
     def _require_idle(self, event: Event, groups: Sequence[str]) -> None:
-        """Check for no transition of the groups under way; without groups, for one that would allow it."""
+        """Check for no running transition of the groups; without groups, for an idle group allowing the event."""
         if event in ANYTIME or not self._running:
             return
         under_way = self.under_way()
@@ -299,7 +299,7 @@ class StateManager:
                     return
 
     def begin(self, event: Event, reply: OnEnd, group: str = "", sender: Sender = NOBODY) -> None:
-        """Start a transition that goes on in :meth:`tick`; ``reply`` is called at the end.
+        """Start a transition continued in :meth:`tick`; ``reply`` is called at the end.
 
         Args:
             event: Of :data:`~im_mcs.state.table.TRANSITIONS`.
@@ -417,14 +417,14 @@ class StateManager:
             raise StateError(sentence, request=event.value, joints=which)
 
     def _secure(self, event: Event, joints: NDArray[np.intp] | None) -> Generator[None, None, None]:
-        """Give brakes that are told to hold the time, then :meth:`_require_secured`."""
+        """Give commanded brakes the time to hold, then :meth:`_require_secured`."""
         looked_at = np.arange(len(self.joints)) if joints is None else joints
         with suppress(WaitTimeoutError):
             yield from self._until(lambda: bool(self.measured.brakes[looked_at].all()), str)
         self._require_secured(event, joints)
 
     def _named(self, ranks: NDArray[np.intp]) -> str:
-        """Return names of the joints with these ranks."""
+        """Return names of the joints with the given ranks."""
         return ", ".join(self.joints[rank] for rank in ranks)
 
     def _joints(self, groups: Sequence[str]) -> NDArray[np.intp]:
@@ -441,7 +441,7 @@ class StateManager:
     # what a transition does over several ticks: each yields once a tick
 
     def _fail(self, groups: Sequence[str], reason: str) -> None:
-        """Do an e-stop for the failed transition of these groups; the reply gives the reason."""
+        """Do an e-stop for the failed transition of the groups; the reply gives the reason."""
         self._running = [running for running in self._running if running.groups is not groups]
         self.estop(reason)
 
@@ -460,7 +460,7 @@ class StateManager:
         enter()
 
     def _power_off(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Switch power off, unless another group needs it; if it stays on, do an e-stop."""
+        """Switch power off, unless another group needs power; if the power stays on, do an e-stop."""
         self._needing.difference_update(groups)
         try:
             yield from self._until(
@@ -489,7 +489,7 @@ class StateManager:
             yield
 
     def _disable_motion(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Engage the brakes before the torque leaves; if they do not hold, the torque goes on carrying the arm."""
+        """Engage the brakes before the torque leaves; if a brake does not hold, the torque goes on carrying the arm."""
         joints = self._joints(groups)
         self.brakes[joints] = True
         try:
@@ -540,7 +540,7 @@ class StateManager:
             yield
 
     def _until_moved(self, joints: NDArray[np.intp], engaged: bool) -> Generator[None, None, None]:
-        """Wait until the brakes of ``joints`` report the command; else name in the error those that do not."""
+        """Wait until the brakes of ``joints`` report the command; else name the failing ones in the error."""
 
         def not_yet() -> NDArray[np.intp]:
             moved: NDArray[np.bool_] = self.measured.brakes[joints] == engaged

@@ -60,13 +60,13 @@ class Reservations:
         return tuple(self._held)
 
     def of(self, group: str) -> Reservation | None:
-        """Return the reservation of a group, if it has one."""
+        """Return the reservation of a group, if there is one."""
         return self._held.get(group)
 
     def reserve(
         self, group: str, owner: str = "", lease_s: float = 0.0, now_ns: int = 0, sender: Sender = NOBODY
     ) -> None:
-        """Give all slots of ``group`` to it, or none.
+        """Reserve all slots of ``group`` for the owner, or none.
 
         Args:
             group: Name of the group.
@@ -125,7 +125,7 @@ class Reservations:
         self._held.clear()
 
     def disposes(self, group: str, sender: Sender) -> bool:
-        """Return whether a group is reserved, and the sender may change it."""
+        """Return whether a group is reserved, and the sender may change the group."""
         return group in self._held and self._held[group].serves(sender)
 
     def renew(self, owner: str, now_ns: int) -> None:
@@ -143,7 +143,7 @@ class Reservations:
             reservation.lapsed = False
 
     def lapse(self, now_ns: int) -> list[Reservation]:
-        """Return reservations of one owner with a lease expired since the last call; ask again for those of another."""
+        """Return one owner's reservations with a lease newly expired; call again for another owner's."""
         gone = [r for r in self._held.values() if r.lease_s > 0.0 and not r.lapsed and now_ns > r.until_ns]
         if not gone:
             return gone
@@ -170,7 +170,7 @@ class Reservations:
             raise StateError(f"group '{group}' is not reserved (reserved: {reserved})", group=group)
 
     def require_owner(self, group: str, sender: Sender) -> None:
-        """Check whether ``group`` is reserved, and the sender may change it.
+        """Check whether ``group`` is reserved, and the sender may change the group.
 
         Raises:
             NotFoundError: No such group.
@@ -187,7 +187,7 @@ class Reservations:
             )
 
     def require_driver(self, group: str, sender: Sender) -> None:
-        """Check whether ``group`` is reserved, the lease holds, and the sender may move it.
+        """Check whether ``group`` is reserved, the lease holds, and the sender may move the group.
 
         Raises:
             NotFoundError: No such group.

@@ -29,7 +29,7 @@ class State(StrEnum):
 
 
 class Event(StrEnum):
-    """Requests to MCS, and events in it."""
+    """Requests to MCS, and events in MCS."""
 
     CONFIGURE = "configure"
     CLEANUP = "cleanup"

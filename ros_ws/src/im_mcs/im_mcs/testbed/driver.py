@@ -79,7 +79,7 @@ class ChannelDriver(Protocol):
         ...
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether it came.
+        """Wait for the next tick, at most ``timeout_s`` of wall time [s]; return whether the tick came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -109,7 +109,7 @@ class ChannelDriver(Protocol):
 
 @runtime_checkable
 class TimeKeeper(Protocol):
-    """Driver with time on demand, able to tell whether it passes."""
+    """Driver with time on demand, able to report whether time passes."""
 
     def time_asked(self) -> bool:
         """Whether somebody has asked for time beyond the present tick."""
@@ -118,7 +118,7 @@ class TimeKeeper(Protocol):
 
 @runtime_checkable
 class HostedHardware(Protocol):
-    """Driver with the hardware in a process of this host, not silent while kept from the processor."""
+    """Driver with the hardware in a process of the local host, not silent while kept from the processor."""
 
     @property
     def hardware_pid(self) -> int:
@@ -127,7 +127,7 @@ class HostedHardware(Protocol):
 
 
 class ReportedFault(NamedTuple):
-    """Fault reported by hardware itself.
+    """Fault reported by hardware.
 
     Attributes:
         what: In a word or two, e.g. ``brake_open``.
@@ -140,7 +140,7 @@ class ReportedFault(NamedTuple):
 
 @runtime_checkable
 class SelfReporting(Protocol):
-    """Driver with faults reported by the hardware: they forbid the reset of an emergency stop."""
+    """Driver with hardware-reported faults, which forbid the reset of an emergency stop."""
 
     def faults(self) -> Sequence[ReportedFault]:
         """Return the present faults.
@@ -152,7 +152,7 @@ class SelfReporting(Protocol):
 
 
 class PowerReading(NamedTuple):
-    """What hardware says of power and brakes, past the servo.
+    """Hardware's report of power and brakes, past the servo.
 
     Attributes:
         power: Whether the motors have power.
@@ -169,7 +169,7 @@ class PowerReading(NamedTuple):
 
 
 class StopCircuit(Protocol):
-    """Way to the power past the servo: it works for a hanging or missing servo.
+    """Way to the power past the servo: works with a hanging or missing servo.
 
     A driver that has one says so by a static method ``stop_circuit(instance: str) -> StopCircuit``.
     """
@@ -191,7 +191,7 @@ class StopCircuit(Protocol):
         ...
 
     def is_cut(self) -> bool:
-        """Return whether the circuit is cut, perhaps since before this process.
+        """Return whether the circuit is cut, perhaps since before the process began.
 
         Raises:
             LinkError: There is no hardware.
@@ -199,7 +199,7 @@ class StopCircuit(Protocol):
         ...
 
     def reading(self) -> PowerReading:
-        """Read power and brakes as the hardware reports them.
+        """Read power and brakes, as reported by the hardware.
 
         Raises:
             LinkError: There is no hardware.
@@ -208,7 +208,7 @@ class StopCircuit(Protocol):
 
 
 def find_stop_circuit(name: str, instance: str) -> StopCircuit | None:
-    """Return the stop circuit of the driver ``module:Class``, if it has one.
+    """Return the stop circuit of the driver ``module:Class``, if there is one.
 
     Raises:
         ConfigError: There is no such module or class.

@@ -73,7 +73,7 @@ _POLL_S, _AGAIN_S = 0.01, 1.0
 
 
 class JointStateDriver:
-    """Positions from one topic, efforts to another; a process of its own speaks ROS, for the servo has none in it.
+    """Positions from one topic, efforts to another; a separate process uses ROS, since the servo has no ROS.
 
     While MCS wants no power, or a joint's brake, that joint is not in what is published: a robot holds a joint that has
     not been commanded for longer than it allows. Power and brakes are taken to be as wanted, as the topics do not tell.
@@ -169,10 +169,10 @@ class JointStateDriver:
         self._tick += 1
 
     def after_tick(self, tick: int) -> None:
-        """Return at once: a topic does not tell when it was heard."""
+        """Return at once: a topic does not report the time of reception."""
 
     def close(self) -> None:
-        """Fall silent: the robot's own time-out holds it."""
+        """Fall silent: the robot's time-out holds the robot."""
         self._bridge.stop()
         self._link.close()
 
@@ -181,7 +181,7 @@ class JointStateDriver:
         self._bridge = ChildProcess.of_module(_BRIDGE, [self._settings])
 
     def _command(self, effort: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
-        """Give the bridge efforts and the driven joints, shape (n,) each; it keeps the newest only."""
+        """Give the bridge efforts and the driven joints, shape (n,) each; the bridge keeps the newest only."""
         record = self._link.command.record()
         record["effort"], record["driven"], record["at"] = effort, driven, clock.monotonic()
         self._link.command.write(record)

@@ -1,4 +1,4 @@
-"""Channel driver without hardware: every joint a mass of its own. For tests and for trying a controller."""
+"""Channel driver without hardware: every joint a separate mass. For tests and for trying a controller."""
 
 from collections.abc import Callable
 

@@ -89,7 +89,7 @@ class SimulatedDriver:
         return SimulatedStop(instance)
 
     def after_tick(self, tick: int) -> None:
-        """Wait until physics has completed ``tick``; it takes a fraction of a millisecond on an idle computer.
+        """Wait until physics has completed ``tick``; takes a fraction of a millisecond on an idle computer.
 
         There is no time-out while physics lives: who hears of a tick before its end may ask for time too early, and
         the run would no longer repeat.
@@ -103,7 +103,7 @@ class SimulatedDriver:
                 look += _LOOK_S
 
     def close(self) -> None:
-        """Leave the handshake; the testbed brakes by itself."""
+        """Leave the handshake; the testbed brakes without a driver."""
         self._link.detach_servo()
         self._link.close()
 

@@ -45,7 +45,7 @@ class TestbedInterface:
 
     @classmethod
     def load(cls, testbed: Testbed, slots: Sequence[Slot], instance: str) -> Self:
-        """Make the configured drivers of a machine, and the slots on them.
+        """Make the configured drivers of a machine, and the slots on the drivers.
 
         Raises:
             ConfigError: As the constructor.
@@ -72,7 +72,7 @@ class TestbedInterface:
             part.driver.connect()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; return whether it came.
+        """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; return whether the tick came.
 
         Raises:
             LinkError: The hardware is gone.
@@ -80,12 +80,12 @@ class TestbedInterface:
         return self._clock.wait(timeout_s)
 
     def time_asked(self) -> bool:
-        """Return whether a tick must come: time passes by itself, or on request."""
+        """Return whether a tick must come: time passes without requests, or on request."""
         return not isinstance(self._clock, TimeKeeper) or self._clock.time_asked()
 
     @property
     def hardware_pid(self) -> int:
-        """Process of this host with the ticks; 0 where there is none."""
+        """Process of the local host with the ticks; 0 where there is none."""
         return self._clock.hardware_pid if isinstance(self._clock, HostedHardware) else 0
 
     def read(self) -> Measured:
@@ -133,7 +133,7 @@ class TestbedInterface:
         self._each(lambda part: part.driver.write(part.drive(drive)))
 
     def faults(self) -> list[str]:
-        """Return the faults reported by hardware itself, e.g. ``brake_open of left_j2``.
+        """Return the faults reported by hardware, e.g. ``brake_open of left_j2``.
 
         Raises:
             LinkError: Some does not answer.
@@ -188,7 +188,7 @@ class _Part:
         return of_none + [f"{what} of {joint}" for what, joint in of_joints if joint is not None]
 
     def drive(self, drive: Drive) -> Drive:
-        """Return this driver's part of ``drive``, in the order of the channels."""
+        """Return the driver's part of ``drive``, in the order of the channels."""
         tau = np.zeros(self.driver.n_joints)
         brakes = np.ones(self.driver.n_joints, dtype=np.bool_)
         gripper, force = np.full(self.driver.n_grippers, np.nan), np.full(self.driver.n_grippers, np.nan)

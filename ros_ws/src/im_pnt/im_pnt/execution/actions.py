@@ -22,7 +22,7 @@ CheckObjects = Callable[[tuple[str, ...], Callable[[ImError | None], None]], Non
 
 
 class ActionOwner(Protocol):
-    """The net in execution, as the runners of the actions see it."""
+    """Net in execution, as seen by the runners of the actions."""
 
     @property
     def activities(self) -> Container[Activity]:
@@ -219,7 +219,7 @@ class Actions:
             do()
 
     def release(self, activity: Activity) -> None:
-        """Go on with an action whose job was held, and with what it has asked of another net."""
+        """Go on with an action after the end of the job's hold, and with the action's requests to another net."""
         if (do := self._deferred.pop(activity.number, None)) is not None:
             do()
         self.inquiry.renew(activity)
@@ -353,7 +353,7 @@ class FunctionRunner:
     def ask(
         self, owner: ActionOwner, activity: Activity, context: ActionContext, answered: Callable[[Answer], None]
     ) -> None:
-        """Ask for the outcome of an action: the ask function, the asked net, or itself for a while."""
+        """Ask for the outcome of an action: the ask function, the asked net, or for a while the action."""
         action = activity.action
         asking: Answer | Awaitable[Answer]
         if isinstance(action, FunctionAction) and action.function in self._functions.asks:

@@ -166,7 +166,7 @@ class ConflictResolution:
         self._owners.clear()
 
     def may_fire(self, index: int) -> bool:
-        """Return whether a decision on a transition alone could choose it: eligible, and no rival goes first."""
+        """Return whether a decision on a transition alone could choose the transition: eligible, and no rival first."""
         self._begin_decision()
         rank = self._rank
         if self._enabling.unmet[index] or not self.eligible(index):
@@ -174,7 +174,7 @@ class ConflictResolution:
         return not any(rank[i] > rank[index] and self.eligible(i) for i in self._enabling.rivals(index))
 
     def holds(self, index: int) -> bool:
-        """Return whether symbol and guard of a transition let it fire, the delay aside."""
+        """Return whether symbol and guard of a transition allow the firing, the delay aside."""
         self._begin_decision()
         return self._lets(index)
 
@@ -264,7 +264,7 @@ class ConflictResolution:
         )
 
     def _guard_broke(self, index: int, lineage: Lineage, error: BaseException) -> bool:
-        """Takes note that the guard of a transition broke; returns what it counts as."""
+        """Note the failed guard of a transition; return the guard's assumed value."""
         guard = self._transitions[index].guard
         name = guard.name if guard is not None else ""
         failure = error if isinstance(error, ImError) else NetError(f"guard {name} failed: {error!r}", guard=name)
@@ -274,7 +274,7 @@ class ConflictResolution:
         return False
 
     def _context(self, index: int, lineage: Lineage) -> ActionContext:
-        """Returns what the guard of a transition is told."""
+        """Return the context given to the guard of a transition."""
         rule = self._rule
         name, progress = self._transitions[index].origin, rule.notifier.progressed
         shared, values = rule.shared_objects, rule.values
@@ -305,7 +305,7 @@ class Delays:
         self._running: dict[int, Timer] = {}
 
     def waits(self, index: int) -> bool:
-        """Return whether an enabled transition must still wait; the clock runs while symbol and guard let it fire."""
+        """Return whether an enabled transition must still wait; the clock runs while symbol and guard allow firing."""
         if index not in self._conflicts.delayed or index in self._conflicts.ripe:
             return False
         transition = self._transitions[index]

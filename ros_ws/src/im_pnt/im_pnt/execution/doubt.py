@@ -1,4 +1,4 @@
-"""Actions in doubt, after a time-out or a death of the process, and the answers to questions about them."""
+"""Actions in doubt, after a time-out or a death of the process, and the answers to the questions asked."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -59,7 +59,7 @@ class Inquiry:
             activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
 
     def renew(self, activity: Activity) -> None:
-        """Give a request the whole time again: what it has asked for was held with the job."""
+        """Restart the full time of a request: the requested work was held with the job."""
         timeout = self._rule.transitions[self._rule.number[f"{activity.transition}.start"]].timeout
         asks = isinstance(activity.action, RequestAction) and activity.state is not ActivityState.IN_DOUBT
         if timeout is not None and asks:
@@ -68,7 +68,7 @@ class Inquiry:
             self.watch(activity)
 
     def doubt(self, activity: Activity, why: ImError) -> None:
-        """Bring an action in doubt, and ask about it once the node fires."""
+        """Bring an action in doubt, and ask about the action once the node fires."""
         if not self._runs(activity):
             return
         if activity.state is not ActivityState.IN_DOUBT:

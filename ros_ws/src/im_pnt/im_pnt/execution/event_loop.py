@@ -92,7 +92,7 @@ class EventLoop:
 
     @property
     def paused(self) -> bool:
-        """Whether nothing new is started, for nobody or for one of the jobs that are here."""
+        """Whether new work is held, for all jobs or for one of the present jobs."""
         return self.operator.paused or any(map(self.rule.is_held, self.rule.ledger.jobs() if self.rule.held else ()))
 
     def proposed(self) -> tuple[str, ...]:
@@ -149,7 +149,7 @@ class EventLoop:
                 enabling.consider(index)
 
     def confirm(self, name: str) -> None:
-        """Fire a proposed transition, if it can still fire."""
+        """Fire a proposed transition, if still possible."""
         index = self.rule.number.get(f"{name}.start", self.rule.number.get(name, -1))
         if index not in self.operator.proposed:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it is not proposed")
@@ -227,7 +227,7 @@ class EventLoop:
                 apply_entry(self.rule, entry)
 
     def _dispatch(self, event: Event) -> None:
-        """Take an event; it is recorded before the effect."""
+        """Take an event; the event is recorded before the effect."""
         rule = self.rule
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():

@@ -73,7 +73,7 @@ class RequestArrived:
 
 @dataclass(frozen=True, slots=True)
 class RequestCancelled:
-    """Event: the caller of a request has cancelled it, or is gone; ``error`` says which."""
+    """Event: the caller of a request has cancelled the request, or is gone; ``error`` gives the case."""
 
     request_id: str
     error: ImError
@@ -81,7 +81,7 @@ class RequestCancelled:
 
 @dataclass(frozen=True, slots=True)
 class RequestHeld:
-    """Nothing is begun for a request, as the caller is paused; or it goes on."""
+    """Event: a request is held since the caller is paused, so nothing is begun; or the request goes on."""
 
     request_id: str
     held: bool
@@ -89,7 +89,7 @@ class RequestHeld:
 
 @dataclass(frozen=True, slots=True)
 class TokenArrived:
-    """Event: tokens of another net arrive, with the context where they belong to a job."""
+    """Event: tokens of another net arrive, with the context for tokens of a job."""
 
     place: str
     count: int

@@ -38,7 +38,7 @@ from im_pnt.model.net import Net
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Rest of a net; true where nothing keeps it busy.
+    """Rest of a net; true if nothing keeps the net busy.
 
     Attributes:
         reasons: What does.
@@ -162,12 +162,12 @@ class Executor:
 
     @property
     def paused(self) -> bool:
-        """Whether nothing new is started, for nobody or for one of the jobs that are here."""
+        """Whether nothing new is started, for the whole net or for one of the jobs in the net."""
         return self._loop.paused
 
     @property
     def proposed(self) -> tuple[str, ...]:
-        """Transitions in wait of a confirmation."""
+        """Transitions waiting for a confirmation."""
         return self._loop.proposed()
 
     @property
@@ -221,7 +221,7 @@ class Executor:
         self.post(Answered(activity, answer))
 
     def built(self, activity: Activity) -> None:
-        """Record the notes of a request's builder in the job: the request may outlive this process.
+        """Record the notes of a request's builder in the job: the request may outlive the process.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -278,7 +278,7 @@ class Executor:
         return bool(self.activities or len(self.rule.ledger))
 
     def at_rest(self) -> Rest:
-        """Returns whether the net may be replaced now, and if not, why: an action, a job, a token on the way."""
+        """Return whether the net may be replaced now, and if not, why: an action, a job, a token on the way."""
         return rest_of(self.rule, len(self._inbox))
 
     def jobs(self) -> list[Job]:
@@ -286,7 +286,7 @@ class Executor:
         return self.rule.ledger.jobs()
 
     def coming(self) -> list[Job]:
-        """Return the written commands the net has not taken yet: they are not among the jobs."""
+        """Return the written commands not yet taken by the net and so absent from the jobs."""
         return [event.job for event in list(self._inbox) if isinstance(event, CommandWritten)]
 
     def concerned(self, node: str, nets: Collection[str]) -> bool:

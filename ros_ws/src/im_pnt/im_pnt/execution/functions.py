@@ -87,7 +87,7 @@ class ActionContext:
 
     @property
     def failure(self) -> ImError | None:
-        """Failure on a token of an input place of this transition, if any."""
+        """Failure on a token of an input place of the transition, if any."""
         return self._lineage.failure
 
     @property
@@ -104,7 +104,7 @@ class ActionContext:
 
     @property
     def result(self) -> JsonObject:
-        """Result for the caller at the end; write into it."""
+        """Result for the caller at the end; open for writing."""
         job = self._lineage.job
         return job.results if job is not None else self._private("results")
 
@@ -125,12 +125,12 @@ class ActionContext:
 
     @property
     def cancelled(self) -> bool:
-        """Whether the command, the request or this very action was cancelled."""
+        """Whether the command, the request or the very action was cancelled."""
         job, activity = self._lineage.job, self._activity
         return (job is not None and job.cancelled) or (activity is not None and activity.cancelled)
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Call a function at the cancellation of this action; at once if it is already cancelled."""
+        """Call a function at the cancellation of the action; at once if already cancelled."""
         if self._activity is not None:
             self._activity.when_cancelled(callback)
 
@@ -168,7 +168,7 @@ class ActionContext:
 
     @property
     def answer_ways(self) -> tuple[tuple[str, ...], ...]:
-        """Fields to keep of the answer to this transition, as ways to them."""
+        """Fields to keep of the answer to the transition, as ways to the fields."""
         return () if self._values is None else self._values.ways(self.transition)
 
     async def filled(self, value: Plain) -> Plain:
@@ -184,7 +184,7 @@ class ActionContext:
         return value if self._values is None else self._values.fill_now(value, self)
 
     def holds(self, condition: str, answer: Mapping[str, Plain]) -> bool:
-        """Return whether a condition ``${...}`` of the net file holds after this answer to the transition.
+        """Return whether a condition ``${...}`` of the net file holds after an answer to the transition.
 
         Raises:
             ImError: It has no value.
@@ -192,7 +192,7 @@ class ActionContext:
         return self._values is None or self._values.fill_now(condition, self, answer) is True
 
     def apart(self, post: Post) -> "ApartContext":
-        """Return the context for a function in a thread of its own.
+        """Return the context for a function in a separate thread.
 
         Args:
             post: Has in the loop what may be done there only.
@@ -204,7 +204,7 @@ class ActionContext:
 
 
 class ApartContext(ActionContext):
-    """Context of a function in a thread of its own: copies, made before the start.
+    """Context of a function in a separate thread: copies, made before the start.
 
     Args:
         origin: What it would be told in the loop.
@@ -235,7 +235,7 @@ class ApartContext(ActionContext):
 
     @property
     def failure(self) -> ImError | None:
-        """Failure on a token of an input place of this transition, if any."""
+        """Failure on a token of an input place of the transition, if any."""
         return self._failures[0]
 
     @property
@@ -250,7 +250,7 @@ class ApartContext(ActionContext):
 
     @property
     def result(self) -> JsonObject:
-        """Result for the caller at the end; write into it."""
+        """Result for the caller at the end; open for writing."""
         return self._own["results"]
 
     @property
@@ -264,7 +264,7 @@ class ApartContext(ActionContext):
         return self._own["memory"]
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Call a function in the loop at the cancellation of this action; soon if it is already cancelled."""
+        """Call a function in the loop at the cancellation of the action; soon if already cancelled."""
         self._post(lambda: self._origin.on_cancel(callback))
 
     def progress(self, text: str, fraction: float = -1.0) -> None:
@@ -289,7 +289,7 @@ _WOKEN_BY = "__woken_by__"
 
 
 def woken_by(*sources: str) -> Callable[[GuardFunction], GuardFunction]:
-    """Declare the sources of a guard: only the changes, and not every event of the net, evaluate it again.
+    """Declare the sources of a guard: only changes of a source, not all events of the net, evaluate the guard.
 
     Args:
         *sources: ``data:<object>``, ``topic:<name>`` or ``clock:<period in s>``.
@@ -330,7 +330,7 @@ def clock_period(source: str) -> float | None:
 
 
 def idempotent(function: ActionFunction) -> AskFunction:
-    """Return the question after a doubt for an action that may be done twice: do it again."""
+    """Return the question after a doubt for an action safe to do twice: do the action again."""
 
     async def ask(context: ActionContext) -> Answer:
         try:
@@ -391,7 +391,7 @@ class Functions:
         return {name: self.guards.get(name) or _expression_guard(name) for name in net.guards()}
 
     def check(self, net: Net) -> None:
-        """Check whether every function of a net is registered; import those named ``module:function``.
+        """Check whether every function of a net is registered; import functions named ``module:function``.
 
         Raises:
             NetFileError: One is not there; names file, line and the nearest right name.

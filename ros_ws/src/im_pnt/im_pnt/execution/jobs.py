@@ -245,7 +245,7 @@ class Job:
 
     @property
     def is_command(self) -> bool:
-        """Whether the job is a command of this net's own tape."""
+        """Whether the job is a command of the net's own tape."""
         return self.request is None and self.visit is None
 
     def close(self, error: ImError | None) -> None:
@@ -258,7 +258,7 @@ class Job:
 
 
 class Lineage(NamedTuple):
-    """Lineage of a token, unseen by the net: the job (None: none), and the failure behind it."""
+    """Lineage of a token, unseen by the net: the job (None: none), and the failure behind the token."""
 
     job: Job | None
     failure: ImError | None
@@ -414,13 +414,13 @@ class Ledger:
         self._open: dict[int, Job] = {}
 
     def add(self, job: Job) -> None:
-        """Enter a job and number it."""
+        """Enter and number a job."""
         self.count += 1
         job.number = self.count
         self.reopen(job)
 
     def reopen(self, job: Job) -> None:
-        """Enter a job under its own number."""
+        """Enter a job under the existing number."""
         self._open[job.number] = job
         if job.visit is not None:
             self.visits[job.visit.owner.key] = job
@@ -449,11 +449,11 @@ class Ledger:
         return self._open.get(number)
 
     def of_key(self, key: JobKey, home: bool) -> Job | None:
-        """Return an open job of this net (``home``), or a foreign one."""
+        """Return an open job of the net (``home``), or a foreign one."""
         return self.job(key.number) if home else self.visits.get(key)
 
     def of_command(self, command_id: int | None) -> list[Job]:
-        """Return the open jobs of a command of this net's own tape, or all jobs."""
+        """Return the open jobs of a command of the net's own tape, or all jobs."""
         jobs = self._open.values()
         return [job for job in jobs if command_id is None or (job.is_command and job.command.id == command_id)]
 
@@ -466,7 +466,7 @@ class Ledger:
         return [job for job in self._open.values() if job.from_tape and not job.waiting]
 
     def ended_by(self, emitted: str, own: Job | None) -> Job | None:
-        """Return the job ended by an output symbol: that of the firing, or the oldest of the symbol."""
+        """Return the job ended by an output symbol: the job of the firing, or the oldest job of the symbol."""
         if own is not None and own.from_tape and ends(emitted, own.symbol) is not None:
             return own if self.is_open(own) else None
         return next((job for job in self.begun_commands() if ends(emitted, job.symbol) is not None), None)
@@ -496,7 +496,7 @@ class InputTape:
         return self._waiting.get(symbol, ())
 
     def withdraw(self, job: Job) -> bool:
-        """Take a job from the tape, from any position; return whether it was there."""
+        """Take a job from the tape, from any position; return whether the job was on the tape."""
         if not job.waiting:
             return False
         self._waiting[job.symbol].remove(job)

@@ -64,7 +64,7 @@ class ActivityEnded(NamedTuple):
 
 
 class TransitionFired(NamedTuple):
-    """A transition that only moves tokens, one of a coordination structure, or ``t.start``, which makes an activity.
+    """Firing of a transition only moving tokens, one of a coordination structure, or ``t.start`` of an activity.
 
     Attributes:
         transition: Its name.
@@ -247,7 +247,7 @@ def changed_data(job: Job) -> JobData | JobChange | None:
 
 
 def add_results(job: Job, results: dict[str, object], recorded: bool) -> None:
-    """Add the results from another net to those of a job.
+    """Add the results from another net to the results of a job.
 
     Args:
         job: The job.

@@ -84,7 +84,7 @@ class Enabling:
                 self.stalled.discard(transition)
 
     def take_tokens(self, place: int, count: int) -> None:
-        """Take tokens from a place with enough of them."""
+        """Take tokens from a place with enough tokens."""
         before = self.tokens[place]
         after = before - count
         self.tokens[place] = after
@@ -117,7 +117,7 @@ class Enabling:
                 self.consider(transition)
 
     def allows(self, transition: int) -> bool:
-        """Tell whether the arcs of a transition, free or not, let it fire."""
+        """Tell whether the arcs of a transition, free or not, let the transition fire."""
         return self.compiled.enabled(self.tokens, transition)
 
     def next_candidate(self) -> int | None:
@@ -188,7 +188,7 @@ class Tokens:
         self.enabling.add_tokens(place, count)
 
     def carries(self, place: int) -> bool:
-        """Return whether tokens on a place may belong to a job: it is no resource."""
+        """Return whether tokens on a place may belong to a job: the place is no resource."""
         return self._carries[place]
 
     def owners(self, transition: int) -> Sequence[Job | None]:
@@ -213,7 +213,7 @@ class Tokens:
         ]
 
     def take_inputs(self, transition: int, owner: Job | None) -> Lineage:
-        """Take the input tokens of an enabled transition: those of a job, and free ones where it has none.
+        """Take the input tokens of an enabled transition: tokens of a job, and free ones where the job has none.
 
         The places that it empties are places of resources, whose tokens are nobody's.
 
@@ -268,7 +268,7 @@ class Tokens:
         return picked
 
     def disown(self, job: Job) -> None:
-        """Free the tokens of an ended job, and decide again on the transitions they enable."""
+        """Free the tokens of an ended job, and decide again on the transitions enabled by the tokens."""
         for place, queue in list(self.queues.items()):
             mine = [number for number, lineage in enumerate(queue) if lineage.job is job]
             for number in mine:

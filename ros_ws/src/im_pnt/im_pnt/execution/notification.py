@@ -64,14 +64,14 @@ class Observer:
         """Called for each symbol written to the output tape."""
 
     def troubled(self, net: str, text: str) -> None:
-        """Take an event for the log: refused tokens, late completions, guards that fail."""
+        """Take an event for the log: a refused token, a late completion, a failed guard."""
 
     def forgot(self, text: str) -> None:
         """Take a loss of memory, here or there: a journal is gone, old or torn."""
         self.troubled("", text)
 
     def unreached(self, node: str, text: str) -> None:
-        """Take the sentence that no message reaches another node; an empty one where messages reach the node again."""
+        """Take the warning about an unreachable node; an empty text once messages reach the node again."""
         if text:
             self.troubled("", text)
 
@@ -112,7 +112,7 @@ class Outlet(Protocol):
     """Where tokens for other nets and replies to callers go."""
 
     def send_token(self, net: str, target: RemotePlace, count: int, departure: Departure | None = None) -> None:
-        """Send tokens to a place of another net; with the departure, where they belong to a job."""
+        """Send tokens to a place of another net; with the departure, where the tokens belong to a job."""
 
     def send_job_update(
         self, net: str, job: Job, update: JobUpdate, to: str, error: ImError | None, results: dict[str, object]
@@ -122,7 +122,7 @@ class Outlet(Protocol):
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Tell the sender of a job's token: the work for it is done."""
+        """Tell the sender of a job's token: the work for the token is done."""
 
     def send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
         """Answers a request."""
@@ -176,7 +176,7 @@ class Notifier:
         self._observer = observer
 
     def begin(self) -> None:
-        """Note the start of the net's loop in this thread."""
+        """Note the start of the net's loop in the current thread."""
         self._thread = threading.get_ident()
 
     def flush(self) -> None:

@@ -13,7 +13,7 @@ class Mode(enum.StrEnum):
 
 
 class Operator:
-    """Permissions of the operator of a net. Numbers are those of transitions of the expanded net.
+    """Permissions of the operator of a net. Numbers are transition numbers of the expanded net.
 
     Args:
         written: Transitions as their author wrote them: with an action their ``t.start``.
@@ -39,7 +39,7 @@ class Operator:
 
     @property
     def barred(self) -> frozenset[int]:
-        """Transitions barred from firing by themselves now."""
+        """Transitions now barred from firing without the operator."""
         if self.paused:
             return self._new
         free = self.mode is Mode.AUTOMATIC or (self.mode is Mode.STEP and self._credit)
@@ -71,7 +71,7 @@ class Operator:
         return bool(self._held) and self.mode is Mode.STEP and not self.paused
 
     def step(self) -> bool:
-        """Allow one firing, if a transition waits for it; return whether one does."""
+        """Allow one firing, if a transition waits for permission; return whether one does."""
         self._credit = self.may_step
         return self._credit
 

@@ -39,7 +39,7 @@ class StrategyBook:
             self._counts = _load(path)
 
     def counts(self, net: str, transition: str, strategy: Strategy) -> tuple[float, float]:
-        """Return the successes and failures counted so far, those before the first run included."""
+        """Return the successes and failures counted so far, including counts from before the first run."""
         return self._counts.get(f"{net}.{transition}", (strategy.successes, strategy.failures))
 
     def mean_success(self, net: str, transition: str, strategy: Strategy) -> float:

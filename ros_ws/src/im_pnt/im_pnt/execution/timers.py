@@ -21,7 +21,7 @@ class Timer:
 
 
 class Timers:
-    """Timers by the time. A cancelled timer costs nothing but the place, until it is swept out."""
+    """Timers by the time. A cancelled timer costs only the place, until swept out."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, Timer]] = []
@@ -36,7 +36,7 @@ class Timers:
         return timer
 
     def cancel(self, timer: Timer | None) -> None:
-        """Cancel a timer, if it has not struck."""
+        """Cancel a timer not yet expired."""
         if timer is None or timer.act is None:
             return
         timer.act = None

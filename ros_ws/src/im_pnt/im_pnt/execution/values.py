@@ -20,7 +20,7 @@ class ObjectPendingError(ImError):
 
 
 class Objects(Protocol):
-    """Data objects, as expressions see them; names are those of the Data Object Manager."""
+    """Data objects, as seen by expressions; names are names in the Data Object Manager."""
 
     async def read(self, name: str, kind: str, ways: Sequence[Way]) -> object:
         """Return fields of a data object as JSON data.
@@ -43,7 +43,7 @@ class Objects(Protocol):
         """
 
     def stale(self) -> None:
-        """Make :meth:`latest` read objects anew: the last events may have changed them."""
+        """Make :meth:`latest` read objects anew after a possible change by the last events."""
 
     async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
         """Store a data object.
@@ -59,11 +59,11 @@ class Objects(Protocol):
         """
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
-        """Run a coroutine, and call back with the reason of the failure, if it fails."""
+        """Run a coroutine; on failure, call back with the reason."""
 
 
 class Told(Protocol):
-    """Context of an action or guard, as far as expressions may read it."""
+    """Readable part of the context of an action or guard, for expressions."""
 
     @property
     def net(self) -> str:
@@ -105,11 +105,11 @@ class NetValues:
         self._places = {place.data_object: f"{net.name}.{place.name}" for place in reversed(places)}
 
     def ways(self, transition: str) -> tuple[Way, ...]:
-        """Return the needed fields of the answer to a transition, as ways to them; an empty way: all of it."""
+        """Return the needed fields of the answer to a transition, as ways; an empty way: the whole answer."""
         return self._ways.get(self._answering(transition), ())
 
     def fill_now(self, value: object, told: Told, own: Mapping[str, object] | None = None) -> object:
-        """Return a value with the expressions evaluated; data objects are those of :meth:`Objects.latest`.
+        """Return a value with the expressions evaluated; data objects come from :meth:`Objects.latest`.
 
         Args:
             value: Plain data.

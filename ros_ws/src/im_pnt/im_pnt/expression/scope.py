@@ -177,7 +177,7 @@ def answering(net: Net) -> list[str]:
 
 
 def _works(net: Net) -> dict[str, frozenset[str]]:
-    """Return for each transition the commands and services whose tokens may reach it along the arcs."""
+    """Return for each transition the commands and services with tokens able to come along the arcs."""
     resources = resource_places(net)
     carried: dict[str, set[str]] = {name: set() for name in net.places}
     for service in net.services.values():

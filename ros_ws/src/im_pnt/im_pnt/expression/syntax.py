@@ -116,7 +116,7 @@ def parse(text: str, parameters: tuple[str, ...] | None = None) -> Node:
 
 
 def shown(node: Node) -> str:
-    """Return a tree as an author would write it."""
+    """Return a tree as an author would write the expression."""
     match node:
         case Literal(value):
             if isinstance(value, bool | str):

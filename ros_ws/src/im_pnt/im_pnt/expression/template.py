@@ -1,4 +1,4 @@
-"""Values of a net file with expressions: ``${...}`` alone keeps the type of the value, in a text it is text."""
+"""Values of a net file with expressions: ``${...}`` alone keeps the type of the value; inside a text, text results."""
 
 from collections.abc import Iterator
 from functools import lru_cache
@@ -30,7 +30,7 @@ class PlacedError(ExpressionError):
 
 @lru_cache(maxsize=4096)
 def pieces(text: str) -> tuple[str | Node, ...]:
-    """Return the parts of a text: expressions, and the text between them.
+    """Return the parts of a text: expressions, and the text between the expressions.
 
     Raises:
         ExpressionError: An expression is not closed, or is none.
@@ -77,7 +77,7 @@ def nodes(value: object) -> Iterator[Node]:
 
 
 def references(node: Node) -> Iterator[tuple[str, ...]]:
-    """Yield the names in an expression: root, and the known names behind it; no indices."""
+    """Yield the names in an expression: the root and the known names after the root; no indices."""
     match node:
         case Field() | Item():
             path: list[str] = []

@@ -1,4 +1,4 @@
-"""Types of values: those of JSON, and those of messages, with the fields from a lookup."""
+"""Types of values: JSON types, and message types, with the fields from a lookup."""
 
 import enum
 import re
@@ -75,7 +75,7 @@ class ValueType:
         return self.kind in (ValueKind.NUMBER, ValueKind.INTEGER, ValueKind.ANY)
 
     def fits(self, wanted: "ValueType") -> bool:
-        """Return whether a value of this type may stand for another, as far as types tell."""
+        """Return whether a value of the type may stand for another, as far as types tell."""
         if ValueKind.ANY in (self.kind, wanted.kind):
             return True
         if wanted.kind is ValueKind.NUMBER:
@@ -154,7 +154,7 @@ _WHOLE = re.compile(r"(u?)int(8|16|32|64)")
 
 
 def field_type(text: str) -> ValueType:
-    """Returns the type of a field as ROS writes it: ``double``, ``sequence<geometry_msgs/Pose, 3>``, ``uint8[4]``."""
+    """Return the type of a field as ROS writes types: ``double``, ``sequence<geometry_msgs/Pose, 3>``, ``uint8[4]``."""
     if match := _LIST.fullmatch(text):
         if match["array"]:
             return list_of(field_type(match["array"]), length=int(match["length"]))

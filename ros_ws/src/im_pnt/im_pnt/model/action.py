@@ -82,7 +82,7 @@ class GoalAction(_Call):
 
 @dataclass(frozen=True, slots=True)
 class TopicAction(_Message):
-    """Publication of one message; confirmed once the middleware has taken it."""
+    """Publication of one message; confirmed once the middleware has taken the message."""
 
     def __str__(self) -> str:
         return f"topic {self.name}"

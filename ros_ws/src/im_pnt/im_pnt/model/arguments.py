@@ -29,7 +29,7 @@ class ArgumentType(enum.StrEnum):
 
     @property
     def element(self) -> "ArgumentType":
-        """Type of an element of a list; the type itself without a list."""
+        """Type of an element of a list; without a list, the same type."""
         return ArgumentType(self[:-1]) if self.is_list else self
 
     @property
@@ -116,7 +116,7 @@ class Argument:
         return list(value)
 
     def limits(self) -> dict[str, float]:
-        """Return the minimum and maximum, where declared, by these names."""
+        """Return the minimum and maximum, where declared, by the names ``minimum`` and ``maximum``."""
         limits = {"minimum": self.minimum, "maximum": self.maximum}
         return {key: limit for key, limit in limits.items() if limit is not None}
 
@@ -252,7 +252,7 @@ class Busy(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CommandDeclaration:
-    """Declaration of a command in a net: of a symbol that begins one.
+    """Declaration of a command in a net: of a symbol beginning a command.
 
     Attributes:
         description: One line for people.

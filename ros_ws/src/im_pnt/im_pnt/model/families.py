@@ -45,7 +45,7 @@ def philosophers(places: int, action: bool = False) -> Net:
 
 
 def catching_philosophers(seats: int) -> Net:
-    """Make philosophers with one fork after the other, in either order: 3^n markings, two of them deadlocks.
+    """Make philosophers taking one fork after the other, in either order: 3^n markings, including two deadlocks.
 
     The model "Philosophers" of the Model Checking Contest.
 

@@ -10,7 +10,7 @@ from im_pnt.model.net import Net
 
 
 def groups(nets: Sequence[Net]) -> list[list[Net]]:
-    """Divide nets into groups without communication between them, in the given order.
+    """Divide nets into groups without communication between the groups, in the given order.
 
     Args:
         nets: Nets of different names.
@@ -27,7 +27,7 @@ def groups(nets: Sequence[Net]) -> list[list[Net]]:
 
 
 def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
-    """Return a net with the direct and indirect partners among others; it takes the place of the name.
+    """Return a net with the direct and indirect partners among others, replacing a net of the same name.
 
     Args:
         net: The net; the first of its group.

@@ -1,4 +1,4 @@
-"""Places, transitions and the attributes: the net as the author wrote it.
+"""Places, transitions and the attributes: the net as written by the author.
 
 The terms are those of Murata, "Petri Nets: Properties, Analysis and Applications" (Proc. IEEE 77(4), 1989), and of the
 paper, section 6: tapes, enabling functions, actions, remote places, coordination structures.
@@ -274,7 +274,7 @@ class Net:
         return tuple(dict.fromkeys(t.symbol for t in self.transitions.values() if t.symbol))
 
     def begun_symbols(self) -> tuple[str, ...]:
-        """Return the input symbols that begin a command; others are words to open commands, or free."""
+        """Return the input symbols with a command to begin; others are words to open commands, or free."""
         transitions = self.transitions.values()
         return tuple(dict.fromkeys(t.symbol for t in transitions if t.symbol and t.symbol_of is None))
 

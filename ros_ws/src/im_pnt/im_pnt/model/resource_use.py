@@ -1,4 +1,4 @@
-"""Use of resources of the cell, as a net file declares it: names of resources, with arguments in them.
+"""Use of resources of the cell, as declared by a net file: names of resources, with arguments inside.
 
 Where it is not told which of several values an argument has, it may have each of them.
 """

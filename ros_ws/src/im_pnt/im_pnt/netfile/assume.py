@@ -44,7 +44,7 @@ def _faults(net: Net, name: str, assumption: Assumption) -> Iterator[tuple[str, 
 
 
 def _marked_by(net: Net, name: str) -> Iterator[str]:
-    """Return the marking transition of a place within a net itself."""
+    """Yield the transitions, services and places of the same net marking a place."""
     for transition in net.transitions.values():
         if name in {**transition.outputs, **transition.on_failure, **transition.on_doubt}:
             yield f"transition '{transition.name}'"

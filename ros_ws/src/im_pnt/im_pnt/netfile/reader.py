@@ -141,7 +141,7 @@ class _Reader:
         return name
 
     def _require_one_reading(self, transitions: Mapping[str, Transition]) -> None:
-        """Check whether all readers of a symbol agree on it."""
+        """Check whether all readers of a symbol agree on the reading."""
         first: dict[str, Transition] = {}
         for name, transition in transitions.items():
             if transition.symbol is not None:
@@ -283,7 +283,7 @@ class _Reader:
         return names
 
     def _arcs(self, location: Location, arcs: Mapping[str, int]) -> tuple[dict[str, int], dict[RemotePlace, int]]:
-        """Tell places here from those of other nets, whose names have a dot."""
+        """Separate places of the net from places of other nets, marked by a dot in the name."""
         local: dict[str, int] = {}
         remote: dict[RemotePlace, int] = {}
         for name, weight in arcs.items():

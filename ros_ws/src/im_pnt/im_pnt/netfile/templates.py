@@ -94,7 +94,7 @@ class _Assembly:
         self._add_sections({key.text: value for key, value in root.pairs if key.text in _SECTIONS}, root, ())
 
     def copy(self) -> None:
-        """Make the copies of templates; all of them are known now."""
+        """Make the copies of templates, all templates being known now."""
         for root, location, use in self._uses:
             if use.template not in self._templates:
                 sentence = f"there is no template {quoted_text(use.template)}{nearest(use.template, self._templates)}"
@@ -220,7 +220,7 @@ def substitute(text: str, values: Mapping[str, Parameter]) -> str:
 
 
 def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
-    """Return the value of an expression whose only names are parameters: a whole number, or a text.
+    """Return the value of an expression with parameters as the only names: a whole number, or a text.
 
     Raises:
         ExpressionError: It has none.
@@ -253,7 +253,7 @@ def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], no
 
 
 def _loops(path: Path) -> bool:
-    """Return whether links lead back to themselves."""
+    """Return whether links lead back to the start."""
     try:
         path.resolve(strict=True)
     except (OSError, RuntimeError):

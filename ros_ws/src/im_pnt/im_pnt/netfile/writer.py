@@ -1,4 +1,4 @@
-"""Nets to YAML, as an author writes them: a line a place, a line a key of a transition; the inverse of reading."""
+"""Writer of nets as YAML, in an author's style: a line a place, a line a key of a transition; inverse of reading."""
 
 import json
 import re

@@ -48,7 +48,7 @@ class Element:
         return next(self.all(tag), None)
 
     def error(self, message: str) -> NetFileError:
-        """Make an error with this element, the file and line."""
+        """Make an error with the element, the file and line."""
         identity = f" '{self.attributes['id'][:60]}'" if "id" in self.attributes else ""
         place = self.place
         return NetFileError(place.file, place.line, f"{shortened(self.tag)}{identity}: {message}", place.column)
@@ -84,7 +84,7 @@ def parse_xml(data: bytes, file: str) -> Element:
 
 
 def label_text(element: Element, label: str) -> str | None:
-    """Return the text of a label: of ``<text>``, of ``<value>``, of itself, or of an attribute; None without one."""
+    """Return the text of a label: ``<text>``, ``<value>``, the element, or an attribute; None without one."""
     child = element.first(label)
     if child is None:
         return element.attributes.get(label)

@@ -114,7 +114,7 @@ def _inhibitors(element: Element, extras: Mapping[str, tuple[Element, Value]]) -
 
 
 def _mapping(element: Element, extras: Mapping[str, tuple[Element, Value]], **given: object) -> Value:
-    """Return the keys of PNML itself, and our own keys."""
+    """Return the keys of PNML proper, and our own keys."""
     place = element.place
     pairs = [(scalar(key, place), plain_value(data, place)) for key, data in given.items() if data]
     for key, (entry, value) in extras.items():

@@ -1,4 +1,4 @@
-"""Additions of other packages to ``pnt``: packages above this one name the commands as entry points."""
+"""Additions of other packages to ``pnt``: packages above im_pnt_analysis name the commands as entry points."""
 
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -184,7 +184,7 @@ def _prediction(nets: Mapping[str, Net], symbol: str, missions: Mapping[Path, Mi
 
 
 def _needed(nets: Mapping[str, Net], symbol: str) -> list[Net]:
-    """Return the net of a symbol, with the nets of the services, and theirs, and so on."""
+    """Return the net of a symbol, with the nets of all direct and indirect services."""
     readers = [net for net in nets.values() if any(t.symbol == symbol for t in net.transitions.values())]
     if not readers:
         raise DataError(f"no net in the bags reads the symbol {symbol}")

@@ -84,7 +84,7 @@ INTERRUPTED = 130
 
 
 class EndOnInterrupt:
-    """Context in which Ctrl-C prints a word and ends the process; nothing may be half written in it.
+    """Context for Ctrl-C to print a word and end the process; nothing may be half written inside.
 
     Args:
         word: What to say on stderr.

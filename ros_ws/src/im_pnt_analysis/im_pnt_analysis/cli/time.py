@@ -69,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_fits(file: str, measured: Measurement, nets: list[Net]) -> None:
-    """Check whether measured times belong to these nets.
+    """Check whether measured times belong to the given nets.
 
     Raises:
         ImError: None is of them, or one is of a transition that its net does not have.

@@ -1,4 +1,4 @@
-"""Check of requests between nets: do they bring the needed arguments, as far as the files say?"""
+"""Check of requests between nets for the needed arguments, as far as the files say."""
 
 from collections.abc import Sequence
 
@@ -60,7 +60,7 @@ def _check_request(scope: NetScope, transition: Transition, action: RequestActio
 
 
 def _check_passed_on(scope: NetScope, transition: Transition, schema: ArgumentSchema, what: str) -> None:
-    """Check a request without arguments: it passes on those of its own command or request."""
+    """Check a request without arguments: the arguments of the command or request in work are passed on."""
     for kind in sorted(scope.works_for(transition)):
         given = scope.net.arguments_of(kind)
         if given is None:

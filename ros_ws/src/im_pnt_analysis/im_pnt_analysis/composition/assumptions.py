@@ -86,7 +86,7 @@ class Assumptions:
                     self._limit(net, net.places[name], assumption.at_most)
 
     def kept(self, net: Net, written: Transition, part: Transition) -> Iterator[Transition]:
-        """Return a transition with the counters of the promises, in all ways to keep or break them.
+        """Return a transition with the counters of the promises, in all ways to keep or break promises.
 
         Args:
             net: Its net.

@@ -1,4 +1,4 @@
-"""Stand-in nets for the writers to tapes of others, where these are verified without them.
+"""Stand-in nets for the writers to tapes of others, for a verification without the writers.
 
 A free tape asks for no reply. Who writes a command for another net waits for one: a net that reads it and never ends it
 is found only with somebody who waits.

@@ -70,7 +70,7 @@ class Composition:
 
 
 def compose(nets: Sequence[Net]) -> Composition:
-    """Join nets and close them with an environment.
+    """Join nets and close the result with an environment.
 
     Args:
         nets: Nets as written or expanded, with different names.
@@ -179,7 +179,7 @@ class _Composer:
         return self.flat.underway(other, place)
 
     def close(self) -> None:
-        """Add sources for remote places without a given net, and the assumptions behind them."""
+        """Add sources for remote places without a given net, and the assumptions behind the sources."""
         flat = self.flat
         arrivals = []
         for net in flat.nets.values():
@@ -230,7 +230,7 @@ def _names(nets: Iterable[Net]) -> str:
 
 
 def open_guards(net: Net) -> Iterator[str]:
-    """Return the guards without a counterpart: they might keep a net waiting for ever."""
+    """Return the guards without a counterpart: such a guard might keep a net waiting for ever."""
     guarded = [t for t in net.transitions.values() if t.guard]
     for transition in guarded:
         assert transition.guard is not None

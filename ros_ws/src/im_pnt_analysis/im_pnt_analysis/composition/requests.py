@@ -207,7 +207,7 @@ class ServiceCalls:
         return idle
 
     def _at_once(self, net: str, service: str) -> dict[str, int]:
-        """Return the place that counts the requests of a service, as an arc, where the net assumes a bound."""
+        """Return the place counting the requests of a service, as an arc, where the net assumes a bound."""
         flat = self._flat
         most = _most_requests(flat.nets[net], service)
         if most is None:

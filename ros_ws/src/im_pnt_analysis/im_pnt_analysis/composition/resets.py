@@ -15,7 +15,7 @@ from im_pnt_analysis.composition.flat_net import FlatNet
 
 
 def ways_to_empty(transition: Transition, places: Mapping[str, Place]) -> Iterator[Transition]:
-    """Yield a transition in all ways to find the emptied places; itself without any.
+    """Yield a transition in all ways to find the emptied places; unchanged without any.
 
     Args:
         transition: The transition.

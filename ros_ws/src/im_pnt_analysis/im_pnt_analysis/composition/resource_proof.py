@@ -68,7 +68,7 @@ def unheld(nets: Sequence[Net], deadline: float) -> list[Counterexample] | None:
 
 
 def _shortened(part: Transition) -> Transition | None:
-    """Return a transition of an expanded net whose user is active, also during cancellation or doubt."""
+    """Return a transition of an expanded net with an active user, also during cancellation or doubt."""
     active = {active_place(part.origin): 1}
     if part.role is Role.GIVEN_UP:
         return replace(part, inputs=active)
@@ -127,7 +127,7 @@ class _Holding:
     # Nobody's tokens.
 
     def _fire_for_nobody(self) -> None:
-        """Fire all transitions on tokens of no command only, and add the places they mark."""
+        """Fire all transitions on tokens of no command only, and add the places marked by the firings."""
         changed = True
         while changed:
             changed = False
@@ -222,7 +222,7 @@ class _Holding:
                 yield self._given(t, {}), (t.name,), self._is_end(t, work)
 
     def _taken(self, t: Transition, here: Mapping[str, int]) -> Iterator[dict[str, int]]:
-        """Yield the remaining tokens of a work after a firing; it takes these before free ones."""
+        """Yield the remaining tokens of a work after a firing, taking tokens of the work before free ones."""
         options: list[list[tuple[str, int]]] = []
         for place, weight in t.inputs.items():
             if place in self.resources:
@@ -293,7 +293,7 @@ class _Holding:
         self.found[t.origin] = Counterexample("unheld", reason, names, marking)
 
     def _kept_by(self, transition: str) -> frozenset[str]:
-        """Return the resources whose only token is taken during the action, by invariants of the net."""
+        """Return the single-token resources held during the action, by invariants of the net."""
         if self._kept is None:
             self._kept = self._find_kept()
         return self._kept.get(transition, frozenset())

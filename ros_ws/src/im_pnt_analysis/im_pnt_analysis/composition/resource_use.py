@@ -18,7 +18,7 @@ from im_pnt.model.resource_use import Values, choices_of, filled, named_argument
 
 @dataclass(frozen=True)
 class Work:
-    """Command or request of a net, with a choice of the arguments that decide on the resources.
+    """Command or request of a net, with a choice of the arguments decisive for the resources.
 
     Attributes:
         kind: Symbol of the command, or name of the service.
@@ -42,7 +42,7 @@ class Work:
         return f"{name} with {chosen}" if chosen else name
 
     def may_pass(self, guard: Guard | None) -> bool:
-        """Return whether an enabling function may let this work pass."""
+        """Return whether an enabling function may let the work pass."""
         if guard is None or OPENS not in guard.name:
             return True
 

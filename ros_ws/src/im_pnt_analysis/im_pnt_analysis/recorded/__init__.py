@@ -1,1 +1,1 @@
-"""Nets out of recordings: the firings of a bag, and the markings at any moment of it."""
+"""Nets out of recordings: the firings of a bag, and the markings at any moment of the recording."""

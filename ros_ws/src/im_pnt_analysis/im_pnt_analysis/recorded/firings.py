@@ -67,7 +67,7 @@ class RecordedFiring:
 
     @property
     def on_time_line(self) -> bool:
-        """Whether the time line shows the firing: it lasted, has not ended, or failed."""
+        """Whether the time line shows the firing: one with a duration, without an end, or failed."""
         return self.failed or self.end_s is None or self.end_s > self.begin_s
 
 
@@ -193,7 +193,7 @@ def mission_from(events: Sequence[Any], nets: Mapping[str, Net]) -> Mission:
 
 
 class MissionTime:
-    """Testbed time since the first firing; after a restart of the testbed it goes on from the last value.
+    """Testbed time since the first firing; after a restart of the testbed, time goes on from the last value.
 
     Args:
         first: The first firing.
@@ -281,7 +281,7 @@ def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFir
 
 
 def _giver(event: Any, nets: Mapping[str, Net], ended: Sequence[str]) -> str:
-    """Return the last ended transition among the sources of this one's tokens."""
+    """Return the last ended transition among the sources of a firing's tokens."""
     transitions = nets[event.net].transitions if event.net in nets else {}
     if event.transition not in transitions:
         return ""

@@ -52,7 +52,7 @@ _PHASES: Mapping[int, Sequence[str]] = {
 
 
 class Description(NamedTuple):
-    """Net as the node describes it.
+    """Net as described by the node.
 
     Attributes:
         net: The net, as written.

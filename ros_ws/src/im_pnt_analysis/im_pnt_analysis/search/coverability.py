@@ -41,7 +41,7 @@ class Antichain:
         return rows.size > 0
 
     def add(self, vector: Sequence[float], owner: int) -> list[int]:
-        """Add an uncovered vector. Return the owners of the vectors it covers, which leave."""
+        """Add an uncovered vector. Return the owners of the vectors now covered and removed."""
         rows = np.arange(self._count)
         for component, value in enumerate(vector):
             if value != np.inf and rows.size:
@@ -173,7 +173,7 @@ class _Tree:
         return kept
 
     def _add(self, node: _Node) -> bool:
-        """Keep a node without a covering one; nodes covered by it are not pursued any more."""
+        """Keep a node without a covering one; drop nodes covered by the new one from the search."""
         if node.label in self.seen:
             return False
         self.seen.add(node.label)

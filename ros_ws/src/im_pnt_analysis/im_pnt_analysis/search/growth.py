@@ -24,7 +24,7 @@ class Growth:
 
 
 class GrowthTest:
-    """Comparison of each marking with all before it on the path.
+    """Comparison of each marking with all earlier ones on the path.
 
     Args:
         found: What a search finds; more of it each time :meth:`look` is called.
@@ -81,7 +81,7 @@ def _covers(packing: Packing, later: Words, earlier: Words, equal: Words) -> np.
 
 
 def _unguarded(packing: Packing) -> Words:
-    """Return the bits of places proved to hold one token at most: they cannot grow."""
+    """Return the bits of places proved to hold one token at most: such places cannot grow."""
     bits = [0] * packing.words
     for field in packing.fields:
         if not field.guarded:

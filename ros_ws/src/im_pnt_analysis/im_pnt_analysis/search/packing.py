@@ -1,4 +1,4 @@
-"""Markings packed into 64-bit words, and transitions on them: one subtraction compares every input at once.
+"""Markings packed into 64-bit words, and transitions on packed markings: one subtraction compares every input at once.
 
 Tokens are counted in the steps in which firings change them, so that large weights need no large numbers. Each place
 has a field of bits for them. Above the value of most fields lies a guard bit, zero in every stored marking; a guard bit
@@ -123,7 +123,7 @@ class PackedTransition(NamedTuple):
 
 
 class Packing:
-    """Layout of the fields of a marking, and the transitions of a net as constants in it.
+    """Layout of the fields of a marking, and the transitions of a net as constants in the layout.
 
     Transitions with the same effect share a row; a row is one possible step.
 
@@ -278,14 +278,14 @@ class Packing:
         return enough
 
     def repack(self, words: Words, older: "Packing") -> Words:
-        """Return markings of an older layout in this one."""
+        """Return markings of an older layout in the layout of the packing."""
         result = np.zeros((self.words, words.shape[1]), np.uint64)
         for place, field in enumerate(self.fields):
             result[field.word] |= older.column(words, place) << np.uint64(field.shift)
         return result
 
     def keys(self, words: Words) -> Words:
-        """Return the keys for the lookup of markings: the word itself, or a hash of several words."""
+        """Return the keys for the lookup of markings: the word as is, or a hash of several words."""
         if self.words == 1:
             only: Words = words[0]
             return only
@@ -348,7 +348,7 @@ class Packing:
         return [frozenset().union(*(tests[place] for place, _ in change)) for change in changes]
 
     def whole(self) -> list[tuple[int, PackedTransition]]:
-        """Return the transitions that can fire, as constants for whole-marking integers."""
+        """Return the transitions able to fire, as constants for whole-marking integers."""
         result = []
         for transition, row in enumerate(self.row_of):
             if row == -2:

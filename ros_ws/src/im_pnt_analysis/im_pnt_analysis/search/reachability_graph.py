@@ -1,4 +1,4 @@
-"""Answers by every reachable marking and every firing between them."""
+"""Answers by every reachable marking and every firing between the markings."""
 
 from collections.abc import Collection, Sequence
 
@@ -34,7 +34,7 @@ class ReachabilityGraph:
         return int(np.count_nonzero(self.components.terminal))
 
     def live_transitions(self) -> list[bool]:
-        """Return for each transition whether it can be enabled again from every marking."""
+        """Return for each transition whether the transition can be enabled again from every marking."""
         if self.reversible:
             return [bool(fired) for fired in self._found.fired]
         label, terminal = self.components.label, self.components.terminal
@@ -74,7 +74,7 @@ class ReachabilityGraph:
         return int(np.argmin(reaching(self.begins, self.targets, goal)))
 
     def where_one_is_enabled(self, transitions: Sequence[int]) -> Mask:
-        """Return the markings that enable one of some transitions."""
+        """Return the markings with at least one of some transitions enabled."""
         found, which = self._found, list(transitions)
         parts = [
             found.packing.enabled(found.words[:, begin : min(begin + _CHUNK, found.count)])[which].any(axis=0)
@@ -89,7 +89,7 @@ class ReachabilityGraph:
 
 
 def stuck(search: Search, busy: Collection[int], *, may_end: bool) -> list[int]:
-    """Return the expanded markings of a stuck net: it does nothing by itself, and is not at rest.
+    """Return the expanded markings of a stuck net: nothing fires without an event, and the net is not at rest.
 
     Args:
         search: A search whose kinds are 1 for what a net does by itself and 2 for what it may wait for.

@@ -1,4 +1,4 @@
-"""Result of a search: markings, the step to each, and the firings between them."""
+"""Result of a search: markings, the step to each, and the firings between the markings."""
 
 from collections.abc import Sequence
 from typing import TypeVar
@@ -73,7 +73,7 @@ _SOON = 3
 
 
 class CollisionError(Exception):
-    """Error: two markings have the same key; hash them anew."""
+    """Error: two markings have the same key; hash the markings anew."""
 
 
 class StateSpace:

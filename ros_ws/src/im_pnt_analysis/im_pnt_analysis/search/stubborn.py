@@ -191,7 +191,7 @@ class StubbornSets:
         return chosen
 
     def _enablers(self, marking: Vector, transition: int, closed: set[int]) -> tuple[int, ...]:
-        """Return transitions without which a disabled one stays disabled, by the arc with the fewest of them."""
+        """Return transitions necessary to enable a disabled one, by the arc with the fewest such transitions."""
         compiled = self._compiled
         best: tuple[int, ...] | None = None
         fewest = len(self._all) + 1

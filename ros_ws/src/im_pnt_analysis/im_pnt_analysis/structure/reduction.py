@@ -78,7 +78,7 @@ class NetReduction:
         return self.outputs[transition].get(place, 0) - self.inputs[transition].get(place, 0)
 
     def join(self, place: int) -> None:
-        """Replace a place: join each transition that gives one token to each that takes one."""
+        """Replace a place: join each transition giving one token to each transition taking one."""
         givers, takers = sorted(self.givers[place]), sorted(self.takers[place])
         for first in givers:
             for second in takers:
@@ -96,13 +96,13 @@ class NetReduction:
         )
 
     def places(self) -> Iterator[int]:
-        """Yield the remaining places without inhibitor arcs; they may be removed meanwhile."""
+        """Yield the remaining places without inhibitor arcs; a place may be removed meanwhile."""
         for place in list(self.tokens):
             if place in self.tokens and place not in self.tested:
                 yield place
 
     def transitions(self) -> Iterator[int]:
-        """Yield the remaining transitions; they may be removed meanwhile."""
+        """Yield the remaining transitions; a transition may be removed meanwhile."""
         for transition in list(self.inputs):
             if transition in self.inputs:
                 yield transition
@@ -182,7 +182,7 @@ def reduce_for_deadlock(compiled: Compiled, initial: tuple[int, ...], deadline: 
 
 
 def _dead_transitions(net: NetReduction) -> bool:
-    """Remove transitions with an unmet need of a place that no transition raises."""
+    """Remove transitions with an unmet need of a place without a raising transition."""
     changed = False
     for place in list(net.tokens):
         if all(net.change(transition, place) <= 0 for transition in net.givers[place]):
@@ -194,7 +194,7 @@ def _dead_transitions(net: NetReduction) -> bool:
 
 
 def _redundant_places(net: NetReduction) -> bool:
-    """Remove places that never keep a transition from firing."""
+    """Remove places never keeping a transition from firing."""
     changed = False
     kept: dict[frozenset[tuple[int, int, int]], int] = {}
     for place in net.places():
@@ -217,7 +217,7 @@ def _redundant_places(net: NetReduction) -> bool:
 
 
 def _redundant_transitions(net: NetReduction) -> bool:
-    """Remove duplicates, and transitions without an effect while another one is enabled with them."""
+    """Remove duplicates, and transitions without an effect and always enabled together with another one."""
     changed = False
     kept: set[tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]]]] = set()
     for transition in net.transitions():
@@ -243,7 +243,7 @@ def _has_weaker(net: NetReduction, transition: int) -> bool:
 
 
 def _post_agglomeration(net: NetReduction) -> bool:
-    """Join the givers of a place to the takers with no other input: they can fire at once."""
+    """Join the givers of a place to the takers with no other input: such takers can fire at once."""
     changed = False
     for place in net.places():
         if (
@@ -257,7 +257,7 @@ def _post_agglomeration(net: NetReduction) -> bool:
 
 
 def _pre_agglomeration(net: NetReduction, delayed: list[tuple[int, ...]]) -> bool:
-    """Join the takers of a place to the only giver without other effects: it can wait for them."""
+    """Join the takers of a place to the only giver without other effects: such a giver can wait for the takers."""
     changed = False
     for place in net.places():
         if not _between(net, place) or len(net.givers[place]) != 1:

@@ -63,7 +63,7 @@ def p_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | Non
 
 
 def t_semiflows(compiled: Compiled, max_rows: int = 2_000, deadline: float | None = None) -> Semiflows:
-    """Return the minimal firing counts from a marking back to itself.
+    """Return the minimal firing counts from a marking back to the same marking.
 
     Args:
         compiled: The net.

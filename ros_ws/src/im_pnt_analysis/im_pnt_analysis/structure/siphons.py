@@ -16,7 +16,7 @@ _INTERRUPTED = ("timeout", "canceled")  # what z3 says when its time is over
 
 
 class ClosedSets:
-    """Sets of places closed under transitions: every giver to the set also takes from it.
+    """Sets of places closed under transitions: every giver to the set also takes from the set.
 
     Attributes:
         pairs: For each transition the places it takes from and those it gives to.
@@ -58,7 +58,7 @@ class ClosedSets:
         return places
 
     def _drop(self, left: set[int], groups: list[frozenset[int]]) -> None:
-        """Remove places from a set, and all others that cannot stay without them."""
+        """Remove places from a set, and all others unable to stay without the removed ones."""
         while groups:
             for place in groups.pop() & left:
                 left.discard(place)
@@ -118,7 +118,7 @@ class Families:
 
 
 def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
-    """Find minimal siphons: sets of places such that every giver to one takes from one.
+    """Find minimal siphons: sets of places where every giver to the set also takes from the set.
 
     Args:
         compiled: The net.
@@ -129,7 +129,7 @@ def siphons(compiled: Compiled, limit: int = 200, deadline: float | None = None)
 
 
 def traps(compiled: Compiled, limit: int = 200, deadline: float | None = None) -> Families:
-    """Find minimal traps: sets of places such that every taker from one gives to one.
+    """Find minimal traps: sets of places where every taker from the set also gives to the set.
 
     Args:
         compiled: The net.
@@ -171,7 +171,7 @@ class _ClosedSetSearch:
                 self._solver.add(z3.Or([z3.Not(self._member[place]), *(self._member[other] for other in needed)]))
 
     def exclude(self, places: Iterable[int]) -> None:
-        """Exclude all sets with all these places."""
+        """Exclude all sets with all the given places."""
         self._solver.add(self._z3.Or([self._z3.Not(self._member[place]) for place in places]))
 
     def next(self) -> frozenset[int] | None:

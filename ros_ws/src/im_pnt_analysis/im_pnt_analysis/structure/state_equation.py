@@ -91,7 +91,7 @@ class Cone:
     def _exactly(
         self, vector: dict[int, Fraction], positive: Collection[int], *, equal: bool, slack: bool
     ) -> dict[int, int]:
-        """Return a vector in whole numbers if it is in the cone, otherwise nothing."""
+        """Return a vector in whole numbers if contained in the cone, otherwise nothing."""
         common = lcm(*(value.denominator for value in vector.values()))
         whole = {index: int(value * common) for index, value in vector.items() if value > 0}
         sums = [sum(whole.get(index, 0) * value for index, value in row) for row in self._rows]
@@ -106,7 +106,7 @@ def weightings(compiled: Compiled) -> Cone:
 
 
 def firing_counts(compiled: Compiled) -> Cone:
-    """Return the cone of the firing counts of transitions that lower no place."""
+    """Return the cone of the firing counts of transitions without a loss for any place."""
     rows: list[list[tuple[int, int]]] = [[] for _ in compiled.places]
     for transition, pairs in enumerate(compiled.change):
         for place, change in pairs:

@@ -65,7 +65,7 @@ def explore(
     bounds: Mapping[str, int | None] | None = None,
     deadline: float | None = None,
 ) -> SymbolicAnswers:
-    """Find all reachable markings, and answer the questions about them.
+    """Find all reachable markings, and answer the questions about the markings.
 
     Args:
         compiled: The net; inhibitor arcs are exact.
@@ -157,7 +157,7 @@ class _Explorer:
         self.result.deadlock_marking = self.compiled.marking(marking)
 
     def _shortest(self, region: MarkingSet, dead: Node) -> tuple[tuple[str, ...], tuple[int, ...]]:
-        """Go forward in rings of equal distance up to a dead marking, and back through them."""
+        """Go forward in rings of equal distance up to a dead marking, and back through the rings."""
         rings = [self.diagram.single(self.initial)]
         seen = rings[0]
         while self.diagram.intersection(rings[-1], dead) == EMPTY:

@@ -67,7 +67,7 @@ class MarkingSet:
         return most[self.root]
 
     def enabled_count(self, transition: int) -> int:
-        """Return the number of markings of the set that enable a transition."""
+        """Return the number of markings of the set enabling a transition."""
         event = self._events[transition]
         known: dict[Node, int] = {}
 
@@ -87,11 +87,11 @@ class MarkingSet:
         return sum(paths * count(node, event.highest) for node, paths in self._paths[event.highest].items())
 
     def where_enabled(self, transition: int) -> Node:
-        """Return the markings of the set that enable a transition."""
+        """Return the markings of the set enabling a transition."""
         return self._restrict(self.root, self.diagram.depth, transition, {}, enabled=True)
 
     def where_disabled(self, transitions: Sequence[int]) -> Node:
-        """Return the markings of the set that enable none of these transitions."""
+        """Return the markings of the set enabling none of the given transitions."""
         node = self.root
         for transition in transitions:
             node = self._restrict(node, self.diagram.depth, transition, {}, enabled=False)

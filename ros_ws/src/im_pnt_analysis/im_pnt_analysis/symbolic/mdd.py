@@ -48,7 +48,7 @@ class Diagram:
         self._steps = 0
 
     def node(self, children: dict[int, Node]) -> Node:
-        """Return the node with these children, EMPTY where there is none.
+        """Return the node with the given children, EMPTY where there is none.
 
         Raises:
             GaveUpError: A limit is met.
@@ -133,7 +133,7 @@ class Diagram:
         return result
 
     def difference(self, a: Node, b: Node) -> Node:
-        """Return the markings of the first set without those of the second."""
+        """Return the markings of the first set without the markings of the second."""
         if a == b or EMPTY in (a, b):
             return EMPTY if a == b else a
         key = (a, b)

@@ -13,7 +13,7 @@ from im_pnt_analysis.symbolic.mdd import EMPTY, UNIT, Diagram, GaveUpError, Node
 
 
 class LevelEffect(NamedTuple):
-    """Condition and effect of a transition at a place: it fires at low <= tokens < high."""
+    """Condition and effect of a transition at a place: the transition fires at low <= tokens < high."""
 
     low: int
     high: float
@@ -87,7 +87,7 @@ class Saturation:
         self._children: dict[Node, dict[int, Node]] = {}
 
     def close(self, start: Node) -> Node:
-        """Return the markings reachable from those of a set, including the set.
+        """Return the markings reachable from the markings of a set, including the set.
 
         Raises:
             GaveUpError: A limit of the diagram is met, or a place grows without end.

@@ -221,7 +221,7 @@ def recurrent_classes(found: Markings) -> list[list[int]]:
 
 
 def _loop(found: Markings, members: Sequence[int]) -> list[str]:
-    """Return firings from the first marking of a class back to it."""
+    """Return firings from the first marking of a class back to the same marking."""
     start = members[0]
     parents: dict[int, tuple[int, int]] = {}
     queue = deque([start])

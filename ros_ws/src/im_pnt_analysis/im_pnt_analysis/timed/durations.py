@@ -58,7 +58,7 @@ class Played:
 
 
 def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Callable[[str], None]) -> Played:
-    """Simulate commands and average them.
+    """Simulate commands and average the results.
 
     Args:
         net: Made for one command.

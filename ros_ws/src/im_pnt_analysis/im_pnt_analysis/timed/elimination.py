@@ -49,7 +49,7 @@ class Eliminated(Generic[N]):
 
 
 def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = None) -> Eliminated[N]:
-    """Remove states from a chain, those with the fewest neighbours first.
+    """Remove states from a chain, beginning with the fewest neighbours.
 
     Args:
         rows: The chain; every removed state can be left for good.

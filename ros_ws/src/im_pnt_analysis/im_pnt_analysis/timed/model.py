@@ -116,7 +116,7 @@ class TimedActivity:
 
 @dataclass(frozen=True, slots=True)
 class TimedNet:
-    """Timed net; transitions and places are those of ``compiled``.
+    """Timed net; transitions and places come from ``compiled``.
 
     Attributes:
         composition: The nets and their environment.
@@ -300,7 +300,7 @@ class _Builder:
                 self.timers.append(TimedActivity(name, start.delay, self.number[active], taken))
 
     def _ways(self, end: Transition, active: str) -> tuple[int, ...]:
-        """Return all ways of this end of an action, one for each possible caller."""
+        """Return all ways of an end of an action, one for each possible caller."""
         for_nobody = self.by_name[end.name]
         return (*(way for way in self._endings[end.role, active] if way != for_nobody), for_nobody)
 

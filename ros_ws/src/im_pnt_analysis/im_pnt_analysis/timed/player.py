@@ -77,7 +77,7 @@ class Player:
                 self._schedule(number)
 
     def step(self) -> int:
-        """Fire the next transition, after the time; return it, or -1 where there is none."""
+        """Fire the next transition, after the time; return the transition, or -1 where there is none."""
         ready = self._ready
         for level in range(self._n_levels):
             if ready[level]:

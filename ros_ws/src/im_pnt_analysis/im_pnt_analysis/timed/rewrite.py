@@ -1,4 +1,4 @@
-"""Estimates in the text of a net file; everything else stays as the author wrote it."""
+"""Estimates in the text of a net file; everything else stays as the author wrote the file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rew
 
 
 def _values(each: TransitionEstimate, net: Net, name: str) -> dict[str, tuple[str, bool]]:
-    """Return the text of each value, and whether the transition is silent on it."""
+    """Return the text of each value, and whether the transition is silent on the value."""
     values: dict[str, tuple[str, bool]] = {}
     if each.delay is not None:
         values["delay"] = (delay_text(each.delay.delay), each.delay.delay is None)
@@ -94,7 +94,7 @@ def _pairs(node: yaml.Node | None) -> dict[str, tuple[yaml.Node, yaml.Node]]:
 
 
 def _shared(root: yaml.Node) -> set[int]:
-    """Return the identities of shared nodes, and of all nodes within these."""
+    """Return the identities of shared nodes, and of all nodes within shared nodes."""
     met, shared, waiting = set[int](), set[int](), [(root, False)]
     while waiting:
         node, within = waiting.pop()

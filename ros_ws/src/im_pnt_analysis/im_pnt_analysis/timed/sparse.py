@@ -64,7 +64,7 @@ def stationary_sparse(rows: Rows[float], states: Sequence[int]) -> tuple[dict[in
 
 
 def _sweep(balance: Any) -> tuple[Vector, bool]:
-    """Sweep over the states until balance; return whether it was reached.
+    """Sweep over the states until balance; return whether balance was reached.
 
     The error that is left is judged by the rate at which the changes shrink, not by their size alone.
     """
@@ -93,7 +93,7 @@ def _sweep(balance: Any) -> tuple[Vector, bool]:
 
 
 def _factorise(balance: Any, reference: int) -> Vector:
-    """Solve for the flows relative to that of one state."""
+    """Solve for the flows relative to the flow of one state."""
     others = np.delete(np.arange(balance.shape[0]), reference)
     right = -balance[others][:, [reference]].toarray().ravel()
     try:

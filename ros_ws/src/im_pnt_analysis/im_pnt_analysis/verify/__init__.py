@@ -1,1 +1,1 @@
-"""The verdict on nets: may they run, and the firing sequence of a refusal."""
+"""The verdict on nets: permission to run, and the firing sequence of a refusal."""

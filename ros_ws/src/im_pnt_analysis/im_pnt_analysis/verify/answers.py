@@ -20,7 +20,7 @@ from im_pnt_analysis.verify.report import NOTHING_ACTS, Report
 
 
 def answer_holding(report: Report, nets: Sequence[Net], seconds: float) -> None:
-    """Decide whether every user of a resource holds it.
+    """Decide whether every user of a resource holds the resource.
 
     Args:
         report: Gets the answer and refusals.

@@ -84,7 +84,7 @@ def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...
 def lost_entries(
     problem: Problem, found: StateSpace, graph: ReachabilityGraph, live: list[bool]
 ) -> Iterator[Counterexample]:
-    """Find commands and services that can become impossible for ever."""
+    """Find commands and services able to become impossible for ever."""
     for name, ways in problem.ways.items():
         if problem.composition.entries.isdisjoint(problem.compiled.transitions[way] for way in ways):
             continue
@@ -112,7 +112,7 @@ def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) 
 
 
 def held_resources(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:
-    """Find marked places of nets without a declared rest that may never regain the tokens."""
+    """Find marked places of nets without a declared rest, able to lose tokens for ever."""
     declared = {net.name for net in problem.nets if net.rest is not None}
     for place, name in enumerate(problem.compiled.places):
         tokens = problem.initial[place]

@@ -56,7 +56,7 @@ class Problem:
 
     @property
     def closed(self) -> bool:
-        """Whether a marking is stuck exactly if it enables nothing."""
+        """Whether a marking is stuck exactly if no transition is enabled."""
         return not self.composition.external and not self.may_end
 
 
@@ -116,10 +116,10 @@ def _transitions(problem: Problem) -> Iterator[Transition]:
 
 
 def without_stop(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return a firing sequence of nets with a stop as one of the nets themselves."""
+    """Return a firing sequence of nets with a stop as a sequence of the original nets."""
     return tuple(name for name in names if name != _STOPPED)
 
 
 def without_marks(marking: dict[str, int]) -> dict[str, int]:
-    """Return a marking of nets with a stop as one of the nets themselves."""
+    """Return a marking of nets with a stop as a marking of the original nets."""
     return {place: tokens for place, tokens in marking.items() if place not in (_GOES, _STOPPED)}

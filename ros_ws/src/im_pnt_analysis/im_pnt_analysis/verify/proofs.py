@@ -75,7 +75,7 @@ class Proofs:
         return report
 
     def keep(self, nets: Sequence[Net], report: Report) -> None:
-        """Keep the proof of nets; without room for it, they will be verified again.
+        """Keep the proof of nets; without room for the proof, the nets will be verified again.
 
         Args:
             nets: Nets as written.
@@ -107,7 +107,7 @@ def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
 
 
 def fingerprint(nets: Sequence[Net]) -> str:
-    """Return 64 hexadecimal digits that differ for nets, or provers, with different proofs.
+    """Return 64 hexadecimal digits, different for nets, or provers, with different proofs.
 
     Args:
         nets: Nets as written, in any order.
@@ -118,7 +118,7 @@ def fingerprint(nets: Sequence[Net]) -> str:
 
 @cache
 def _prover() -> str:
-    """Return a fingerprint of the prover: another version of it proves anew."""
+    """Return a fingerprint of the prover: another version of the prover proves anew."""
     whole = hashlib.sha256()
     for name in _PROVERS:
         folder = Path(import_module(name).__path__[0])

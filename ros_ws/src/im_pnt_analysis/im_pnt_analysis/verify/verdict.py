@@ -1,4 +1,4 @@
-"""The verdict on one net or several: may it run, and the shortest firing sequence of a refusal.
+"""The verdict on one net or several: permission to run, and the shortest firing sequence of a refusal.
 
 Methods are tried from the cheap to the costly: semiflows; explicit search; linear programming and coverability where
 no semiflow bounds the net; decision diagrams where the space is too large to list; stubborn sets where only the
@@ -173,7 +173,7 @@ class _Verification:
         answer_from_coverability(self.report, problem, coverability(problem.compiled, problem.initial, self._later()))
 
     def _search(self, search: Search) -> None:
-        """List the markings of a possibly bounded net, or put them into a decision diagram."""
+        """List the markings of a possibly bounded net, or put the markings into a decision diagram."""
         self._some(search, _MANY, self._later())
         if not search.complete and not search.widening:
             search.run(self.limits, self._later())

@@ -56,7 +56,7 @@ class Drawing:
         return {"net": self.net, "nodes": nodes, "arcs": arcs, "size": size}
 
     def points(self) -> list[list[Point]]:
-        """Return the points of each arc from rim to rim; where two of them differ in x, it bends between them."""
+        """Return the points of each arc from rim to rim; the arc bends between two points with different x."""
         positions, rows = self.layout.positions, self.layout.rows
         inner = [self.layout.routes[arc.source, arc.target] for arc in self.arcs]
         sides: dict[tuple[str, bool], list[tuple[float, int, bool]]] = {}
@@ -91,7 +91,7 @@ def draw(net: Net, *, phases: bool = False) -> Drawing:
 
 
 def path(points: list[Point]) -> str:
-    """Return SVG path data: upright lines, and bends with upright ends between them."""
+    """Return SVG path data: upright lines, and bends with upright ends between the lines."""
     words = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (x, y), (u, v) in pairwise(points):
         if abs(x - u) < 0.05:

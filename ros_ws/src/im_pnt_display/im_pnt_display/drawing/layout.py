@@ -61,7 +61,7 @@ def connected(nodes: Collection[str], edges: Sequence[Edge]) -> list[list[str]]:
 
 
 def backward_edges(nodes: list[str], edges: Sequence[Edge], top: Collection[str]) -> set[Edge]:
-    """Return edges of all cycles, those into ``top`` among them: without them there is no cycle."""
+    """Return edges of all cycles, including edges into ``top``: without the returned edges there is no cycle."""
     follows: dict[str, list[str]] = {node: [] for node in nodes}
     backward = {(a, b) for a, b in edges if b in top}
     for a, b in edges:
@@ -328,7 +328,7 @@ def _connected(boxes: Mapping[str, NodeBox], every: Sequence[Edge], top: Collect
 
 
 def _rows(graph: Layered, boxes: Mapping[str, NodeBox], x: Mapping[Node, float]) -> list[tuple[float, float]]:
-    """Return the borders of the layers; the farther edges go sideways between two of them, the wider the gap."""
+    """Return the borders of the layers; the farther edges go sideways between two layers, the wider the gap."""
     rows: list[tuple[float, float]] = []
     at = 0.0
     for layer in graph.layers:

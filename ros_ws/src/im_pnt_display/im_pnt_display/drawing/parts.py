@@ -98,7 +98,7 @@ def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tup
 
 
 def _far(net: Net, arcs: list[DrawnArc]) -> set[Edge]:
-    """Return the arcs that end at a reference: those of semaphores, and long ones."""
+    """Return the arcs ending at a reference: arcs of semaphores, and long ones."""
     marked = [name for name, place in net.places.items() if place.tokens]
     semaphores = {INPUT_SEMAPHORE, OUTPUT_SEMAPHORE} & set(marked)
     far = {(arc.source, arc.target) for arc in arcs if {arc.source, arc.target} & semaphores}

@@ -1,4 +1,4 @@
-"""Arcs that end at a reference, a small copy of a place, because they would be long or crowd a place."""
+"""Arcs ending at a reference, a small copy of a place: too long otherwise, or crowding a place."""
 
 from collections import Counter, deque
 from collections.abc import Collection, Sequence
@@ -14,7 +14,7 @@ _LARGE, _PIECE, _CANDIDATES = 150, 60, 24
 def far_edges(
     names: list[str], edges: Sequence[Edge], places: Collection[str], top: Collection[str], failures: Collection[Edge]
 ) -> set[Edge]:
-    """Return the edges that end at a reference.
+    """Return the edges ending at a reference.
 
     Args:
         names: Nodes in the order of reading.

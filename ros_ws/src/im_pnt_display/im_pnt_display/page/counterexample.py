@@ -1,4 +1,4 @@
-"""Counterexample on the page: the markings of the firings, and drawings of them."""
+"""Counterexample on the page: the markings of the firings, and drawings of the markings."""
 
 from collections.abc import Sequence
 

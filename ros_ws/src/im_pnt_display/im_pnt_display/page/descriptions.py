@@ -1,4 +1,4 @@
-"""Descriptions of nets, and the nodes they come from."""
+"""Descriptions of nets, and the nodes behind the descriptions."""
 
 from collections.abc import Mapping
 
@@ -20,7 +20,7 @@ class NetDescriptions:
         self._by_net[net] = {**dict(others), node: content}
 
     def withdraw(self, net: str, node: str) -> bool:
-        """Remove the description of a net by a node; return whether it was the newest."""
+        """Remove the description of a net by a node; return whether the description was the newest."""
         if node not in (described := self._by_net.get(net, {})):
             return False
         others = self._others(net, node)

@@ -1,4 +1,4 @@
-"""Doors of the page: requests must name this server and come from the pages, which no other page may frame.
+"""Doors of the page: requests must name the server and come from the pages; no other page may frame the pages.
 
 A page of elsewhere whose name was made to point here (DNS rebinding) sends its own name as ``Host``; one that opens a
 socket to here sends it as ``Origin``. An address points nowhere else: the one that a request came to
@@ -62,7 +62,7 @@ def _host_name(host: str) -> str | None:
 
 
 def _came_to(request: web.Request, name: str | None) -> bool:
-    """Return whether a text is the address of this computer at which a request came in."""
+    """Return whether a text is the address of the computer at which a request came in."""
     own = request.transport.get_extra_info("sockname") if request.transport is not None else None
     return own is not None and name is not None and address_of(name) == address_of(own[0])
 

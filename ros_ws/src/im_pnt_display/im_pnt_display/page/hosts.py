@@ -1,4 +1,4 @@
-"""Names of this computer."""
+"""Names of the local computer."""
 
 import ipaddress
 import socket
@@ -8,13 +8,13 @@ HERE = ("localhost", "127.0.0.1", "::1")
 
 
 def is_everywhere(host: str) -> bool:
-    """Return whether a host name stands for all addresses of this computer."""
+    """Return whether a host name stands for all addresses of the computer."""
     address = address_of(host)
     return not host or (address is not None and address.is_unspecified)
 
 
 def served_names(host: str) -> set[str]:
-    """Return the names of a listening address; for all addresses, with the names of this computer."""
+    """Return the names of a listening address; for all addresses, with the names of the computer."""
     if not is_everywhere(host):
         return {*HERE, host.lower().strip("[]")}
     return {*HERE, socket.gethostname().lower(), socket.getfqdn().lower()}

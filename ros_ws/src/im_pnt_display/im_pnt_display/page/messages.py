@@ -24,7 +24,7 @@ class _Refusal(BaseModel):
 
 
 def described_net(name: str, text: str, node: str) -> dict[str, object]:
-    """Read a net, and draw it.
+    """Read and draw a net.
 
     Args:
         name: Its name.
@@ -38,7 +38,7 @@ def described_net(name: str, text: str, node: str) -> dict[str, object]:
 
 
 def counterexample(text: str) -> dict[str, object]:
-    """Read the counterexample of a refused net, and draw it; empty where there is nothing to play.
+    """Read and draw the counterexample of a refused net; empty where there is nothing to play.
 
     Args:
         text: JSON as in ``/pnt/refusals``: the texts of the nets, the sequence, what is repeated, and the reason.

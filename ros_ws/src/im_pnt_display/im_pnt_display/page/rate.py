@@ -1,4 +1,4 @@
-"""How much may be asked: an allowance that grows at a rate."""
+"""Limit on requests: an allowance growing at a rate."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ from im_core.clock import monotonic
 
 
 class Allowance:
-    """A number of requests that grows with time (token bucket); each request takes one away.
+    """Number of requests growing with time (token bucket); each request takes one away.
 
     Args:
         per_s: Growth [1/s].

@@ -1,4 +1,4 @@
-"""A recording as the page shows it: the nets at any moment, the next firings, and the time line of actions."""
+"""A recording as shown by the page: the nets at any moment, the next firings, and the time line of actions."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ FIRINGS_AHEAD = 200
 
 
 class RecordedNets:
-    """Nets of a recording; each viewer asks for its own moment.
+    """Nets of a recording; each viewer asks for a moment independently.
 
     Args:
         name: What the recording is called.

@@ -31,7 +31,7 @@ _END_S = 3.0
 
 
 class DisplayServer:
-    """Server of a display, in a thread of its own.
+    """Server of a display, in a separate thread.
 
     It listens at once, and loads the libraries of a web server when somebody comes first: mostly nobody does.
 
@@ -120,7 +120,7 @@ class DisplayServer:
         return not self._stop.is_set()
 
     async def _serve_apart(self) -> None:
-        """Have a process answer visitors until it ends, or the display does; the process is one viewer of this one."""
+        """Have a process answer visitors until the process or the display ends; the process counts as one viewer."""
         ours, its = socket.socketpair()
         given = [its.fileno(), *(listening.fileno() for listening in self._sockets)]
         with its:

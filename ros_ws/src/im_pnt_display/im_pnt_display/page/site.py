@@ -114,7 +114,7 @@ class Site:
         return socket
 
     async def _listen_to(self, socket: web.WebSocketResponse) -> bool:
-        """Take what a viewer sends; returns whether it has sent too much."""
+        """Take a message of a viewer; return whether the viewer has sent too much."""
         allowance = Allowance(VIEWER_PER_S, VIEWER_AT_ONCE)
         async for message in socket:
             if not allowance.take_request():
@@ -129,7 +129,7 @@ class Site:
         return False
 
     async def _end_flood(self, request: web.Request, socket: web.WebSocketResponse) -> None:
-        """End the connection of a viewer that sends too much; no more of what it sends is read."""
+        """End the connection of a viewer sending too much; nothing more from the viewer is read."""
         transport = request.transport
         if transport is None:
             return
@@ -141,7 +141,7 @@ class Site:
         transport.abort()
 
     def _refusal(self) -> str:
-        """Why a request is not passed on; empty where it is."""
+        """Return the reason for not passing on a request; empty for a request passed on."""
         if self._operate is None:
             return READ_ONLY if self._recording is None else RECORDED
         return "" if self._allowance.take_request() else TOO_MANY

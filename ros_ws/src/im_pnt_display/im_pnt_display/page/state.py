@@ -25,7 +25,7 @@ def net_content(net: Net) -> dict[str, object]:
 
 
 class DisplayState:
-    """The last known state of every net. Most methods return a change; :meth:`enter` makes it, in the shown state.
+    """Last known state of every net. Most methods return a change; :meth:`enter` makes the change, in the shown state.
 
     Attributes:
         operable: Whether viewers may operate nets.
@@ -42,7 +42,7 @@ class DisplayState:
         self.recording: Mapping[str, object] | None = None
 
     def enter(self, change: Change) -> bool:
-        """Make a change, in the thread of the snapshots; return whether it is one."""
+        """Make a change, in the thread of the snapshots; return whether the state changed."""
         net = str(change.get("net"))
         match change["kind"]:
             case "snapshot":
@@ -69,7 +69,7 @@ class DisplayState:
         return True
 
     def _restore(self, snapshot: Mapping[str, Any]) -> None:
-        """Takes the state that :meth:`snapshot` of another process has returned."""
+        """Take the state returned by :meth:`snapshot` of another process."""
         self._nets = {net["net"]: net for net in snapshot["nets"]}
         self._markings = {marking["net"]: marking for marking in snapshot["markings"]}
         self._refusals = {refusal["net"]: refusal for refusal in snapshot["refusals"]}
@@ -105,7 +105,7 @@ class DisplayState:
         return {"kind": "refusal", "net": net, **refusal}
 
     def answer(self, net: str, success: bool, message: str) -> Change:
-        """Return the answer to a viewer's request; it is passed on and not kept."""
+        """Return the answer to a viewer's request, for passing on without keeping."""
         return {"kind": "answer", "net": net, "success": success, "message": message}
 
     def firing(self, firing: Mapping[str, object]) -> Change:

@@ -1,4 +1,4 @@
-"""Viewers of the display, each with what it has still to be shown."""
+"""Viewers of the display, each with the changes still to be shown."""
 
 import asyncio
 import json
@@ -35,7 +35,7 @@ class Viewers:
         return backlog
 
     def snapshot_text(self) -> str:
-        """Returns the state as JSON; the text is made once between two changes, however many ask for it."""
+        """Return the state as JSON; the text is made once between two changes, for any number of viewers."""
         if self._snapshot is None:
             self._snapshot = json.dumps(self.state.snapshot())
         return self._snapshot
@@ -45,7 +45,7 @@ class Viewers:
         del self._backlogs[backlog]
 
     def show(self, change: Change) -> None:
-        """Make a change of the state, and pass it on to all; a late viewer gets the state instead."""
+        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead."""
         if not self.state.enter(change):
             return
         self._snapshot = None

@@ -1,4 +1,4 @@
-"""The process that answers visitors of the page, apart from the node that shows nets: viewers cannot slow the machine.
+"""The process answering visitors of the page, apart from the node showing nets: viewers cannot slow the machine.
 
 It takes the listening sockets of the display, and a socket to the display: the state and its changes come there, a line
 of JSON each, and what viewers want done with nets goes back. It ends with that socket.

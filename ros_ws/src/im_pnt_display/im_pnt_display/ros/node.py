@@ -75,7 +75,7 @@ class DisplayNode(ManagedNode):
             display_file().unlink(missing_ok=True)
 
     def _show_mcs(self) -> None:
-        """Show the last state of MCS, and whether it is still current."""
+        """Show the last state of MCS, and whether the state is still current."""
         if self._mcs is None or (said := self._mcs.message) is None:
             return
         groups = {group.group: group.state for group in said.groups if group.reserved}
@@ -168,7 +168,7 @@ class DisplayNode(ManagedNode):
             self.server.show(self.server.state.answer(net, answer.success, answer.message))
 
     def _operator(self, net: str) -> Client:
-        """Return the client that operates a net.
+        """Return the client for the operation of a net.
 
         Raises:
             NotFoundError: There is no such net.

@@ -1,4 +1,4 @@
-"""``pnt journal``: show the memory of a node after a restart, and delete it."""
+"""``pnt journal``: show the memory of a node after a restart, and delete the memory."""
 
 import argparse
 import json
@@ -132,7 +132,7 @@ def _home() -> Path:
 
 
 def _folders() -> list[Path]:
-    """Return the folders of the journals of this machine, by name."""
+    """Return the folders of the machine's journals, by name."""
     return _within(_home())
 
 

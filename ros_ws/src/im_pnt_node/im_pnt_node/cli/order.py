@@ -50,7 +50,7 @@ class Order:
 
 
 def _value(name: str, text: str, schema: ArgumentSchema | None) -> object:
-    """Return the value of an argument: a text where declared so, else JSON, else the text itself; ``1,2`` is a list."""
+    """Return the value of an argument: a text where declared so, else JSON, else the bare text; ``1,2`` is a list."""
     argument = None if schema is None else schema.arguments.get(name)
     if argument is not None and argument.type is ArgumentType.STRING:
         return text

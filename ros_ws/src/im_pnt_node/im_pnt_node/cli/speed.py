@@ -21,7 +21,7 @@ _TRIES = 100
 
 
 def fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[int, float]:
-    """Fire nets in the executors; nets that get stuck begin anew.
+    """Fire nets in the executors; stuck nets begin anew.
 
     Actions confirm at once, guards are drawn by lot, and whenever nothing can fire the tape gets every symbol.
 

@@ -52,7 +52,7 @@ class Transport(Protocol):
         """Return the node of a net."""
 
     def send(self, node: str, message: Message) -> None:
-        """Send a message; it arrives once, some time, and in order.
+        """Send a message, to arrive once, some time, and in order.
 
         Raises:
             NetError: Its payload is not JSON data.
@@ -104,7 +104,7 @@ class Exchange:
         self._lost: dict[str, tuple[float, str]] = {}
 
     def add(self, executor: Executor) -> None:
-        """Enter a net, in the place of one of the same name that is not busy.
+        """Enter a net, in the place of one of the same name if not busy.
 
         Raises:
             StateError: The one of the same name is busy.
@@ -117,7 +117,7 @@ class Exchange:
         self.nets[name] = executor
 
     def succeed(self, executor: Executor) -> None:
-        """Enter a net in the place of the predecessor, with the state; replies to the predecessor go to it."""
+        """Enter a net in the place of the predecessor, with the state; take over replies to the predecessor."""
         name = executor.net.name
         waiting = [(each, asked) for each, asked in self.book.items() if asked.executor is self.nets[name]]
         self.nets[name] = executor
@@ -177,7 +177,7 @@ class Exchange:
     def send_settled(
         self, net: str, key: JobKey, node: str, to: str, error: ImError | None, results: dict[str, object]
     ) -> None:
-        """Inform the sender of a job's token: the work for it is done."""
+        """Inform the sender of a job's token: the work for the token is done."""
         self._send_tiding(node, to, JobUpdateArrived(key, False, JobUpdate.SETTLED, net, error, results))
 
     def _send_tiding(self, node: str, to: str, told: JobUpdateArrived) -> None:
@@ -263,7 +263,7 @@ class Exchange:
             self._transport.send(waiting.node, hold_message(request_id, waiting.net, activity.net, False))
 
     def hold_all(self, held: bool) -> None:
-        """Have nothing begun for all that the nets work for, and all that has come to them; or have it go on."""
+        """Have nothing begun for any job of the nets and any arrived work; or have everything go on."""
         for executor in self.nets.values():
             self.inboxes.post(executor, CommandHeld(None, held))
 
@@ -328,7 +328,7 @@ class Exchange:
     # Processes that die and return.
 
     def node_lost(self, node: str, why: str) -> None:
-        """A node is gone. If both keep a journal it is given time to return; otherwise what waits for it fails now."""
+        """Note the loss of a node: with journals on both sides, allow time to return; else fail the requests now."""
         if node in self._lost:
             return
         transport = self._transport
@@ -344,7 +344,7 @@ class Exchange:
         self._lost.pop(node, None)
 
     def node_reset(self, node: str, why: str, in_flight: list[Message]) -> None:
-        """Give up mutual requests with a node whose memory differs.
+        """Give up mutual requests with a node of different memory.
 
         Args:
             node: The other node.
@@ -382,7 +382,7 @@ class Exchange:
                 self.inboxes.cancel(request, LinkError(why, node=node))
 
     def _nets_of(self, node: str, executor: Executor) -> tuple[str, ...]:
-        """Return the nets of a node that get tokens from a net."""
+        """Return the nets of a node with tokens from a net."""
         given = {target.net for each in executor.net.transitions.values() for target in each.remote_outputs}
         return tuple(sorted(net for net in given if self._node_of(net) == node))
 
@@ -396,7 +396,7 @@ class Exchange:
         return frozenset(asked | {r.caller_node for r in self.inboxes.in_work.values() if r.caller_node})
 
     def tidy(self) -> None:
-        """Give up nodes that have not returned in time, and drop requests without a waiting transition."""
+        """Give up nodes not returned in time, and drop requests without a waiting transition."""
         now = self._clock()
         for node, (deadline, why) in list(self._lost.items()):
             if now >= deadline:
@@ -409,7 +409,7 @@ class Exchange:
     # Requests that wait, and tokens that nobody wants.
 
     def watch(self, asked: RequestAsked) -> None:
-        """Enter a request, and cancel it with the activity.
+        """Enter a request, to cancel together with the activity.
 
         Raises:
             NetError: The activity does not run.
@@ -422,7 +422,7 @@ class Exchange:
         activity.on_release.append(lambda: self._release_request(activity))
 
     def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
-        """End a request with the reply; return whether an activity waited for it."""
+        """End a request with the reply; return whether an activity waited for the reply."""
         waiting = self.book.get(request_id)
         if waiting is None:
             return False

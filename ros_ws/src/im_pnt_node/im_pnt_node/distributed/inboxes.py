@@ -23,7 +23,7 @@ from im_pnt_node.distributed.entries import Arrival, Delivery, EventPosted, Exch
 
 
 class Deliveries:
-    """Delivered events for the nets of one process that the nets have not taken yet, in order."""
+    """Delivered events for the nets of one process, not yet taken by the nets, in order."""
 
     def __init__(self) -> None:
         self._waiting: dict[str, deque[Delivery]] = {}
@@ -166,7 +166,7 @@ class Inboxes:
         return ""
 
     def hold(self, request_id: str, held: bool) -> None:
-        """Have nothing begun for a request in work, or have it go on."""
+        """Have nothing begun for a request in work, or have the request go on."""
         if (request := self.in_work.get(request_id)) is not None:
             self.post(self.nets[request.net], RequestHeld(request_id, held))
 

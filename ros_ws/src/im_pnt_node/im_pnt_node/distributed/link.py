@@ -163,7 +163,7 @@ class Link:
     # Sending, and retransmission.
 
     def send(self, node: str, message: Message) -> None:
-        """Number a message; it leaves with the next :meth:`flush`, and arrives once.
+        """Number a message; the message leaves with the next :meth:`flush`, and arrives once.
 
         Raises:
             NetError: Its payload is not JSON data.
@@ -190,7 +190,7 @@ class Link:
             self._void(peer, [n for n, message in peer.in_flight() if message.request_id == request_id])
 
     def hold_all(self, held: bool) -> None:
-        """Have what was not acknowledged say that the jobs are paused, or released; before anything leaves."""
+        """Make unacknowledged messages say whether the jobs are paused or released; before anything leaves."""
         for peer in self.peers.values():
             for number, message in peer.in_flight():
                 peer.outgoing.waiting[number].text = numbered(number, with_hold(message, held))
@@ -227,7 +227,7 @@ class Link:
                 self._send_packets(node, peer, texts, now)
 
     def _watch(self, peer: Peer, awaits: bool, now: float) -> None:
-        """Tell of a process that no message reaches, and that messages reach it again."""
+        """Tell of a process out of reach of messages, and of messages reaching the process again."""
         if not awaits:
             peer.answered_at = None
         elif peer.answered_at is None:
@@ -250,7 +250,7 @@ class Link:
             self._transmit(node, ",".join((head, *texts[first : first + MOST_PACKET_MESSAGES])) + "]")
 
     def _send_answers(self) -> None:
-        """Tell processes with a wrong or no epoch of this one the incarnation, and acknowledge."""
+        """Tell processes with a wrong or no epoch of the own process the incarnation, and acknowledge."""
         answers, self._answers = self._answers, {}
         for node, (heard, later) in answers.items():
             base = self.peers[node].outgoing.floor + 1 if node in self.peers else 1
@@ -285,7 +285,7 @@ class Link:
     # Receiving. Acknowledgements leave with a later `flush` or `tick`, after the journal has been written.
 
     def hear(self, text: str) -> None:
-        """Take in a packet; it does no harm unless the sender knows the present incarnation of this process."""
+        """Take in a packet; harmless unless the sender knows the present incarnation of the receiving process."""
         found = self._express.read(text)
         if found is None:
             self._hear_any(text)
@@ -322,7 +322,7 @@ class Link:
             self._believe(peer or self._new_peer(sender), packet)
 
     def _believe(self, peer: Peer, packet: Packet) -> None:
-        """Take in a packet of a process that knows the present incarnation of this one."""
+        """Take in a packet of a process aware of the present incarnation of the receiving process."""
         sender, incoming, base = packet.sender, peer.incoming, packet.base
         self._stirred[sender] = peer
         parted, stranger = incoming.parted, not incoming.epoch
@@ -352,7 +352,7 @@ class Link:
         self._express.keep_head(packet.head(self.name), peer)
 
     def _answer(self, node: str, heard: int, later: int = 0) -> None:
-        """Tell a process the incarnation of this one, with the next flush.
+        """Tell a process the incarnation of the own process, with the next flush.
 
         Args:
             node: The process.
@@ -363,7 +363,7 @@ class Link:
             self._answers[node] = heard, later
 
     def _doubt(self, packet: Packet) -> None:
-        """Report disbelieved packets, if they are many, or impossible."""
+        """Report disbelieved packets, if many, or impossible."""
         self._unproved += 1
         ahead_s = began_at(packet.epoch) / 1e6 - wall()
         now = self._clock()
@@ -440,7 +440,7 @@ class Link:
     # Lives.
 
     def come_back(self) -> None:
-        """Mark this process as restored by the journal: the others know whether it is the newest."""
+        """Mark the process as restored by the journal: the others know whether the journal is the newest."""
         self._came_back = True
         for peer in self.peers.values():
             peer.outgoing.ask()
@@ -474,7 +474,7 @@ class Link:
                 self._part(peer, text)
 
     def _overtake(self, sender: str, known: int) -> None:
-        """Begin a life later than one that another process remembers of this one."""
+        """Begin a life later than one remembered by another process."""
         now = self._clock()
         if now < self._overtake_at or began_at(known) + 1 >= began_at(MOST_EPOCH):
             return

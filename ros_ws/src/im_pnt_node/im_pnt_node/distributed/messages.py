@@ -11,7 +11,7 @@ from im_pnt_node.distributed.packets import Message, MessageKind
 
 
 def request_message(request: Request, held: bool = False) -> Message:
-    """Returns the message that carries a request to another process, and whether nothing is begun for it there."""
+    """Return the message with a request for another process, and whether nothing is begun for the request there."""
     payload: dict[str, object] = {
         "arguments": request.arguments,
         "symbol": request.command.symbol,
@@ -64,12 +64,12 @@ def cancel_message(request_id: str, net: str, caller_net: str) -> Message:
 
 
 def hold_message(request_id: str, net: str, caller_net: str, held: bool) -> Message:
-    """Return the message that tells a process that nothing is begun for a request, or that it goes on."""
+    """Return the message telling a process to begin nothing for a request, or to go on."""
     return Message(MessageKind.REQUEST, net, "", request_id, caller_net, payload={"held": held})
 
 
 def with_hold(message: Message, held: bool) -> Message:
-    """Return a message that was not taken yet as it is to be after the job was paused, or released.
+    """Return a not yet taken message, adapted to the job's pause or release.
 
     What is done for nobody is as it was: nobody could resume it.
     """

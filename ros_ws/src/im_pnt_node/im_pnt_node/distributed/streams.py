@@ -1,4 +1,4 @@
-"""The two streams between this process and another one: unacknowledged messages, and taken ones.
+"""The two streams between the own process and another one: unacknowledged messages, and taken ones.
 
 A link tells its journal what happens to them as one of :data:`LinkEntry`, before it is done; :meth:`Peer.apply` does
 it, now and when a journal is replayed.
@@ -80,7 +80,7 @@ class NumbersSkipped(NamedTuple):
 
 
 class EpochRaised(NamedTuple):
-    """Entry: this process is in another incarnation."""
+    """Entry: the process is in another incarnation."""
 
     epoch: int
 
@@ -135,7 +135,7 @@ class Outgoing:
     asked_at: int = 0
 
     def ask(self) -> None:
-        """Ask the other process for the last taken number: this process may have forgotten later ones."""
+        """Ask the other process for the last taken number: the own process may have forgotten later ones."""
         self.question, self.asked_at = Sent(numbered(self.floor, VOID)), self.last
 
     def most(self) -> int:
@@ -224,7 +224,7 @@ class Incoming:
         return self.ack_at is not None and now >= self.ack_at
 
     def told(self, base: int) -> None:
-        """Forget refusals known to the sender: it waits for none before ``base``."""
+        """Forget refusals known to the sender: the sender waits for none before ``base``."""
         if self.refused:
             self.refused = {number: why for number, why in self.refused.items() if number >= base}
 
@@ -240,7 +240,7 @@ class Incoming:
 
 
 class Peer:
-    """Another process, with the streams to and from it.
+    """Another process, with the streams to and from the process.
 
     Args:
         name: Its name.

@@ -111,7 +111,7 @@ _quoted = functools.lru_cache(maxsize=4096)(encode_json)
 
 
 def net_encoder(net: str) -> Callable[[NetEntry], str]:
-    """Return a writer for the entries of a net; templates write firings and tokens, nearly all of them.
+    """Return a writer for the entries of a net; templates write firings and tokens, nearly all entries.
 
     Args:
         net: Its name.
@@ -153,7 +153,7 @@ def net_encoder(net: str) -> Callable[[NetEntry], str]:
 
 
 def encode_net_entry(entry: NetEntry) -> list[object]:
-    """Write an entry of a net, as :func:`decode_net_entry` reads it.
+    """Write an entry of a net, in the form read by :func:`decode_net_entry`.
 
     Raises:
         NetError: JSON cannot carry the arguments of a command or request.
@@ -360,7 +360,7 @@ def encode_command(command: Command) -> list[object]:
 
 
 def decode_command(content: object) -> Command:
-    """Reads a command; priority and scope are said where it has them.
+    """Read a command; priority and scope are present where the command has a value.
 
     Raises:
         ValueError: It is none.

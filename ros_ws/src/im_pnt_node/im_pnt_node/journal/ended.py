@@ -1,4 +1,4 @@
-"""Results of the last commands of a node, in memory and in a file that outlives the journal.
+"""Results of the last commands of a node, in memory and in a file outliving the journal.
 
 What has ended is written before the journal has it. A node that dies in between has the command under way when it is
 back, and the command ends once more, which counts. Whoever waits for a command asks its node again when that is back,
@@ -73,7 +73,7 @@ class EndedCommands:
         self._written = 0
 
     def keep_in(self, file: Path, *, sync: bool) -> None:
-        """Keep the commands in a file, with those in it.
+        """Keep the commands in a file, including commands already in the file.
 
         Args:
             file: The file.
@@ -99,7 +99,7 @@ class EndedCommands:
         return max(self._known, default=0)
 
     def last(self, symbol: str) -> EndedCommand | None:
-        """Return the end of the last command of a symbol, if it is known."""
+        """Return the end of the last command of a symbol, if known."""
         self._forget()
         return next((self[number] for number in reversed(self._known) if self._known[number].symbol == symbol), None)
 
@@ -153,7 +153,7 @@ class EndedCommands:
 
 
 def _append(file: FileIO, line: bytes) -> bool:
-    """Write a line whole or not at all, and return whether it was written: a part of it would spoil the next one.
+    """Write a line whole or not at all, and return whether written: a part of a line would spoil the next one.
 
     Raises:
         OSError: It cannot be written.

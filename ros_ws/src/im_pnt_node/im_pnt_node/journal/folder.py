@@ -1,4 +1,4 @@
-"""The files of a journal: a folder held by one process, with files that only grow."""
+"""The files of a journal: a folder held by one process, with append-only files."""
 
 import contextlib
 import fcntl
@@ -17,7 +17,7 @@ class Growing(Protocol):
     """File open for appending."""
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the operating system, where they outlive the process.
+        """Hand bytes to the operating system, where the bytes outlive the process.
 
         Raises:
             OSError: They were not all taken; the file is as long as before.
@@ -40,7 +40,7 @@ class Files(Protocol):
     name: str
 
     def lock(self) -> None:
-        """Take the folder for this process.
+        """Take the folder for the own process.
 
         Raises:
             JournalError: Another process has it; names its id.
@@ -68,7 +68,7 @@ class Files(Protocol):
         """Remove a file."""
 
     def move_aside(self, names: list[str], folder: str) -> None:
-        """Move files into a new folder inside this one."""
+        """Move files into a new subfolder."""
 
 
 class _File:
@@ -118,7 +118,7 @@ class Folder:
             raise JournalError(f"no journal can be kept: {error.message}", file=self.name) from error
 
     def lock(self) -> None:
-        """Take the folder for this process, until the end.
+        """Take the folder for the own process, until the end.
 
         Raises:
             JournalError: Another process has it; names its id.
@@ -171,7 +171,7 @@ class Folder:
         (self.path / name).unlink(missing_ok=True)
 
     def move_aside(self, names: list[str], folder: str) -> None:
-        """Move files into a new folder inside this one."""
+        """Move files into a new subfolder."""
         (self.path / folder).mkdir(parents=True)
         for name in names:
             (self.path / name).rename(self.path / folder / name)

@@ -122,7 +122,7 @@ class Journal:
         return record
 
     def guard(self, runner: Runner) -> Runner:
-        """Return a runner that begins actions after the write of the journal; requests wait for a commit."""
+        """Return a runner to begin actions after the write of the journal; requests wait for a commit."""
         return GuardedRunner(runner, self.write)
 
     # Beginning.
@@ -197,7 +197,7 @@ class Journal:
             )
 
     def _compare(self, recovered: Recovered) -> None:
-        """Check whether the nets are those of the journal."""
+        """Check whether the nets are the nets of the journal."""
         assert self._exchange is not None
         known = self._header()["nets"]
         there = recovered.header["nets"]
@@ -219,7 +219,7 @@ class Journal:
     # Writing.
 
     def write(self) -> None:
-        """Write all events so far; return once they are safe.
+        """Write all events so far; return once the events are safe.
 
         Raises:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
@@ -249,7 +249,7 @@ class Journal:
             self._log.append("[]")
 
     def commit(self) -> None:
-        """Write all events so far, and release the messages that depend on them; call it after the nets were pumped.
+        """Write all events so far, and release the messages dependent on the events; call after pumping the nets.
 
         Raises:
             JournalError: As :meth:`write`.
@@ -278,7 +278,7 @@ class Journal:
         self.compact()
 
     def compact(self) -> None:
-        """Begin a new file with a snapshot; call it also after a net was added or removed.
+        """Begin a new file with a snapshot; call also after a net was added or removed.
 
         Raises:
             JournalError: It cannot be written; the old file is still in use.
@@ -347,7 +347,7 @@ class GuardedRunner:
         self.watch, self.waits, self.ask = runner.watch, runner.waits, runner.ask
 
     def start(self, owner: ActionOwner, activity: Activity, context: ActionContext) -> None:
-        """Start an action; one that cannot be journalled fails."""
+        """Start an action; an action unfit for the journal fails."""
         if not isinstance(activity.action, RequestAction):
             try:
                 self._write()
@@ -445,7 +445,7 @@ _ADDED: Mapping[str, object] = {
 
 
 def fingerprint(net: Net) -> str:
-    """Return 16 hexadecimal digits that differ for nets of different behaviour.
+    """Return 16 hexadecimal digits, different for nets of different behaviour.
 
     Args:
         net: The net, as written; where it was written, and its description, do not count.

@@ -1,4 +1,4 @@
-"""The log of a journal: a file of records, with a header, a snapshot and later events; a new one replaces it.
+"""The log of a journal: a file of records, with a header, a snapshot and later events; replaced by a new file.
 
 A record is a line with its length and a checksum that covers all records before it, ``00000042 9ae0daaf [...]``: bytes
 of the body in decimal, CRC-32 in hexadecimal, the body (JSON without line breaks), a line feed. A process that is
@@ -133,7 +133,7 @@ def _damage(line: bytes, checksum: int, torn: bool) -> str:
 
 
 def _unfilled(data: bytes, offset: int) -> bool:
-    """Return whether a sector behind an offset was not filled: it ends with a zero byte."""
+    """Return whether a sector behind an offset was not filled: an unfilled sector ends with a zero byte."""
     return b"\0" in data[offset | _SECTOR - 1 :: _SECTOR] + data[-1:]
 
 
@@ -418,7 +418,7 @@ def _bad(file: str, number: int, offset: int, why: str) -> DamagedJournalError:
 
 
 def _foreign(file: str, why: str) -> JournalError:
-    """Return the error for a whole file of another program: a person must decide on it."""
+    """Return the error for a whole file of another program: a person must decide on the file."""
     return JournalError(
         f"{file}: {why}; nothing was started. Put the right file there, or {DISCARD}", file=file, offset=0, record=1
     )

@@ -31,7 +31,7 @@ from im_pnt_node.journal.codec import (
 
 
 def net_state(executor: Executor) -> dict[str, object]:
-    """Return the state of a net; call it between two calls of ``pump``.
+    """Return the state of a net; call between two calls of ``pump``.
 
     Raises:
         NetError: A job holds something that JSON cannot carry.

@@ -54,7 +54,7 @@ class RerunExecutor(Executor):
 
 
 class NotDoneAgain:
-    """Stands for actions that nets name as ``module:function``: they may move something, so they leave what they left.
+    """Stand-in for actions named as ``module:function``: a repeat may move something, so recorded results are reused.
 
     Args:
         life: The nets.

@@ -46,7 +46,7 @@ class Entries:
         self._early: set[int] = set()
 
     def advance(self, now: list[object]) -> bool:
-        """Note a repeated entry; return whether it was an expected one.
+        """Note a repeated entry; return whether the entry was an expected one.
 
         What makes a message may be done a little earlier than it was: the loop had something else to do first.
         """

@@ -1,4 +1,4 @@
-"""The node as functions of nets use it, replaceable in a re-run."""
+"""The node as used by functions of nets, replaceable in a re-run."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
@@ -11,7 +11,7 @@ MessageT = TypeVar("MessageT")
 
 
 class HostObjects(Protocol):
-    """Data objects, as :class:`im_core.ros.dom.DomClient` has them; every refusal raises ImError."""
+    """Data objects, with the interface of :class:`im_core.ros.dom.DomClient`; every refusal raises ImError."""
 
     async def get(self, name: str, message_type: type[MessageT]) -> MessageT:
         """Return an object."""
@@ -20,7 +20,7 @@ class HostObjects(Protocol):
         """Store an object; return the version."""
 
     async def append(self, name: str, message: object) -> int:
-        """Append the sequences of a message to those of an object of the type; return the version."""
+        """Append the sequences of a message to the sequences of an object of the type; return the version."""
 
     async def is_valid(self, name: str) -> bool:
         """Return whether there is a valid object of a name."""
@@ -82,7 +82,7 @@ class Host(Protocol):
         """
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Return a value computed from the world outside, in a thread of its own, for slow work."""
+        """Return a value computed from the world outside, in a separate thread, for slow work."""
 
     def warn(self, text: str) -> None:
         """Write a line to the log."""

@@ -13,7 +13,7 @@ from im_pnt_node.rerun.stream import NodeStream
 
 
 class Life:
-    """Recorded entries of the nets of a node, and the repeated ones among them.
+    """Recorded entries of the nets of a node, and the repeated ones among the entries.
 
     Args:
         stream: What was recorded.
@@ -42,7 +42,7 @@ class Life:
                         self.entries.setdefault(net, Entries())
 
     def pump(self, executor: Executor) -> bool:
-        """Let a net take arrived events up to the first effect, or fire once; return whether it had an effect.
+        """Let a net take arrived events up to the first effect, or fire once; return whether there was an effect.
 
         Of two actions that have ended, the second may have been taken after what the first one let fire, or before.
         """
@@ -83,7 +83,7 @@ class Life:
         raise self._difference(name, transition, executor, recorded or now, then, shown(now), why)
 
     def missing(self, name: str) -> Difference:
-        """Make the difference of a net that fires nothing in place of a recorded firing."""
+        """Make the difference of a net with no firing in place of a recorded one."""
         entries = self.entries[name]
         recorded = entries.next()
         assert recorded is not None

@@ -57,7 +57,7 @@ class MissionLog:
         return value
 
     async def read(self, key: Key, work: Awaitable[ValueT], content: Callable[[ValueT], object]) -> ValueT:
-        """Wait for an input from outside, and note it, or the failure.
+        """Wait for an input from outside, and note the input, or the failure.
 
         Args:
             key: What it is.

@@ -41,7 +41,7 @@ class Reading:
         self.key = key
 
     def __await__(self) -> Generator["Reading", object, object]:
-        """Yield this placeholder to the script, and return the value."""
+        """Yield the placeholder to the script, and return the value."""
         return (yield self)
 
 
@@ -96,7 +96,7 @@ class Script:
         self._ready.append((work, self.label))
 
     def step(self) -> None:
-        """Run spawned coroutines until they wait."""
+        """Run spawned coroutines until all wait."""
         while self._ready:
             self._advance(*self._ready.popleft(), None, None)
 
@@ -139,7 +139,7 @@ class Script:
     # For who stands for the node.
 
     async def wait(self, key: Key) -> Any:
-        """Wait for the recorded input at the place, and return it.
+        """Wait for the recorded input at the place, and return the input.
 
         Raises:
             ImError: Why it was not read, if so.

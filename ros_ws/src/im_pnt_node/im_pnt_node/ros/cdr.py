@@ -71,5 +71,5 @@ def _string(text: str) -> bytes:
 
 
 def _padded(data: bytes, size: int) -> bytes:
-    """Pad to a multiple of a size; stamp and number behind it are 8 bytes long and aligned."""
+    """Pad to a multiple of a size; stamp and number behind the padding are 8 bytes long and aligned."""
     return data + bytes(-len(data) % size)

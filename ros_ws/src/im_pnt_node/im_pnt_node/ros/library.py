@@ -80,7 +80,7 @@ class Library:
         return list(nets_by_name(map(load_net, files)).values())
 
     def kept(self, net: Net) -> Net:
-        """Write a net down, if nets are kept; return it with the new source."""
+        """Write a net down, if nets are kept; return the net with the new source."""
         if self._kept is None:
             return net
         path = self._kept / f"{net.name}-{fingerprint(net)}.yaml"
@@ -103,7 +103,7 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with all the known partners, and theirs, and so on.
+        """Return a net with all known direct and indirect partners.
 
         Args:
             net: The net.
@@ -112,7 +112,7 @@ class Library:
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with the known receivers of the requests and tokens, and theirs, and so on.
+        """Return a net with the known direct and indirect receivers of the requests and tokens.
 
         Args:
             net: The net.
@@ -167,13 +167,13 @@ class Library:
         self._known[net.name], self._nodes[net.name] = net, node
 
     def _forget(self, net: str, node: str) -> None:
-        """Remove a net that the node has no more; another node may have taken it over."""
+        """Remove a net no longer on the node; another node may have taken the net over."""
         if self._nodes.get(net) == node:
             del self._known[net], self._nodes[net]
 
 
 class Loader:
-    """Loader of nets: verifies a net, and waits until it may take the place.
+    """Loader of nets: verifies a net, and waits until the net may take the place.
 
     Args:
         node: The node.
@@ -262,7 +262,7 @@ class Loader:
         return alone if alone.unproved else composed
 
     async def verified_alone(self, net: Net) -> Verification:
-        """Verify a net by itself: its own faults show with their own shortest sequence, and soon.
+        """Verify a net alone: faults of the net show with the shortest sequence, and soon.
 
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
@@ -290,7 +290,7 @@ class Loader:
 
 
 def carried_over(executor: Executor, net: Net) -> Net:
-    """Return a net with the tokens of the resting net it replaces; unchanged where no token of that net has moved.
+    """Return a net with the tokens of the resting predecessor; unchanged where no token of the predecessor has moved.
 
     Raises:
         NetError: A place that is marked is not in the new net.

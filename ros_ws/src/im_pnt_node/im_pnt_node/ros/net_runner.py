@@ -1,4 +1,4 @@
-"""``pnt_node``: run nets in a node of their own, on any robot."""
+"""``pnt_node``: run nets in a separate node, on any robot."""
 
 import argparse
 import json
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> i
 def _run(
     options: argparse.Namespace, nets: Sequence[Net], verifier: Verifier, order: Order | None, ros: list[str]
 ) -> int:
-    """Spin the node, and the page beside it, until the request is done."""
+    """Spin the node, with the page beside the node, until the request is done."""
     try:
         rclpy.init(args=ros, signal_handler_options=SignalHandlerOptions.NO)
     except (_rclpy.RCLError, _rclpy.UnknownROSArgsError) as error:
@@ -113,7 +113,7 @@ def _check_name(name: str) -> None:
 
 
 class RunNode(PntNode):
-    """Node with the nets of a command line, and perhaps one command for them.
+    """Node with the nets of a command line, and perhaps one command for the nets.
 
     Args:
         name: Name of the node.
@@ -160,7 +160,7 @@ class RunNode(PntNode):
         self.finished()
 
     def interrupt(self) -> None:
-        """Cancel running commands and end after them; end at once the second time. Called by signal handlers."""
+        """Cancel running commands and end afterwards; end at once the second time. Called by signal handlers."""
         if self._ending or not self.ready:
             self.finished()
         self._ending = True

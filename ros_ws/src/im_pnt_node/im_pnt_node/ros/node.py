@@ -223,7 +223,7 @@ class PntNode(ManagedNode):
         return nets
 
     def require_together(self, nets: Iterable[Net]) -> None:
-        """Check whether nets can run in this node together.
+        """Check whether nets can run together in the node.
 
         Raises:
             NetError: They cannot.
@@ -252,7 +252,7 @@ class PntNode(ManagedNode):
         super().destroy_node()
 
     async def load_net(self, net: Net, patience_s: float = 0.0) -> Verification:
-        """Verify a net, alone and with the partners, and take it into execution.
+        """Verify a net, alone and with the partners, and take the net into execution.
 
         Args:
             net: The net; it takes the place of one of the same name when that one is at rest.
@@ -298,7 +298,7 @@ class PntNode(ManagedNode):
         return report
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
-        """Take a net out of execution once it is at rest.
+        """Take a net out of execution once the net is at rest.
 
         Args:
             name: Its name.
@@ -373,7 +373,7 @@ class PntNode(ManagedNode):
         self._execute = ExecuteServer(self, self.exchange.nets, self.commands, run, self, self._written, self._on_file)
 
     def net_with_servers(self, name: str) -> list[Net]:
-        """Return a net of this node as written, with the known nets of all nodes it needs."""
+        """Return a net of the node as written, with the needed known nets of all nodes."""
         own = [executor.written for executor in self.exchange.nets.values()]
         return self._library.with_servers(self.exchange.nets[name].written, own)
 
@@ -384,7 +384,7 @@ class PntNode(ManagedNode):
             executor.post(CommandCancelled(command_id, error))
 
     def hold(self, command_id: int, held: bool) -> None:
-        """Begin nothing more for a command (running actions end), or let it go on.
+        """Begin nothing more for a command (running actions end), or let the command go on.
 
         Raises:
             StateError: It is to be held, and has ended.
@@ -395,7 +395,7 @@ class PntNode(ManagedNode):
                 executor.post(CommandHeld(command_id, held, scope))
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """Return the resources of a command, and those it waits for; this class knows of none."""
+        """Return the resources of a command, and the resources still awaited; PntNode knows none."""
         return (), ""
 
     # Nets.
@@ -451,7 +451,7 @@ class PntNode(ManagedNode):
                 return report
 
     def _write_down(self, name: str, former: Executor | None) -> None:
-        """Write a new net into the journal, or take it out again: a journal of other nets restores nothing.
+        """Write a new net into the journal, or take the net out again: a journal of other nets restores nothing.
 
         Raises:
             JournalError: The journal cannot be written; all is as it was.
@@ -491,7 +491,7 @@ class PntNode(ManagedNode):
         self._keep_sources()
 
     def _prepare_partners(self) -> None:
-        """Prepare the ways to the nets of other nodes, for all partners of the nets of this node."""
+        """Prepare the ways to the nets of other nodes, for all partners of the nets of the node."""
         nets = self.exchange.nets
         for partner in {name for executor in nets.values() for name in executor.written.partners()} - nets.keys():
             self._transport.prepare(partner)
@@ -552,7 +552,7 @@ class PntNode(ManagedNode):
         self.sources.keep({source for executor in nets for source in self.functions.wakes(executor.written)})
 
     async def _run_apart(self, function: ActionFunction, context: ActionContext) -> None:
-        """Call a function in a thread of its own, so it may block."""
+        """Call a function in a separate thread, so the function may block."""
 
         def post(work: Callable[[], None]) -> None:
             self.spawn(calling(work))
@@ -601,7 +601,7 @@ class PntNode(ManagedNode):
             self.spawn(self._compare_objects())
 
     async def _compare_objects(self) -> None:
-        """Has tokens and guards follow the objects: what /dom told while this node or /dom was dead is lost."""
+        """Make tokens and guards follow the objects: changes told by /dom while the node or /dom was dead are lost."""
         self.dom.forget_known()
         self._objects.stale()
         await self.sources.look()
@@ -612,7 +612,7 @@ class PntNode(ManagedNode):
         return (self.ready and self._looked) or self._stopped
 
     def _tidy(self) -> None:
-        """Give up requests without a waiting job; the journal entries of this are written."""
+        """Give up requests without a waiting job, and write the journal entries of the change."""
         self.exchange.tidy()
         self._loop.turn()
 
@@ -641,7 +641,7 @@ class PntNode(ManagedNode):
         await self._notes.written()
 
     async def _on_file(self) -> str:
-        """Waits likewise, but not for long; returns what an answer says of it: nothing, or why it is not on file."""
+        """Wait likewise, but briefly; return a remark for an answer: empty, or the reason for not being on file."""
         try:
             await self._written(ANSWER_S)
         except JournalError as error:
@@ -685,7 +685,7 @@ class PntNode(ManagedNode):
 
 
 def _outcome_of(function: ActionFunction, context: ActionContext) -> object:
-    """Return the result of a function, or the exception it raises."""
+    """Return the result of a function, or the raised exception."""
     try:
         return function(context)
     except FOREIGN as error:  # it is foreign code: whatever it raises is its failure

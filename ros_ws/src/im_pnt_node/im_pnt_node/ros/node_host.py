@@ -1,4 +1,4 @@
-"""The node as functions of the nets see it; outside facts are noted for a re-run."""
+"""The node as seen by functions of the nets; outside facts are noted for a re-run."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -23,7 +23,7 @@ class NodeHost:
     """Host (:class:`im_pnt_node.rerun.host.Host`) given to functions before the node exists, and used afterwards."""
 
     def attach(self, node: PntNode) -> None:
-        """Set the node behind this host."""
+        """Set the node behind the host."""
         self._node, self._log = node, node.log
         self.name = node.get_fully_qualified_name()
         self.dom: HostObjects = node.objects
@@ -75,7 +75,7 @@ class NodeHost:
         return self._log.noted([key], compute)
 
     async def noted_apart(self, key: str, compute: Callable[..., ValueT], *arguments: object) -> ValueT:
-        """Return a value computed from the world outside, in a thread of its own."""
+        """Return a value computed from the world outside, in a separate thread."""
         return await self._log.read([key], run_in_thread(self._node, compute, *arguments), lambda value: value)
 
     def warn(self, text: str) -> None:

@@ -11,7 +11,7 @@ from im_sim.cameras.protocol import CameraSettings
 
 
 def main() -> int:
-    """Run the camera process; exit code 1 with one sentence if it cannot start."""
+    """Run the camera process; exit code 1 with one sentence if unable to start."""
     parser = argparse.ArgumentParser(prog="im_sim.cameras", description=__doc__)
     parser.add_argument("--instance", required=True, help="prefix of the machine's shared memory, e.g. im0")
     parser.add_argument("--truth", type=Path, required=True, help="the testbed's truth.json")

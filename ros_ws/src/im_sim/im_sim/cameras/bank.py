@@ -124,7 +124,7 @@ class CameraBank:
             read_out(mean, sensor, noise_stream(self._seed, camera, start_tick, frame), out)
 
     def spot(self, camera: str, light: str) -> Spot | None:
-        """Render a light at the scene's joint positions; None where the camera cannot see it."""
+        """Render a light at the scene's joint positions; None where the camera cannot see the light."""
         placed = self._placed(self._cameras[camera])
         position, axis, diameter = self._light(light)
         spot = self._image(placed, position, axis, diameter)

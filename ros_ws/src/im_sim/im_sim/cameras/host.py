@@ -1,4 +1,4 @@
-"""Host of the camera process: starts it, orders images, starts it again after the death."""
+"""Host of the camera process: starts the process, orders images, starts the process again after the death."""
 
 import threading
 from contextlib import ExitStack, closing, suppress
@@ -56,7 +56,7 @@ class CameraHost(FrameSource):
         self._number = 0
 
     def start(self) -> None:
-        """Create the shared memory and start the process; :meth:`wait_ready` waits for it.
+        """Create the shared memory and start the process; :meth:`wait_ready` waits for the process.
 
         Raises:
             LinkError: Another machine of the same instance runs on this host.
@@ -75,7 +75,7 @@ class CameraHost(FrameSource):
             self._await_ready()
 
     def revive(self) -> str:
-        """Start the process again after the death; return the cause, empty if it lives or is busy with an order."""
+        """Start a dead process again; return the cause, empty if the process lives or is busy with an order."""
         if not self._lock.acquire(blocking=False):
             return ""
         try:

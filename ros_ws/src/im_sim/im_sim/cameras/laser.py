@@ -1,4 +1,4 @@
-"""The laser as a camera sees it: the end of the beam in the scene, and the brightness."""
+"""The laser as seen by a camera: the end of the beam in the scene, and the brightness."""
 
 from dataclasses import dataclass
 
@@ -140,7 +140,7 @@ class LaserLight:
         return pixels, flux
 
     def _sigma(self, placed: CameraModel, points: Array) -> float:
-        """Return the width of the beam's image [px]: lens and disc, whose standard deviation is radius / 2."""
+        """Return the width of the beam's image [px]: lens and disc; standard deviation of the disc: radius / 2."""
         distance = float(np.median(np.linalg.norm(points - placed.position, axis=1)))
         return float(np.hypot(self._blur, 0.25 * self._scanner.diameter * placed.K[0, 0] / distance))
 

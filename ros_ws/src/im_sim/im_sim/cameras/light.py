@@ -1,4 +1,4 @@
-"""The wrist light as a camera sees it, directly and in flat metal."""
+"""The wrist light as seen by a camera, directly and in flat metal."""
 
 from dataclasses import dataclass
 

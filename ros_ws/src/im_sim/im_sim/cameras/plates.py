@@ -1,4 +1,4 @@
-"""Printed plates as a camera sees them, drawn by rays through the true lens, and as obstacles of light and laser."""
+"""Printed plates as seen by a camera, drawn by rays through the true lens, and as obstacles of light and laser."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class TargetPatch:
     depth: FloatImage
 
     def paint(self, scene: FloatImage, depth: FloatImage, blur: float) -> None:
-        """Paint the target into a scene, behind the objects in front of it.
+        """Paint the target into a scene, behind the objects in front of the target.
 
         Args:
             scene: Brightness, 0 to 1, shape (h, w); changed in place.
@@ -166,7 +166,7 @@ class Plates:
 
 
 def _pierce(plate: _Plate, starts: Array, ends: Array) -> tuple[Array, Array, Array, Array]:
-    """Share of each way, shape (n, 3) each end, up to a plate, 2 where it is missed; where on it [m]; whence."""
+    """Compute the share of each way, ends (n, 3), up to a plate, 2 for a miss; the place on the plate [m]; the side."""
     start, end = (starts - plate.position) @ plate.rotation, (ends - plate.position) @ plate.rotation
     half = 0.5 * plate.target.plate
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -145,7 +145,7 @@ def run(instance: str, truth: Path, cell_file: Path | None, settings: CameraSett
 
 
 def _await_truth(path: Path, seed: int) -> CellTruth:
-    """Return the truth file of the testbed with a seed once it is there; a file of an earlier machine is ignored.
+    """Return the truth file of the testbed with a seed once present; a file of an earlier machine is ignored.
 
     Raises:
         WaitTimeoutError: It did not appear.

@@ -90,7 +90,7 @@ class CameraRequest:
 
 @dataclass(frozen=True)
 class CameraReply:
-    """Answer of the camera process; ``number`` 0 is the first message: it is ready.
+    """Answer of the camera process; ``number`` 0 is the first message: the process is ready.
 
     A request is answered twice: when all is exposed, and when the images are there.
 

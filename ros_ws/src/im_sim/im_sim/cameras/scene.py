@@ -1,4 +1,4 @@
-"""The scene as the cameras see it: a mirror of the testbed's joint positions, rendered and probed with rays."""
+"""The scene as seen by the cameras: a mirror of the testbed's joint positions, rendered and probed with rays."""
 
 import importlib.util
 import tempfile
@@ -22,7 +22,7 @@ _MOST_RAYS = 8192
 
 
 class SceneMirror:
-    """Pybullet client without steps; it holds the cell at given joint positions."""
+    """Pybullet client without steps, holding the cell at given joint positions."""
 
     def __init__(self, cell: Cell, renderer: str) -> None:
         """Load the cell.

@@ -87,7 +87,7 @@ class TestbedNode(ManagedNode):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 
     def phase_shutdown(self) -> None:
-        """End the physics process; nothing of it stays in shared memory."""
+        """End the physics process; nothing of the process stays in shared memory."""
         link, self._link = self._link, None
         if link is not None:
             link.close()

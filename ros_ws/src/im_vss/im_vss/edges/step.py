@@ -44,7 +44,7 @@ class StepFit:
 
 
 def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise, sigma: float = 1.0) -> StepFit | None:
-    """Fit a curve between two brightnesses, seen through a Gaussian blur, to the pixels around it.
+    """Fit a curve between two brightnesses, seen through a Gaussian blur, to the pixels around the curve.
 
     Gauss-Newton on (shape, lower brightness, contrast, blur), each pixel weighted by the variance that the noise model
     predicts for the fitted brightness.
@@ -158,7 +158,7 @@ def undistorted(camera: CameraModel, pixels: Array) -> Array:
 
 
 def undistorted_by_parameters(camera: CameraModel, undistorted_pixels: Array) -> Array:
-    """Return the errors of undistorted pixels by errors of the camera; the pose of the camera has no part in them.
+    """Return the errors of undistorted pixels by errors of the camera; the pose of the camera has no part.
 
     What is seen stays where it is in the image: the undistorted pixel of its direction changes, and where in the image
     that direction is seen.

@@ -78,7 +78,7 @@ class LaserBook:
         return path
 
     def adopt(self, files: CalibrationFiles) -> None:
-        """Use the calibration of an earlier run, if it has one, and write the calibration in use now.
+        """Use the calibration of an earlier run, if present, and write the calibration in use now.
 
         Raises:
             DataError: It cannot be written; nothing has changed then.

@@ -201,7 +201,7 @@ class _Problem:
         self._scale = np.concatenate((np.full(3, 0.01), np.full(3, 0.01), self._tolerance))
 
     def solve(self, start: LaserModel, used: NDArray[np.bool_], covariances: Array, loss: str = "linear") -> LaserModel:
-        """Return the best model by the spots in use, shape (n,), with these covariances, shape (n, 3, 3) [m^2]."""
+        """Return the best model by the spots in use, shape (n,), with the given covariances, shape (n, 3, 3) [m^2]."""
         model = start
         for _ in range(2):  # weights depend on directions and distances, which hardly change
             whiten, base = self._whitening(model, covariances)[used], model
@@ -272,7 +272,7 @@ class _Problem:
         return np.asarray(way - np.einsum("ni,ni->n", way, directions)[:, None] * directions)
 
     def _whitening(self, model: LaserModel, covariances: Array) -> Array:
-        """Return a matrix for each spot that makes the vector off the beam two unit normals, shape (n, 2, 3) [1/m].
+        """Return a matrix for each spot to make the vector off the beam two unit normals, shape (n, 2, 3) [1/m].
 
         Args:
             model: The scanner.

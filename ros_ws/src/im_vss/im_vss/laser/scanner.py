@@ -15,7 +15,7 @@ _ATTACH_TIMEOUT_S = 2.0
 
 
 class Scanner(Protocol):
-    """The laser scanner as the Vision Module sees it."""
+    """The laser scanner as seen by the Vision Module."""
 
     def drive(self, beam: LaserBeam, timeout_s: float) -> int:
         """Move the mirrors, set the power, wait for both; return the testbed time [ns].

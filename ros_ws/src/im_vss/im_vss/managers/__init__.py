@@ -1,4 +1,4 @@
-"""Vision Module Managers: they control contention for Vision Modules (paper, section 5)."""
+"""Vision Module Managers: control of contention for Vision Modules (paper, section 5)."""
 
 from im_vss.managers.vmm import Lease, ModuleState, VisionClient, VisionModuleManager
 

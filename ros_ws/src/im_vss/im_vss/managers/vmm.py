@@ -100,7 +100,7 @@ class Lease:
         return not self.released and not self.client.gone and self.remaining() > 0.0
 
     def check(self, module: str) -> None:
-        """Refuse a use beyond this lease.
+        """Refuse a use beyond the lease.
 
         Raises:
             StateError: It is for another module, or over.
@@ -174,7 +174,7 @@ class VisionModuleManager:
 
     @contextmanager
     def lend(self, module: str, client: VisionClient) -> Iterator[Lease]:
-        """Wait for a module, use it in a ``with`` block, give it back.
+        """Wait for a module, lend the module for a ``with`` block, take the module back.
 
         Raises:
             NotFoundError: The manager has no such module.

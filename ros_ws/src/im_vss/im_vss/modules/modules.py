@@ -22,7 +22,7 @@ class VmSnap(VisionModule):
     name: ClassVar[str] = "vm_snap"
 
     def snap(self, lease: Lease, order: SnapOrder, exposed: Exposed = nobody) -> FrameSet:
-        """Expose all cameras of the order together, tell `exposed`, and read them out.
+        """Expose all cameras of the order together, tell `exposed`, and read out the cameras.
 
         The client is told where the exposures were not of the length that was ordered. Where the robot held the cameras
         is noted.
@@ -100,7 +100,7 @@ class VmLaser(VisionModule):
         return self.run(lease, partial(self._drive, check_beam(beam, self.rig.cell.laser)))
 
     def darken(self, beam: LaserBeam) -> None:
-        """Switch a beam off, unless another one is shown by now; needs no lease, for when that ended too early.
+        """Switch a beam off, unless another one is shown by now; needs no lease, for a lease ended too early.
 
         Raises:
             ImError: See :meth:`im_vss.laser.scanner.Scanner.drive`.

@@ -64,7 +64,7 @@ class LightTracker:
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
     def wrist(self, side: str, stamp_ns: int) -> Pose | None:
-        """Return the place of a wrist in the world at a testbed time [ns]; None if it is unknown.
+        """Return the place of a wrist in the world at a testbed time [ns]; None if unknown.
 
         Args:
             side: Which arm.

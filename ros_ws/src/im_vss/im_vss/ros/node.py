@@ -156,7 +156,7 @@ class VssNode(ManagedNode):
         return response
 
     def _load_ahead(self) -> None:
-        """With the first request, load beside it what a calibration needs: neither the start nor that has to wait."""
+        """Load the needs of a calibration beside the first request: neither the start nor the request has to wait."""
         if not self._loads_ahead:
             self._loads_ahead = True
             threading.Thread(target=lambda: [import_module(name) for name in _CALIBRATION], daemon=True).start()
@@ -203,7 +203,7 @@ class VssNode(ManagedNode):
             self.get_logger().info(sentence)
 
     def _left(self, cell: Cell) -> CalibrationFiles | None:
-        """Return the calibration in use at the death of this task, in a continued mission; None: as at a start."""
+        """Return the calibration in use at the death of the task, in a continued mission; None: as at a start."""
         if self._in_use is None or not self._in_use.exists():
             return None
         try:

@@ -51,7 +51,7 @@ class ImageOutputs:
             self._display[camera].publish(to_image(self._book[camera].frame, stamp_ns, image))
 
     def spot(self, camera: str, place: tuple[float, float], stamp_ns: int) -> None:
-        """Publish the place of the light, x and y in pixels; data sets are made of these messages in bags."""
+        """Publish the place of the light, x and y in pixels; data sets are made of such messages in bags."""
         header = to_header(self._book[camera].frame, stamp_ns)
         self._spot[camera].publish(PointStamped(header=header, point=Point(x=place[0], y=place[1])))
 

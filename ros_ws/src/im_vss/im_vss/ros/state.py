@@ -1,4 +1,4 @@
-"""Reports of ``/vss`` on itself: loaded parts, queues and owners, and the health on ``/diagnostics``."""
+"""Reports of ``/vss`` on the node: loaded parts, queues and owners, and the health on ``/diagnostics``."""
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -95,7 +95,7 @@ class DiagnosticsPort:
         self._publisher.publish(message)
 
     def _calibrations(self) -> DiagnosticStatus:
-        """Return the status of the calibrations; a camera as drawn is no fault: the machine starts with it."""
+        """Return the status of the calibrations; a camera as drawn, as at the machine's start, is no fault."""
         entries, laser = self._book.entries(), self._laser.entry
         cameras = f"{sum(entry.calibrated for entry in entries)} of {len(entries)} cameras are calibrated"
         origins = {entry.name: entry.origin for entry in entries} | {"laser_scanner": laser.origin}

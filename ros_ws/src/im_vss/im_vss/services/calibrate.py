@@ -198,7 +198,7 @@ def write_calibration(
     mounted: Mapping[str, CameraModel],
     covariance: CameraCovariance,
 ) -> None:
-    """Write report, plots and camera files, with the cameras as :func:`on_their_mounts` gives them.
+    """Write report, plots and camera files, with the cameras as given by :func:`on_their_mounts`.
 
     What drawing took is given back: tens of MiB in the arena of each thread that ever did this.
 

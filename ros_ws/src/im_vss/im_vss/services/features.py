@@ -35,7 +35,7 @@ class FeatureFindRequest:
 
 
 class FeatureFind(VisionService):
-    """Service for features: takes an image, shows it, and searches it."""
+    """Service for features: takes, shows, and searches an image."""
 
     def find(
         self,
@@ -93,7 +93,7 @@ class CircleFindResult:
 
 
 class SvcCircleFind(FeatureFind):
-    """Service for circles: takes an image, shows it, and finds circles in it."""
+    """Service for circles: takes and shows an image, and finds circles inside."""
 
     name: ClassVar[str] = "circle_find"
 
@@ -140,7 +140,7 @@ class LineFindResult:
 
 
 class SvcLineFind(FeatureFind):
-    """Service for lines: takes an image, shows it, and finds straight edges in it."""
+    """Service for lines: takes and shows an image, and finds straight edges inside."""
 
     name: ClassVar[str] = "line_find"
 
@@ -189,12 +189,12 @@ class FiducialPoseResult:
 
 
 class SvcFiducialPose(VisionService):
-    """Service for fiducials: takes images, shows them, and computes the poses of plates relative to the cameras."""
+    """Service for fiducials: takes and shows images, and computes the poses of plates relative to the cameras."""
 
     name: ClassVar[str] = "fiducial_pose"
 
     def serve(self, client: VisionClient, request: FiducialPoseRequest) -> FiducialPoseResult:
-        """Find plates; in images of an uncalibrated camera they are marked, but have no pose.
+        """Find plates; plates in images of an uncalibrated camera are marked, but have no pose.
 
         Raises:
             ImError: A camera or a plate is unknown, the exposure out of range, or the cameras do not deliver.

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def fixed_cameras(rig: Rig, names: tuple[str, ...], count: int | None) -> tuple[str, ...]:
-    """Return the cameras of a request, if they are fixed to the world, calibrated, and enough.
+    """Return the cameras of a request, if fixed to the world, calibrated, and enough.
 
     Raises:
         ImError: They are not.
@@ -175,7 +175,7 @@ class LaserSpot3dResult:
 
 
 class SvcLaserSpot3d(VisionService):
-    """Service for a spot in space: points the beam, takes frames without and with it, and triangulates the spot."""
+    """Service for a spot in space: points the beam, takes frames without and with beam, and triangulates the spot."""
 
     name: ClassVar[str] = "laser_spot_3d"
 
@@ -304,7 +304,7 @@ class LaserCalibrateRequest:
 
 @dataclass(frozen=True)
 class LaserCalibrateResult:
-    """The estimate, unused spots with the causes, and the file; None: it was not applied.
+    """The estimate, unused spots with the causes, and the file; None: the estimate was not applied.
 
     `remark` is what a user must know to trust the covariance; empty: nothing.
     """

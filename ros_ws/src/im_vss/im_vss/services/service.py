@@ -13,7 +13,7 @@ from im_vss.tools.spot import Region, check_region
 
 
 class VisionService(ABC):
-    """Vision operation; stateless, so any number of clients may use it at once."""
+    """Vision operation; stateless, so any number of clients may use the operation at once."""
 
     name: ClassVar[str]
 
@@ -27,7 +27,7 @@ class VisionService(ABC):
         return self._tools[name]
 
     def shown(self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch) -> FrameSet:
-        """Take an image of each camera, with the lights unchanged, and show it on the camera's display.
+        """Take an image of each camera, with the lights unchanged, and show the image on the camera's display.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.

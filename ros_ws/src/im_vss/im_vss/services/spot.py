@@ -55,12 +55,12 @@ class SpotFindResult:
 
 
 class SvcSpotFind(VisionService):
-    """Captures images, shows them, computes the spots and marks them (paper, section 5, SpotFind)."""
+    """Service for spots: captures and shows images, computes and marks the spots (paper, section 5, SpotFind)."""
 
     name: ClassVar[str] = "spot_find"
 
     def serve(self, client: VisionClient, request: SpotFindRequest) -> SpotFindResult:
-        """Find the spots: an exposure without light, one with it, common to all cameras; or the spots of a look.
+        """Find the spots: an exposure without light, one with light, common to all cameras; or the spots of a look.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, the cameras do not deliver, or the look is not
@@ -188,7 +188,7 @@ class SvcSpotLook(VisionService):
     name: ClassVar[str] = "spot_look"
 
     def serve(self, client: VisionClient, request: SpotLookRequest) -> str:
-        """Expose an image without light and one with it, common to all cameras; return the name of the look.
+        """Expose an image without light and one with light, common to all cameras; return the name of the look.
 
         The images are read out and searched in a thread of their own, under the leases that any SpotFind has; once they
         are exposed, the search goes on for whoever asks for it, whatever becomes of this client.

@@ -102,7 +102,7 @@ def _settle(window: "_Window", theta: Array, whole: bool) -> tuple[Array, bool]:
 
 
 class _Window:
-    """Pixels around a candidate, and the linearised model on them."""
+    """Pixels around a candidate, and the linearised model on the pixels."""
 
     def __init__(self, on: Frame, off: Frame, start: tuple[float, float], sigma: float, noise: SensorNoise) -> None:
         half = max(_MINIMUM_HALF, int(np.ceil(_WINDOW_SIGMAS * sigma)))

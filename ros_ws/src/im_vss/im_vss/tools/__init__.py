@@ -1,4 +1,4 @@
-"""Tools: a call of a Vision Module with the computations before and after it (paper, section 5)."""
+"""Tools: a call of a Vision Module with the computations before and after the call (paper, section 5)."""
 
 from im_vss.tools.tool import ModuleAccess, Tool
 

@@ -1,4 +1,4 @@
-"""Tools for taking an image, and for showing it on the monitor."""
+"""Tools for taking an image, and for showing the image on the monitor."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Tools of the laser: point it, find the spot or line in images, and calibrate the scanner."""
+"""Tools of the laser: point the laser, find the spot or line in images, and calibrate the scanner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ class ToolLaserPoint(Tool):
         return first, second
 
     def __call__(self, client: VisionClient, angles: tuple[float, float], on: bool) -> tuple[LaserBeam, int]:
-        """Point the beam; it stays there.
+        """Point the beam; the beam stays at the target.
 
         Args:
             client: Who asks.
@@ -63,7 +63,7 @@ class ToolLaserSnap(Tool):
     def __call__(
         self, client: VisionClient, cameras: tuple[str, ...], beam: LaserBeam | None, exposure_s: float
     ) -> tuple[FrameSet, LaserBeam]:
-        """Expose a frame without the laser and one with it, all cameras together, wrist lights strobed off.
+        """Expose a frame without the laser and one with laser, all cameras together, wrist lights strobed off.
 
         Args:
             client: Who asks.

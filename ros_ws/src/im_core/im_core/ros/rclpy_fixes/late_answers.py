@@ -106,7 +106,7 @@ class LateAnswers:
         self._lost(what, LinkError(f"more than {MOST_KEPT} answers wait for clients that are not reached"), client)
 
     def _send_due(self) -> None:
-        """Send what is due."""
+        """Send all due answers."""
         assert self._timer is not None, "it has called this"
         now = clock.monotonic()
         for (what, client), waiting in tuple(self._waiting.items()):

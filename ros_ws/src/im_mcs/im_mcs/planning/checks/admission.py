@@ -120,7 +120,7 @@ def _check_derivative(
     words: tuple[str, str, str],
     begin: int,
 ) -> None:
-    """Check velocities or accelerations of points, shape (m, n), the first of rank ``begin``; ``words`` name them."""
+    """Check velocities or accelerations of points, shape (m, n), the first of rank ``begin``, named by ``words``."""
     what, one, unit = words
     if values.shape[1] == len(limit):
         inside = np.abs(values) <= limit * (1.0 + _ROUNDING)
@@ -137,7 +137,7 @@ def _check_derivative(
 def _check_within(
     context: PlanContext, values: NDArray[np.float64], limit: NDArray[np.float64], what: str, unit: str
 ) -> None:
-    """Check values, shape (n,), against limits, shape (n,); ``unit`` follows that of the position."""
+    """Check values, shape (n,), against limits, shape (n,); ``unit`` follows the unit of the position."""
     beyond = np.abs(values) > limit * (1.0 + _ROUNDING)
     if beyond.any():
         k = int(np.argmax(beyond))

@@ -81,7 +81,7 @@ def slowdown(trajectory: PiecewisePolynomial, limits: MotionLimits, pieces: slic
 
 
 def excess(coefficients: Array, lengths: Array, limits: MotionLimits) -> Array:
-    """Return for each of m short pieces the factor of time within the limits, below 1 if it may be quicker.
+    """Return for each of m short pieces the factor of time within the limits, below 1 if the piece may be quicker.
 
     Args:
         coefficients: Of the pieces, shape (m, 6, n).

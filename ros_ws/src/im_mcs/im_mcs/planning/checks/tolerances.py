@@ -1,4 +1,4 @@
-"""Tolerances of a trajectory, as ros2_controllers' ``JointTrajectoryController`` means them."""
+"""Tolerances of a trajectory, as defined by ros2_controllers' ``JointTrajectoryController``."""
 
 from collections.abc import Sequence
 

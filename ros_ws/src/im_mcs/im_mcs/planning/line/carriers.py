@@ -24,7 +24,7 @@ _FAILURE = 100.0
 
 
 class CarrierChoice:
-    """Choice of the carriers' places at the end of a line; on the way they keep step with the wrist.
+    """Choice of the carriers' places at the end of a line; on the way the carriers keep step with the wrist.
 
     Some ends are tried, always the same ones: staying, following the line halfway and wholly with a linear axis, and
     what inverse kinematics of the whole group would take. That one wins whose arm stays farthest from joint limits

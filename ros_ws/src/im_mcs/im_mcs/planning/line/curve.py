@@ -133,7 +133,7 @@ class LineCurve:
         return there
 
     def _place(self, s: float, guess: NDArray[np.float64]) -> Tracked | ImError:
-        """Return joints at ``s``, if they are allowed there."""
+        """Return joints at ``s``, if allowed there."""
         place = self._path.at(s)
         carriers = self._arm.carriers
         q = guess.copy()

@@ -91,7 +91,7 @@ class LinePath:
         return PathPlace(pose, twist, np.zeros(6), carriers)
 
     def _rounded(self, k: int, u: float) -> PathPlace:
-        """Return a place near corner ``k``, ``u`` after it: the line before fades out as the line after fades in."""
+        """Return a place near corner ``k``, ``u`` after the corner: one line fades out as the next line fades in."""
         blend = self._blends[k]
         y = (u / blend + 1.0) / 2.0
         after, rate, bend = blend * y**3 * (2.0 - y), y * y * (3.0 - 2.0 * y), 3.0 * y * (1.0 - y) / blend

@@ -160,7 +160,7 @@ class LinePreparation:
         return self._speed / share if share > 0.0 else np.inf
 
     def _require_end(self, path: LinePath) -> None:
-        """Refuse a motion so slow that it would seem endless."""
+        """Refuse a motion slow enough to seem endless."""
         shortest_s = path.size / self._fastest(path)
         if shortest_s > _LONGEST_S:
             raise DataError(

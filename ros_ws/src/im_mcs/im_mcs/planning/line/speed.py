@@ -45,7 +45,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Motion:
-    """Path parameter at some times, each of shape (m,); jerk is that of the phase before the time.
+    """Path parameter at some times, each of shape (m,); jerk from the phase before the time.
 
     Attributes:
         t: Times [s].
@@ -129,7 +129,7 @@ class Profile:
 
 
 def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> list[float]:
-    """Return speeds at the ends of stretches, with enough length for the change between them."""
+    """Return speeds at the ends of stretches, with enough length for the change between the speeds."""
     passing = list(speeds)
     last = len(gaps) - 1
     for k, ahead in [*((k, True) for k in range(last + 1)), *((last - k, False) for k in range(last + 1))]:
@@ -145,7 +145,7 @@ def _passable(gaps: Sequence[float], speeds: list[float], bounds: Bounds) -> lis
 def _reached(
     c: NDArray[np.float64], lengths: NDArray[np.float64], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return phase and time within it at which a motion reaches places, by halving; not at the ends of phases.
+    """Return phase and time within the phase for reaching places, by halving; not at the ends of phases.
 
     Args:
         c: Ascending powers of the time since each phase began, shape (m, 4).

@@ -95,7 +95,7 @@ class JointPathPlanner:
 
     @property
     def trajectory(self) -> PiecewisePolynomial:
-        """The whole trajectory, once it is done."""
+        """Whole trajectory, once done."""
         if not self._parts:
             return PiecewisePolynomial.standing(self._corners[-1])
         return self._parts[0].followed_by(self._parts[1:])
@@ -179,7 +179,7 @@ class JointPreparation:
         self._legs = JointPathPlanner(begin, points, self._limits, synchrony, self._move.blend)
 
     def step(self) -> Trajectory | None:
-        """Do a few steps; the last slice joins them to the motion under way."""
+        """Do a few steps; the last slice joins the result to the motion under way."""
         state = self._start()
         if not self._moving and (_moves(state) or not np.array_equal(state.q, self._from)):
             self._begin(state)  # what stood still has been resumed, or another motion has begun
@@ -233,7 +233,7 @@ class Corner:
         blend: float,
         limits: MotionLimits,
     ) -> "Corner":
-        """Return the fastest corner at ``point`` within ``blend`` of it; at most half of each leg is rounded."""
+        """Return the fastest corner at ``point`` within the radius ``blend``; at most half of each leg is rounded."""
         entry = min(0.5, blend / float(np.abs(before).max()))
         leave = min(0.5, blend / float(np.abs(after).max()))
         v0, v1 = 2.0 * entry * before, 2.0 * leave * after
@@ -293,7 +293,7 @@ def fit_speeds(corners: list[Corner], limits: Sequence[Limits]) -> Iterator[None
 
 
 def _share(fast: float, slow: float, length: float, limits: Limits) -> float:
-    """Return the largest share of ``fast`` reached from ``slow`` within ``length``; 1 if it is slower anyway."""
+    """Return the largest share of ``fast`` reached from ``slow`` within ``length``; 1 if slower anyway."""
     _, acceleration, jerk = limits
     # a hair less than what fits, as the profile is to be found by another
     room = length * (1.0 - 1e-9)

@@ -12,7 +12,7 @@ from im_mcs.protocol.requests import JointMove, LineMove, Move
 
 
 class Preparation(Protocol):
-    """Motion in preparation; nothing moves meanwhile because of it."""
+    """Motion in preparation; nothing moves meanwhile because of the preparation."""
 
     def step(self) -> Trajectory | None:
         """Do one slice of the work, of about 0.3 ms, counted in steps and never in time, for repeatable runs.

@@ -1,4 +1,4 @@
-"""Trajectories given as positions, velocities and accelerations at times, as ROS users send them.
+"""Trajectories given as positions, velocities and accelerations at times, as sent by ROS users.
 
 The splines are those of ros2_controllers' ``JointTrajectoryController``: cubic where points have velocities, quintic
 where they have accelerations too; the point before the first is the present setpoint. Two things differ:

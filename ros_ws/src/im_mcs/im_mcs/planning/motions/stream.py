@@ -52,7 +52,7 @@ class StreamLease:
 
 
 class StreamFollower:
-    """Chases the newest target, replanned at every knot while it moves; a target with a velocity moves on by itself.
+    """Chase the newest target, replanned at every knot in motion; a target with a velocity keeps moving.
 
     Attributes:
         fault: Why it chases no more, but comes to rest: no motion to the target was found.

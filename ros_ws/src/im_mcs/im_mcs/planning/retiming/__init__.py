@@ -1,4 +1,4 @@
-"""Re-timing: a trajectory beyond limits, along its own path and as little later as possible."""
+"""Re-timing: move a trajectory beyond limits along the same path, with as little delay as possible."""
 
 from im_mcs.planning.retiming.retiming import RetimedTrajectory, retime
 

@@ -1,4 +1,4 @@
-"""The requested path between two rests over a coordinate of its own, with path and time apart.
+"""Requested path between two rests over a separate coordinate, with path and time apart.
 
 The coordinate ``l`` is the way in joint space, every joint in units of its velocity limit. Over the asked time it grows
 with the asked speed ``s(tau)``, kept in cells as quintics with the speed's value, slope and bend at both ends; so the

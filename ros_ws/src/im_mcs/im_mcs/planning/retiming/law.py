@@ -62,11 +62,11 @@ class TimeLaw:
         return max(float(np.ceil(self.duration / step)), _FEWEST)
 
     def nodes(self) -> Array:
-        """Return times of nodes of the path with good quintics between them, shape (m,) [s]."""
+        """Return times of nodes of the path with good quintics between the nodes, shape (m,) [s]."""
         return np.linspace(0.0, self.duration, int(self.pieces) + 1)
 
     def _raw(self, t: Array) -> tuple[Array, Array, Array]:
-        """Integral of the coordinate without averages, itself, and the velocity: averages are made of these."""
+        """Return integral and value of the coordinate without averages, and the velocity, as base of the averages."""
         end = self.times[-1]
         cell = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self._change) - 1)
         x = np.clip(t, 0.0, end) - self.times[cell]
@@ -79,7 +79,7 @@ class TimeLaw:
 
 
 def gentle(square: Array, room: Array) -> Array:
-    """Largest squares of rates, not above those given, that change by no more than ``room`` between neighbours.
+    """Return largest squares of rates, not above the given ones, with neighbour changes of at most ``room``.
 
     Args:
         square: Shape (m,).

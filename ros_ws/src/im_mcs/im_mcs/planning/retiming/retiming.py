@@ -1,4 +1,4 @@
-"""Trajectory beyond limits: along its own path, in its own time where possible.
+"""Trajectory beyond limits: along the same path, in the original time where possible.
 
 Path and time are told apart (:mod:`.asked_path`). Between two places of rest the time is changed if a limit is passed
 there (:mod:`.stretch`); a stretch within limits stays as it was asked for.
@@ -48,7 +48,7 @@ class RetimedTrajectory(PiecewisePolynomial):
         self.asked_duration = float(asked[-1])
 
     def asked_time(self, t: float) -> float:
-        """Return the requested trajectory's time at this one's place at time ``t`` [s]."""
+        """Return the requested trajectory's time at the place of the re-timed one at time ``t`` [s]."""
         return float(np.interp(t, np.append(self.edges, self.duration), self._asked))
 
     @property
@@ -112,7 +112,7 @@ def retime(
 def _kept(
     context: PlanContext, asked: PiecewisePolynomial, begin: float, end: float, still: NDArray[np.bool_]
 ) -> Generator[None, None, Retimed | None]:
-    """Return a stretch unchanged, if it stands still, or keeps all limits from rest to rest."""
+    """Return a stretch unchanged, if motionless, or within all limits from rest to rest."""
     edges = np.append(asked.edges, asked.duration)
     first, last = (min(int(np.searchsorted(edges, t - SAME_S)), len(edges) - 1) for t in (begin, end))
     if abs(edges[first] - begin) > SAME_S or abs(edges[last] - end) > SAME_S:

@@ -68,7 +68,7 @@ def _replace(
     widths: Array,
     whole: tuple[list[Array], list[float], list[int]],
 ) -> None:
-    """Return each piece without the rounded ends, and behind it the quintic into the next."""
+    """Return each piece without the rounded ends, followed by the quintic into the next piece."""
     c, h = trajectory.coefficients[some], trajectory.lengths[some]
     before, after = widths[some.start : some.stop], widths[some.start + 1 : some.stop + 1]
     shift = before[:, None, None] ** np.maximum(np.arange(6)[None, :] - np.arange(6)[:, None], 0)

@@ -20,7 +20,7 @@ SAME_S = 1e-9
 
 
 def standing(trajectory: PiecewisePolynomial, unit: Array) -> Generator[None, None, NDArray[np.bool_]]:
-    """Return the pieces without motion, shape (m,); ``unit`` is the velocity of each joint that counts as 1."""
+    """Return the pieces without motion, shape (m,); ``unit`` is the velocity of each joint counted as 1."""
     still = np.empty(len(trajectory.lengths), dtype=np.bool_)
     for k in range(0, len(still), CHUNK):
         some = slice(k, k + CHUNK)
@@ -84,7 +84,7 @@ def _within(times: Array, trajectory: PiecewisePolynomial, still: NDArray[np.boo
 
 
 def _slowest(trajectory: PiecewisePolynomial, low: Array, middle: Array, high: Array, unit: Array) -> Array:
-    """Times of the smallest speeds between ``low`` and ``high``, from ``middle`` on by Newton's method within cells."""
+    """Return times of the smallest speeds from ``low`` to ``high``: Newton's method from ``middle`` within cells."""
     best, least = middle.copy(), (_way(trajectory, middle, unit) ** 2).sum(axis=1)
     for begin, end in ((low, middle), (middle, high)):
         tau, inside = (begin + end) / 2.0, (begin + end) / 2.0

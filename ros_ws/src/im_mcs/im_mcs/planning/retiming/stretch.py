@@ -150,7 +150,7 @@ def least_ahead(values: Array, reach: int) -> Array:
 
 
 def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
-    """Squares of rates at the ends of cells that keep velocities, and accelerations across; room for changes."""
+    """Return squares of rates at cell ends within velocity and across-acceleration limits, and room for changes."""
     fast = np.maximum(np.abs(path.first), np.abs(path.last))
     cells = np.minimum(1.0, (_SHARE * limits.velocity / np.maximum(fast, _TINY)).min(axis=1)) ** 2
     for side, v in ((0, path.first), (1, path.last)):
@@ -164,7 +164,7 @@ def _first_rates(path: AskedPath, limits: MotionLimits) -> tuple[Array, Array]:
 
 
 def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None, None, TimeLaw]:
-    """Return the law with the shortest average that makes ramps of the jumps of acceleration along the path.
+    """Return the law with the shortest average to turn the jumps of acceleration along the path into ramps.
 
     Raises:
         DataError: It takes too long.

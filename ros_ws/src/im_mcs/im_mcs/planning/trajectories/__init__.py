@@ -1,1 +1,1 @@
-"""Trajectories: the pieces, and how they are followed, slowed down and stopped."""
+"""Trajectories: the pieces, and the following, slowing down and stopping."""

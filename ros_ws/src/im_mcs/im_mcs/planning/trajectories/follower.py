@@ -158,7 +158,7 @@ class PathFollower:
 
     @property
     def ahead(self) -> Ahead | None:
-        """Direction of a curved path; None where the velocity gives it, for longer than any stop takes."""
+        """Direction of a curved path; None for a path straight for longer than any stop takes."""
         if self.sigma >= self._judged + _JUDGED_S / 2.0:
             self._judged = self.sigma
             self._straight = is_straight(self.trajectory, self.sigma, self.sigma + _JUDGED_S)
@@ -186,7 +186,7 @@ class PathFollower:
         return self._now, ticks
 
     def _next_between(self) -> Setpoint:
-        """Return the setpoints before the next knot, at a constant rate: those of many knots are evaluated at once."""
+        """Return the setpoints before the next knot, at a constant rate: several knots are evaluated at once."""
         if self._ready_clock is not self._clock or not self._ready:
             knots, rows = [self._t], self._divisor - 1
             for _ in range(_KNOTS - 1):
@@ -197,7 +197,7 @@ class PathFollower:
         return self._ready.pop()
 
     def _between(self, knots: list[float], ticks: int) -> Setpoint:
-        """Setpoints of the ticks between each of some knots and the next, shape (len(knots) * (ticks - 1), n)."""
+        """Return setpoints of the ticks between some knots and the next ones, shape (len(knots) * (ticks - 1), n)."""
         t = (np.array(knots)[:, None] + self._later(ticks)).ravel()
         sigma, rate, change = self._clock.span(t)
         s = self.trajectory.span(np.minimum(sigma, self.trajectory.duration))

@@ -132,7 +132,7 @@ class PiecewisePolynomial:
         return PiecewisePolynomial((self.lengths * factor).tolist(), self.coefficients * scale[:, None], self.points)
 
     def until(self, time: float) -> "PiecewisePolynomial":
-        """Return the trajectory up to a time after the begin [s]; the whole, if it is over by then."""
+        """Return the trajectory up to a time after the begin [s]; the whole, if over by then."""
         if time >= self.duration:
             return self
         count = bisect.bisect_left(self._starts, time)
@@ -141,7 +141,7 @@ class PiecewisePolynomial:
         return PiecewisePolynomial(lengths.tolist(), self.coefficients[:count], self.points[:count])
 
     def followed_by(self, others: Sequence["PiecewisePolynomial"]) -> "PiecewisePolynomial":
-        """Return this trajectory and then ``others``, each of which begins at the end of the one before."""
+        """Return the trajectory followed by ``others``, each beginning at the end of the previous one."""
         parts = [self, *others]
         return PiecewisePolynomial(
             np.concatenate([part.lengths for part in parts]).tolist(),

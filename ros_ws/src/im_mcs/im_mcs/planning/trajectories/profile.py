@@ -151,7 +151,7 @@ def transition_distance(slow: float, fast: float, acceleration: float, jerk: flo
 
 
 class Chase:
-    """Motion from any state to a possibly moving target; behind it the velocity stays.
+    """Motion from any state to a possibly moving target; afterwards the velocity stays.
 
     Attributes:
         durations: Until each joint meets its target, shape (n,) [s].

@@ -85,7 +85,7 @@ def scaled(s: Setpoint, rate: float | NDArray[np.float64], change: float | NDArr
 
 
 def least_rate(v: NDArray[np.float64], a: NDArray[np.float64], limits: MotionLimits) -> float:
-    """Return the smallest rate of a trajectory from a motion ``v``, ``a`` at which limits hold in its own time."""
+    """Return the smallest rate of a trajectory from a motion ``v``, ``a`` within limits in the trajectory's time."""
     speed = float((np.abs(v) / limits.velocity).max())
     force = float(np.sqrt(np.abs(a) / limits.acceleration).max())
     return min(max(speed, force), 1.0)
@@ -152,7 +152,7 @@ class RateGovernor:
 
     @staticmethod
     def _quickest(count: int, judge: Callable[[int], float]) -> int | None:
-        """Return the quickest ramp within the limits, assuming that slower ramps keep limits kept by quicker ones."""
+        """Return the quickest ramp within the limits, assuming slower ramps keep any limit kept by quicker ones."""
         too_quick, slow = -1, count
         while slow - too_quick > 1:
             k = (too_quick + slow) // 2
@@ -160,7 +160,7 @@ class RateGovernor:
         return slow if slow < count else None
 
     def _next(self, count: int, judge: Callable[[int], float], waited_s: float) -> int | None:
-        """Return the quickest of a few ramps, others each time, so all of them have the turn."""
+        """Return the quickest of a few ramps, others each time, so all ramps have a turn."""
         step = max(count // _TRIES_AGAIN, 1)
         some = range(round(waited_s / self._period) % step, count, step)
         return next((k for k in some if judge(k) <= _TOLERANCE), None)
@@ -173,7 +173,7 @@ class RateGovernor:
         return change / acceleration + acceleration / jerk
 
     def _excess(self, trajectory: Trajectory, clock: Clock) -> float:
-        """Return the excess of a clock's ramp over limits, as a share of them; infinite if the motion goes back.
+        """Return the excess of a clock's ramp as a share of the limits; infinite for a motion going back.
 
         What the trajectory does by itself is no fault of the ramp: it does so at any rate.
         """

@@ -28,7 +28,7 @@ class Setpoint:
 
 
 class Trajectory(Protocol):
-    """Motion in its own time, from the begin to the end at rest."""
+    """Motion as a function of time, from the begin to the end at rest."""
 
     duration: float
     """Time from start to rest [s]."""

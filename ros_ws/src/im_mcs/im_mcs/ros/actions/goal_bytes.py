@@ -1,4 +1,4 @@
-"""Goals of an action as the bytes in transit: rclpy delivers topics and services this way, but not actions.
+"""Action goals as transmitted bytes: rclpy delivers topics and services in bytes, but not actions.
 
 To make objects of a message of 100,000 points takes rclpy seconds, in which no thread of the node runs. What follows
 hooks in where rclpy asks a generated class to convert: a class whose conversion encodes the message again (a hundredth
@@ -34,7 +34,7 @@ class GoalBytes:
     kind: Any
 
     def request(self) -> Any:
-        """Return the request as a message; None if this would take long, or the request is missing."""
+        """Return the request as a message; None if the conversion would take long, or the request is missing."""
         return deserialize_message(self.data, self.kind) if self.data and self.points <= _FEW else None
 
 
@@ -91,7 +91,7 @@ def with_goals_as_bytes(action: Any, most_points: Callable[[], int]) -> Any:
 
 
 def _encoder(kind: Any) -> Callable[[int], bytes]:
-    """Return a function that encodes the message of a type at an address in memory.
+    """Return a function to encode the message of a type at an address in memory.
 
     rclpy encodes objects, which it has their class write into a message in C first; here that message is there already.
     """

@@ -25,7 +25,7 @@ from im_msgs.msg import GroupPath
 
 @dataclass(frozen=True)
 class Arrival:
-    """Arrival of a goal or a message: it may reach the servo much later, after others.
+    """Arrival of a goal or a message: may reach the servo much later, after others.
 
     Attributes:
         group: What it is for.
@@ -55,7 +55,7 @@ class Motions:
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Arrival:
-        """Return the arrival of a goal, or of a message, of this moment."""
+        """Return the arrival of a goal, or of a message, at the present moment."""
         return Arrival(group, next(self._ranks), handle)
 
     async def run(
@@ -117,7 +117,7 @@ class Motions:
                 self._paths[group].publish(GroupPath())
 
     async def stop(self, arrival: Arrival) -> None:
-        """Decelerate the motion of a group on the path, and end it and the waiting goals as cancelled.
+        """Decelerate the motion of a group on the path, and end the motion and the waiting goals as cancelled.
 
         Args:
             arrival: When that was asked for; what came later goes on.

@@ -1,4 +1,4 @@
-"""``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as ros2_control's controller has them."""
+"""``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as with ros2_control's controller."""
 
 import itertools
 from collections.abc import Sequence
@@ -192,7 +192,7 @@ class TrajectoryServer:
         return share_points(name, course)
 
     def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
-        """Desired and actual motion; the times are the place on what was asked for, and the time since it began."""
+        """Publish desired and actual motion, with place on the requested motion and time since the begin."""
         snapshot = self._mcs.client().snapshot()
         description = self._mcs.group(group)
         index = self._mcs.index(description)

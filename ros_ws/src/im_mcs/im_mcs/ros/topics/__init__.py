@@ -1,1 +1,1 @@
-"""Topics of ``/mcs``: the published ones of the node and of each layer, and those that drive a layer."""
+"""Topics of ``/mcs``: the published ones of the node and of each layer, and the ones to drive a layer."""

@@ -1,4 +1,4 @@
-"""Topics that drive a layer, for the owner of the slots."""
+"""Topics for driving a layer, for the owner of the slots."""
 
 from collections.abc import Callable
 from functools import partial

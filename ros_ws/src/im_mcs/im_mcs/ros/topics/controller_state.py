@@ -1,4 +1,4 @@
-"""``/<group>/controller_state``, like that of ros2_control's joint trajectory controller."""
+"""``/<group>/controller_state``, like the topic of ros2_control's joint trajectory controller."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -21,7 +21,7 @@ Sample = dict[str, Any]
 
 
 class ControllerStates:
-    """``/<group>/controller_state`` of every group of every preset; published for those in force.
+    """``/<group>/controller_state`` of every group of every preset; published for the groups in force.
 
     Parameter: ``controller_state_rate`` [1/s], up to 50.
 

@@ -1,4 +1,4 @@
-"""Topics that show each layer; a topic without a subscriber is not published."""
+"""Topics showing each layer; a topic without a subscriber is not published."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

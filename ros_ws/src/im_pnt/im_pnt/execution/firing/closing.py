@@ -27,7 +27,7 @@ def expire(rule: FiringRule, job: Job) -> None:
 
 
 def drop_stale(rule: FiringRule) -> None:
-    """End the symbols without a waiting transition as the net comes to rest, unless they may wait."""
+    """End the symbols without a waiting transition as the net comes to rest, unless allowed to wait."""
     for symbol, seconds in rule.expires.items():
         asked = any(not rule.enabling.unmet[index] and rule.owners(index) for index in rule.readers[symbol])
         if seconds == 0.0 and not asked:
@@ -36,7 +36,7 @@ def drop_stale(rule: FiringRule) -> None:
 
 
 def close_forgotten(rule: FiringRule) -> None:
-    """End the commands that a resting net can acknowledge no more, so no client waits in vain."""
+    """End the commands no longer acknowledgeable by a resting net, so no client waits in vain."""
     if not len(rule.ledger) or rule.activities or rule.enabling.clocks:
         return
     begun = rule.ledger.begun_commands()

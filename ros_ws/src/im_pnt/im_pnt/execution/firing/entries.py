@@ -31,7 +31,7 @@ from im_pnt.execution.journal_entries import (
 
 
 def happens(rule: FiringRule, entry: NetEntry) -> None:
-    """Record an entry, and apply it."""
+    """Record and apply an entry."""
     if rule.record is not None:
         rule.record(entry)
     apply_entry(rule, entry)

@@ -76,7 +76,7 @@ def cancelled_visit(rule: FiringRule, event: object) -> Job | None:
 
 
 def forget_node(rule: FiringRule, node: str, nets: Iterable[str], error: ImError) -> None:
-    """Give up tokens sent to a node, and end the jobs from it."""
+    """Give up tokens sent to a node, and end the jobs from the node."""
     for job in rule.ledger.jobs():
         for net in job.away.keys() & set(nets):
             del job.away[net]

@@ -210,7 +210,7 @@ class FiringRule:
         return Departure(job, failure, self.news(job, net), self.is_held(job))
 
     def news(self, job: Job, net: str) -> dict[str, object]:
-        """Return the untold results of a foreign job; the results of a job of this net stay here."""
+        """Return the unreported results of a foreign job; the results of a job of the net stay here."""
         if job.visit is None:
             return {}
         try:
@@ -225,7 +225,7 @@ class FiringRule:
         return news
 
     def pass_on(self, job: Job, update: JobUpdate, error: ImError | None) -> None:
-        """Tell an update of a job to the nets of the tokens, but not to its own."""
+        """Tell an update of a job to the nets of the tokens, except the net of the job."""
         for net in job.away:
             if job.visit is None or job.visit.owner.key.net != net:
                 self.outlet.send_job_update(self.net.name, job, update, net, error, {})
@@ -243,11 +243,11 @@ class FiringRule:
 
     @staticmethod
     def hold_number(job: Job) -> int:
-        """Return the number by which a job is held as what it is here: a command by that of the command."""
+        """Return the number for holding a job: for a command, the id of the command."""
         return job.command.id if job.is_command else -job.number
 
     def is_held(self, job: Job) -> bool:
-        """Whether nothing is begun for a job; one that is to end is not kept from that."""
+        """Check whether nothing is begun for a job; a cancelled job may always end."""
         return not job.cancelled and (-job.number in self.held or self._is_held_by_command(job))
 
     def is_paused(self, activity: Activity) -> bool:
@@ -295,7 +295,7 @@ class FiringRule:
         return any(lineage.job is job for lineage in waiting)
 
     def cancel(self, jobs: Iterable[Job], error: ImError) -> None:
-        """End jobs early: those on the tape now, the others after the end of the actions."""
+        """End jobs early: jobs on the tape now, the others after the end of the actions."""
         for job in jobs:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
@@ -306,7 +306,7 @@ class FiringRule:
                 job.last_failure = error
 
     def emit(self, transition: Transition, lineage: Lineage) -> None:
-        """Write the symbol of a transition to the output tape; this may end a job."""
+        """Write the symbol of a transition to the output tape, possibly ending a job."""
         for emitted in transition.emit:
             self.notifier.emitted(emitted, lineage)
             visit = None if lineage.job is None else lineage.job.visit
@@ -325,7 +325,7 @@ class FiringRule:
                 self.close(job, None if done else failure_of(job, transition, lineage.failure))
 
     def consider_readers(self, symbol: str) -> None:
-        """Decide on the readers of a symbol, if it is on the tape."""
+        """Decide on the readers of a symbol present on the tape."""
         if self.ledger.tape.has(symbol):
             for index in self.readers[symbol]:
                 if not self.enabling.unmet[index]:
@@ -334,7 +334,7 @@ class FiringRule:
     # Firing.
 
     def withdraw(self, name: str) -> None:
-        """Move the tokens of an invalid data object: those of its own command.
+        """Move the tokens of an invalid data object: for an object of a command, the tokens of the command.
 
         Args:
             name: Its name in the DOM.
@@ -348,7 +348,7 @@ class FiringRule:
                 self.fire(index, of_it[0])
 
     def shown_objects(self) -> set[str]:
-        """Return the data objects whose loss of validity would move a token now, by the names in the DOM."""
+        """Return the data objects with tokens to move on a loss of validity now, by the names in the DOM."""
         shown: set[str] = set()
         for place, stands_for in self._withdrawable:
             number = self.place[place]
@@ -375,7 +375,7 @@ class FiringRule:
         return owners
 
     def _narrowed_owners(self, index: int, owners: Sequence[Job | None]) -> Sequence[Job | None]:
-        """Return the owners of tokens that a transition can fire for, where more than tokens decides that."""
+        """Narrow the owners of tokens to owners a transition can fire for, where more than tokens decides."""
         if index in self._finishing:
             return [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
         if index in self._to_commands:
@@ -391,7 +391,7 @@ class FiringRule:
         return owners[0] if owners else None
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
-        """Return the oldest symbol on the tape that a transition may read for a command, None without one."""
+        """Return the oldest symbol on the tape readable by a transition for a command, None without one."""
         waiting = self.ledger.tape.of_symbol(self.transitions[index].symbol or "")
         if index not in self._to_commands or owner is None:
             return next(iter(waiting), None)
@@ -399,7 +399,7 @@ class FiringRule:
         return next((word for word in waiting if word.arguments.get(ADDRESS, number) == number), None)
 
     def foreseen(self, index: int, owner: Job | None) -> Lineage:
-        """Return the lineage of a firing for a job: for free tokens, the command it reads."""
+        """Return the lineage of a firing for a job: for free tokens, the command read from the tape."""
         if owner is not None and owner.waiting:
             return Lineage(owner, None)
         return self.tokens.peek_inputs(index, owner)
@@ -451,7 +451,7 @@ class FiringRule:
         return None
 
     def _take_role(self, transition: Transition, lineage: Lineage) -> tuple[Lineage, ImError | None]:
-        """Take or answer a request, or withdraw an object, for a transition that does more than move tokens.
+        """Take or answer a request, or withdraw an object, for a transition with more to do than moving tokens.
 
         Returns:
             The lineage that it fires for, and the failure that its tokens carry on.
@@ -478,7 +478,7 @@ class FiringRule:
         return lineage, passed_on
 
     def _served(self, job: Job | None) -> Job | None:
-        """Take the answered request of a firing from those in service: the oldest, for free tokens."""
+        """Take the answered request of a firing from the requests in service: the oldest, for free tokens."""
         serving = self.ledger.serving
         number = job.number if job is not None else next(iter(serving), 0)
         return serving.pop(number, None)
@@ -573,7 +573,7 @@ class FiringRule:
             self.record(MessageBuilt(activity.number, data))
 
     def end(self, activity: Activity, name: str, error: ImError | None, results: dict[str, object]) -> None:
-        """Fire a transition that ends an activity."""
+        """Fire a transition at the end of an activity."""
         del self.activities[activity.number]
         job, index = activity.lineage.job, self.number[name]
         failure = None if error is None else self._passed_on(activity, index, error)
@@ -619,7 +619,7 @@ class FiringRule:
         return self._phases[activity.transition].start.retry_of or activity.transition
 
     def _give(self, index: int, lineage: Lineage) -> None:
-        """Mark the outputs of a firing: the tokens belong to the job, if it has not ended."""
+        """Mark the outputs of a firing: the tokens belong to the job, if still open."""
         if lineage.job is not None and lineage.job.closed:
             lineage = NO_LINEAGE
         self.tokens.give_outputs(index, lineage)
@@ -628,7 +628,7 @@ class FiringRule:
 
 
 def hands_on(activity: Activity) -> bool:
-    """Return whether an action passes on its own command to another net: the reply is the result."""
+    """Return whether an action passes the command on to another net: the reply is the result."""
     job = activity.lineage.job
     if job is None or job.request is not None or not isinstance(activity.action, RequestAction):
         return False

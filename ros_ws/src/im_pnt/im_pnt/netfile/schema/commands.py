@@ -72,7 +72,7 @@ Arguments = Annotated[dict[str, ArgumentFile], Named()]
 
 
 class CommandFile(FilePart):
-    """Command: a symbol that begins one."""
+    """Command: a symbol beginning a command."""
 
     description: Text = Field("", description="One line for people.")
     arguments: Arguments = Field({}, description="What it takes, by name; others are refused.")

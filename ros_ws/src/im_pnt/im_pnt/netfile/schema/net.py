@@ -32,7 +32,7 @@ _REMOTE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.place")
 
 
 class AssumptionFile(FilePart):
-    """Assumption on other nets, proved where they are known."""
+    """Assumption on other nets, proved where the nets are known."""
 
     model_config = pydantic.ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
@@ -77,7 +77,7 @@ class FragmentFile(FilePart):
 
 
 class NetFile(FragmentFile):
-    """Net: places, transitions, and the actions of the firings. docs/nets.md explains it with an example."""
+    """Net: places, transitions, and the actions of the firings. docs/nets.md explains the format with an example."""
 
     net: Name = Field(description="Name by which commands and other nets refer to this net.")
     description: Text = Field("", description="One line for people.")

@@ -70,7 +70,7 @@ class SymbolFile(FilePart):
 
 
 class TransitionFile(FilePart):
-    """Transition: it takes the tokens of 'in', does the action, then gives those of 'out'."""
+    """Transition: takes the tokens of 'in', does the action, then gives the tokens of 'out'."""
 
     model_config = pydantic.ConfigDict(
         json_schema_extra={

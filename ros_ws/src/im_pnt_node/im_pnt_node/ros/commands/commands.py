@@ -125,7 +125,7 @@ class Commands:
         return [self._open[number] for number in sorted(self._open)]
 
     def noted(self) -> list[OpenCommandNote]:
-        """Return what is noted of the commands that have not ended, in the order of the numbers."""
+        """Return the notes of the commands not yet ended, in the order of the numbers."""
         task = self._node.task_name
         return [OpenCommandNote(task, each.job.command.id, each.job.symbol, each.progress) for each in self.open()]
 
@@ -157,7 +157,7 @@ class Commands:
         self._told_began()
 
     def give_up(self, left: Iterable[tuple[OpenCommandNote, Path]]) -> None:
-        """End the commands of abandoned missions: a client that still asks for one hears the end.
+        """End the commands of abandoned missions: a client still asking for one hears the end.
 
         Args:
             left: The commands, each with the folder of what it has left.
@@ -169,7 +169,7 @@ class Commands:
                 self.ended.add(_ended(command.number, command.symbol, result))
 
     def end_forgotten(self, before: Iterable[OpenCommandNote], why: str) -> None:
-        """End the commands that were under way by a note beside the journal, and that the journal does not know.
+        """End the commands noted beside the journal as under way, but unknown to the journal.
 
         Args:
             before: The commands that were under way when the node ended.
@@ -183,7 +183,7 @@ class Commands:
                 self._count = max(self._count, command.number)
 
     def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
-        """Return the net that reads a symbol.
+        """Return the net reading a symbol.
 
         Args:
             symbol: The symbol; several nets may read it as a word to their commands.
@@ -298,7 +298,7 @@ class Commands:
         self._tell(number, "", text, fraction)
 
     def note_event(self, text: str) -> None:
-        """Note an event, such as the restart of a task: a command that is under way may fail for that."""
+        """Note an event, such as the restart of a task: a command under way may fail because of the event."""
         for number in self._open:
             events = self._events.setdefault(number, [])
             if text not in events and len(events) < MOST_EVENTS:
@@ -342,7 +342,7 @@ def _tellable(symbol: str, result: CommandResult) -> CommandResult:
 
 
 def _explained(result: CommandResult, events: Sequence[str]) -> CommandResult:
-    """Return a result that tells the events before the command failed."""
+    """Return a result with the events before the failure of the command."""
     if result.error is None or result.error.code == "cancelled":
         return result
     untold = [event for event in events if event.partition(";")[0] not in result.error.message]

@@ -60,14 +60,14 @@ class CommandControl(Protocol):
         """Ask a command to end early."""
 
     def hold(self, command_id: int, held: bool) -> None:
-        """Begin nothing more for a command, or let it go on."""
+        """Begin nothing more for a command, or let the command go on."""
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """Return the resources of a command, and those it waits for."""
+        """Return the resources of a command, and the resources still awaited."""
 
 
 class ExecuteServer:
-    """Server of the action for commands: runs them, reports progress, and controls them.
+    """Server of the action for commands: runs commands, reports progress, and controls the commands.
 
     Args:
         node: The node.
@@ -104,7 +104,7 @@ class ExecuteServer:
         self.tell()
 
     def tell(self) -> None:
-        """Publish the list of commands; call it after a net has come or gone."""
+        """Publish the list of commands; call after a net has come or gone."""
         told: dict[object, dict[str, object]] = {}
         for executor in self._nets.values():
             for entry in commands_of(executor.written):

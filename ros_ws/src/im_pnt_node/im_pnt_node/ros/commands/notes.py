@@ -35,7 +35,7 @@ class CommandNotes:
             self._node.spawn(self._write(self._run_dir))
 
     def write_last(self) -> None:
-        """Write them at once, as the node ends: whoever has stopped it is told how far they were."""
+        """Write the notes at once, as the node ends, to show the progress of the commands after a stop."""
         if self._run_dir is not None:
             with suppress(ImError):  # it is known which they are
                 note(self._run_dir, self._node.task_name, self._commands())

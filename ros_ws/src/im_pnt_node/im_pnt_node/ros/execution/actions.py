@@ -81,7 +81,7 @@ class Surroundings:
     async def wait(
         self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
     ) -> Any:
-        """Await the work of another node, while it lives.
+        """Await the work of another node, while the node lives.
 
         Args:
             future: What it completes.
@@ -214,7 +214,7 @@ class ServiceActions:
         self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Call a service and handle the answer; return the kept part of it.
+        """Call a service and handle the answer; return the kept part of the answer.
 
         Raises:
             ImError: It failed, or did not answer in time.
@@ -337,12 +337,12 @@ def require_wanted(activity: Activity) -> None:
 
 
 def time_left(activity: Activity, default: float) -> float:
-    """Return the time to wait for an answer [s]: a limit of the net strikes by itself, and a late answer counts."""
+    """Return the time to wait for an answer [s]: a limit of the net strikes separately, and a late answer counts."""
     return default if activity.deadline is None else max(0.0, activity.deadline - monotonic()) + LATE_ANSWER_S
 
 
 def require_success(answer: Any, what: str) -> None:
-    """Check the fields ``success`` and ``error_code`` of an answer, if it has them.
+    """Check the fields ``success`` and ``error_code`` of an answer, if present.
 
     Raises:
         ImError: It did not succeed; with what the answer says.

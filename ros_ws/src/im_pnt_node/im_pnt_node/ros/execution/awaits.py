@@ -98,7 +98,7 @@ class _Topic:
         self._listeners: dict[bool, _Listener] = {}
 
     def listener(self, latched: bool) -> "_Listener":
-        """Return the listener, for a message before now too where the action wants it."""
+        """Return the listener, also for an earlier message where the action wants one."""
         if latched not in self._listeners:
             self._listeners[latched] = _Listener(self._node, self._name, self._type, latched)
         return self._listeners[latched]
@@ -127,7 +127,7 @@ class _Listener:
         self._subscription = self._subscribe()
 
     def next(self, counts: Callable[[Any], bool]) -> Promise:
-        """Return the promise of the next counting message, or of the latched one where it counts."""
+        """Return the promise of the next counting message, or of a latched message, if the latched one counts."""
         promise = self._node.promise()
         self._waiting[promise] = counts
         if self._last is not None:

@@ -30,7 +30,7 @@ class Endpoints(Generic[T]):
         self._made: dict[str, tuple[str, T]] = {}
 
     def of(self, name: str, type_name: str) -> T:
-        """Return the endpoint of a name, of this type.
+        """Return the endpoint of a name, of the given type.
 
         Raises:
             NotFoundError: No such type is installed.

@@ -46,7 +46,7 @@ _OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GO
 
 
 class GoalActions:
-    """Client of goals: sends them and waits for the results; a cancelled activity cancels the goal.
+    """Client of goals: sends goals and waits for the results; a cancelled activity cancels the goal.
 
     Args:
         surroundings: Reaches other tasks.
@@ -75,7 +75,7 @@ class GoalActions:
         self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Send a goal, wait for the result and handle it; return the kept part.
+        """Send a goal, wait for the result and handle the result; return the kept part.
 
         Raises:
             ImError: It was rejected, aborted or cancelled, or the server is gone.
@@ -120,7 +120,7 @@ class GoalActions:
         return await around.handled(action, context, result_of(action, answer.status, answer.result))
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
-        """Ask the server for the outcome of a goal from a former incarnation of this process."""
+        """Ask the server for the outcome of a goal from a former incarnation of the process."""
         around, action = self._surroundings, activity.action
         assert isinstance(action, GoalAction)
         if activity in self._performed:

@@ -55,7 +55,7 @@ class NetLoop:
                 self._wake_timer.reset()
 
     def pump(self, executor: Executor) -> bool:
-        """Pump a net, and pause it if it fires on and on without rest; in the loop.
+        """Pump a net, and pause the net if firing on and on without rest; in the loop.
 
         Returns:
             Whether there is more to do at once.

@@ -74,7 +74,7 @@ class DdsTransport:
         self._tick_timer.reset()
 
     def node_of(self, net: str) -> str:
-        """Return the node that has announced a net, or the one of the name."""
+        """Return the node announcing a net, or else the node of the same name."""
         return self._directory.get(net, net)
 
     def prepare(self, net: str) -> None:
@@ -82,7 +82,7 @@ class DdsTransport:
         self._publisher(self.node_of(net))
 
     def send(self, node: str, message: Message) -> None:
-        """Send a message; it arrives once, some time, and in order.
+        """Send a message, to arrive once, some time, and in order.
 
         Raises:
             NetError: Its payload is not JSON data.
@@ -101,7 +101,7 @@ class DdsTransport:
         return self.link.keeps_journal(node) or node in self._journalling
 
     def flush(self) -> None:
-        """Send new messages; call it after the write of the journal."""
+        """Send new messages; call after the write of the journal."""
         self.link.flush()
         if not self._ticking and not self.link.idle():
             self._ticking = True

@@ -1,1 +1,1 @@
-"""The machine as nets see it: data objects of the DOM, the commands, and last messages."""
+"""The machine as seen by nets: data objects of the DOM, the commands, and last messages."""

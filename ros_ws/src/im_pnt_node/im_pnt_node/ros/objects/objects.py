@@ -1,4 +1,4 @@
-"""Data objects as the expressions of nets read and store them."""
+"""Data objects as read and stored by the expressions of nets."""
 
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
@@ -64,7 +64,7 @@ class DomObjects:
         self._latest = {}
 
     def forget(self, name: str) -> bool:
-        """Read a changed object anew at the next use; return whether a guard needs it."""
+        """Read a changed object anew at the next use; return whether a guard needs the object."""
         gone = [key for key in self._latest if key[0] == name]
         for key in gone:
             del self._latest[key]
@@ -89,7 +89,7 @@ class DomObjects:
         await self._dom.put(name, fill(interface_class(kind)(), fields, f"data object {name}"), place)
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
-        """Run a coroutine, and call back with the reason of the failure, if it fails."""
+        """Run a coroutine; on failure, call back with the reason."""
         self._spawn(self._run(work, done))
 
     async def _run(self, work: Coroutine[object, object, None], done: Done) -> None:

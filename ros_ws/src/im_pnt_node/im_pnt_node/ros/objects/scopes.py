@@ -13,7 +13,7 @@ LOOK_S = 0.5
 
 
 class CommandScopes:
-    """Owner of the data objects of commands: ``/dom`` deletes them after the end of a command, except the results.
+    """Owner of the data objects of commands: ``/dom`` deletes objects after the end of a command, except results.
 
     Args:
         node: The node.

@@ -34,7 +34,7 @@ class Sources:
     def follow(
         self, topic: str, message_type: type, profile: QoSProfile, check: Callable[[Any], object] = lambda _: None
     ) -> None:
-        """Follow a topic, so guards may be woken by it.
+        """Follow a topic, so messages of the topic may wake guards.
 
         Args:
             topic: Its name.

@@ -67,7 +67,7 @@ class MissionPublisher:
             self._tell_state(executor)
 
     def publish(self) -> None:
-        """Publish the collected events; those before the first firing are part of the states."""
+        """Publish the collected events; events before the first firing are part of the states."""
         listened_to = self._begun and self._publisher.get_subscription_count() > 0
         self._log.recorded = listened_to and all(each.record is not None for each in self._nets())
         if not self._log.recorded:
@@ -99,7 +99,7 @@ class MissionPublisher:
 
 
 class NotedRequests:
-    """Requests to other nets, noted as they leave.
+    """Requests to other nets, noted on sending.
 
     Args:
         requests: Carries them.

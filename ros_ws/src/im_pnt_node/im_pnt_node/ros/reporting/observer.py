@@ -44,18 +44,18 @@ class NodeObserver(Observer):
         self._node.get_logger().warning(f"net {net}: {text}" if net else text)
 
     def forgot(self, text: str) -> None:
-        """Write a loss to the log, keep it on ``/diagnostics``, and note it with the open commands."""
+        """Write a loss to the log, keep the loss on ``/diagnostics``, and note the loss with the open commands."""
         self._reminders.add("journal", text)
         if self.commands is not None:
             self.commands.note_event(text)
 
     def restarted(self, task: str) -> None:
-        """Note with the commands under way that a task was started again."""
+        """Note with the commands under way the restart of a task."""
         if self.commands is not None:
             self.commands.note_event(f"{task} was started again")
 
     def lost_object(self, text: str) -> None:
-        """Say once, in the log, on ``/diagnostics`` and with the commands under way, that a data object is damaged."""
+        """Say once, in the log, on ``/diagnostics`` and with the commands under way: a data object is damaged."""
         if text not in self._lost_objects:
             self._lost_objects.add(text)
             self._reminders.add("objects", text)
@@ -63,7 +63,7 @@ class NodeObserver(Observer):
             self.commands.note_event(text)
 
     def unreached(self, node: str, text: str) -> None:
-        """Write a line of the log, and name a node that no message reaches on ``/diagnostics``."""
+        """Write a line of the log, and name on ``/diagnostics`` a node out of reach of messages."""
         subject = f"{LINK}{node}"
         if text:
             self._reminders.add(subject, text)

@@ -113,7 +113,7 @@ def from_known_length(message: KnownLength, number: int) -> SeenLength:
 
 
 def from_spots(messages: Sequence[Spot], place: str) -> dict[str, SeenSpot]:
-    """Return spots of one light by camera, from messages, without those not found.
+    """Return spots of one light by camera, from messages, without spots not found.
 
     Args:
         messages: The messages.
