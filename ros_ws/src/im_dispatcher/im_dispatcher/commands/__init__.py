@@ -54,7 +54,8 @@ def net_files(named: Iterable[str]) -> list[Path]:
             raise ConfigError(f"{path}: there is no such net file or folder", file=str(path))
         files += [file for file in found if file not in files]
     if not files:
-        raise ConfigError(f"no command is named: give net files, folders of them, {SHIPPED}, or names of {', '.join(shipped())}")
+        known = f"{SHIPPED}, or names of {', '.join(shipped())}"
+        raise ConfigError(f"no command is named: give net files, folders of them, {known}")
     return files
 
 
