@@ -15,7 +15,7 @@
 #   scripts/chaos.sh --demo --injections 20  signals to scripts/demo.sh instead, and the end of its terminal
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
-#   scripts/chaos.sh --out results/chaos.jsonl --docs docs/reliability.md    injects nothing, writes the table there
+#   scripts/chaos.sh --out results/chaos.jsonl --docs docs/evidence/reliability.md    injects nothing, writes the table there
 #
 # Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal, lifecycle (shutdown of
 # /mcs). Roles: servo, physics, cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display,
