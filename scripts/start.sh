@@ -7,7 +7,8 @@
 #   scripts/start.sh --port 8081                 another port for the display (a web page); the next free one if in use
 #   scripts/start.sh --control                   the display may also operate nets: pause, step, confirm, resolve
 #   scripts/start.sh --unproved                  even where nobody can tell in time whether its nets may run together
-#   scripts/start.sh --fresh                     not on with what a killed machine has left; it is kept aside
+#   scripts/start.sh --resume                    commands that had not ended go on; without it they come back paused
+#   scripts/start.sh --fresh                     set unfinished commands of a former run aside
 #   scripts/start.sh --timeout 120               a longer wait, of its parts for each other too (default 60 s)
 #   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #
