@@ -9,7 +9,8 @@ import pytest
 from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+EVIDENCE = sorted((ROOT / "docs" / "evidence").glob("*.md"))
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), *EVIDENCE, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 
 def places(name):
@@ -51,7 +52,7 @@ def test_each_service_of_a_coordinator_has_its_row_with_all_its_arguments():
     assert not {service: missing for service in taken if (missing := taken[service] - told[service])}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_paths_and_links_lead_somewhere(page):
     text = page.read_text()
     links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
@@ -69,7 +70,7 @@ def test_paths_and_links_lead_somewhere(page):
     assert not missing
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_pytest_is_to_select_is_there(page):
     for file, word in re.findall(r"pytest (\S+\.py) -k (\w+)", page.read_text()):
         assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
