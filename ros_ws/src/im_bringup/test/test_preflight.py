@@ -101,6 +101,7 @@ def test_no_folder_for_temporary_files(monkeypatch):
 def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(monkeypatch, tmp_path, folder):
     for name in ("run/log", "results", "ros"):
         (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "run").chmod(0o700)
     (tmp_path / "run" / "pnt_display.url").touch()
     read_only = tmp_path / folder
     shell = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1" || exit 77; exec "$0" "${@:2}"'

@@ -1,11 +1,12 @@
 """Names by which the parts of one machine on one host find each other."""
 
 import os
+import sys
 from pathlib import Path
 
 from im_core.errors import LinkError, StoreError, require_text
 from im_core.files import make_folder
-from im_core.ownership import check_owner
+from im_core.ownership import make_private
 
 #: Environment variables: the name of this run of the machine, which a start gives it and restarts within it keep; and,
 #: where it is not empty, that whoever started it wants its unfinished commands to go on.
@@ -33,9 +34,12 @@ def run_dir() -> Path:
     """
     folder = _folder("IM_RUN_DIR", Path.cwd() / ".run" / instance(), 0o700)
     try:
-        check_owner(folder, folder.stat(), "set another IM_RUN_DIR")
+        if tightened := make_private(folder, "set another IM_RUN_DIR"):
+            print(tightened, file=sys.stderr)
     except LinkError as error:
         raise StoreError(error.message, file=str(folder), reason="not this user's alone") from None
+    except OSError as error:
+        raise StoreError.of("looked at", folder, error) from error
     return folder
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from im_core.errors import LinkError
 
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
 def require_own(path: Path) -> int | None:
@@ -51,6 +52,34 @@ def check_owner(path: Path, status: os.stat_result, way_out: str = "set another 
     else:
         return
     raise LinkError(f"{path} {reason}, or {way_out}", name=path.name)
+
+
+def make_private(folder: Path, way_out: str) -> str:
+    """Take the rights of all other users from a folder of this user.
+
+    Args:
+        folder: The folder.
+        way_out: What to do other than to remove the folder or to change its mode.
+
+    Returns:
+        A sentence that names the mode before; empty: no other user had a right, or the file system keeps the mode and
+        other users may only read.
+
+    Raises:
+        LinkError: The folder belongs to another user, or every user may write into it: files of theirs may be there.
+        OSError: The folder cannot be looked at.
+    """
+    status = folder.stat()
+    if status.st_uid != os.geteuid() or status.st_mode & stat.S_IWOTH:
+        check_owner(folder, status, way_out)
+    if not status.st_mode & _OTHERS:
+        return ""
+    try:
+        folder.chmod(stat.S_IMODE(status.st_mode) & ~_OTHERS)
+    except OSError:
+        check_owner(folder, status, way_out)
+        return ""
+    return f"{folder} was open to other users (mode {stat.S_IMODE(status.st_mode):o}), and is for this user alone now"
 
 
 def is_own(path: Path) -> bool:

@@ -91,16 +91,31 @@ def test_no_file_is_written_through_a_link_that_lies_beside_it(tmp_path, monkeyp
     assert all(flags & os.O_EXCL and flags & os.O_NOFOLLOW for flags in made.values())
 
 
-def test_the_run_folder_is_of_this_user_alone(tmp_path, monkeypatch, as_another):
+def test_the_run_folder_is_of_this_user_alone(tmp_path, monkeypatch, as_another, capsys):
     folder = tmp_path / "new" / "run"
     monkeypatch.setenv("IM_RUN_DIR", str(folder))
     assert run_dir() == folder
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    folder.chmod(0o775)
-    with pytest.raises(StoreError, match=r"run may be written by other users \(mode 775\); chmod go-w it, or set anot"):
+    assert (stat.S_IMODE(folder.stat().st_mode), capsys.readouterr().err) == (0o700, "")
+    folder.chmod(0o777)  # what lies there may be anybody's
+    with pytest.raises(StoreError, match=r"run may be written by other users \(mode 777\); chmod go-w it, or set anot"):
         run_dir()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o777
     folder.chmod(0o755)
-    assert run_dir() == folder
     as_another()
     with pytest.raises(StoreError, match=r"run belongs to user .*, not to you; remove it, or set another IM_RUN_DIR"):
         run_dir()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o755
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o775, 0o750, 0o701])
+def test_a_run_folder_that_was_there_is_closed_to_other_users_and_that_is_said_once(
+    tmp_path, monkeypatch, capsys, mode
+):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path / "run"))
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run").chmod(mode)
+    for _ in range(2):
+        assert run_dir() == tmp_path / "run"
+        assert stat.S_IMODE((tmp_path / "run").stat().st_mode) == 0o700
+    said = f"{tmp_path}/run was open to other users (mode {mode:o}), and is for this user alone now\n"
+    assert capsys.readouterr().err == said
