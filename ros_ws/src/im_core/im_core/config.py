@@ -6,7 +6,7 @@ request, a net file put together) tells what is wrong with :func:`faults`.
 
 import importlib.resources
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -106,19 +106,20 @@ def package_file(package: str, relative: str) -> Path:
     return path
 
 
-def load_model(path: str | Path, model: type[ModelT]) -> ModelT:
+def load_model(path: str | Path, model: type[ModelT], *, within: Sequence[str | Path] = ()) -> ModelT:
     """Read a YAML file into a model.
 
     Args:
         path: The file.
         model: The pydantic model it must satisfy.
+        within: Folders that the opened file must lie in; empty: it may lie anywhere.
 
     Raises:
-        ConfigError: The file is missing, is not YAML, or breaks a rule of the model; one line a fault,
-            each ``file:line: field: what is wrong``.
+        ConfigError: The file is missing, lies outside of the folders, is not YAML, or breaks a rule of the model; one
+            line a fault, each ``file:line: field: what is wrong``.
     """
     path = Path(path)
-    return cast(ModelT, _read(_text(path), model, str(path)))
+    return cast(ModelT, _read(_text(path, within), model, str(path)))
 
 
 @lru_cache(maxsize=16)
@@ -178,9 +179,9 @@ def field_name(location: Location) -> str:
     return text
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, within: Sequence[str | Path] = ()) -> str:
     try:
-        return read_text(path, _LARGEST_YAML)
+        return read_text(path, _LARGEST_YAML, within=within)
     except FileError as error:
         raise ConfigError(error.message, file=str(path)) from error
 

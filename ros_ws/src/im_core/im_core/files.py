@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.errors import DataError, StoreError, printable
@@ -36,16 +37,21 @@ class FileError(DataError):
         self.sentence, self.line, self.column = sentence, line, column
 
 
-def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -> bytes:
+def read_bytes(
+    path: str | Path, largest: int = LARGEST, *, own: bool = False, within: Sequence[str | Path] = ()
+) -> bytes:
     """Read a file of any kind safely: without waiting, and without reading more than the allowed size.
 
     Args:
         path: The file.
         largest: What it may have at most [bytes].
         own: Whether it must belong to this user and be no link, as where every user may make files.
+        within: Folders that the opened file must lie in, however deep, whatever the path led to a moment ago; empty:
+            the file may lie anywhere.
 
     Raises:
-        FileError: There is none, it is no regular file (a folder, a FIFO, a device), or it is larger.
+        FileError: There is none, it is no regular file (a folder, a FIFO, a device), it is larger, or it lies outside
+            of the folders.
         LinkError: It must belong to this user, and does not.
     """
     try:
@@ -57,6 +63,7 @@ def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -
             if own:
                 check_owner(Path(path), status)
             check_regular(path, status)
+            _check_within(path, descriptor, within)
             with os.fdopen(descriptor, "rb", closefd=False) as file:
                 data = file.read(largest + 1)
         finally:
@@ -70,6 +77,21 @@ def read_bytes(path: str | Path, largest: int = LARGEST, *, own: bool = False) -
     return data
 
 
+def is_below(place: str | Path, folders: Sequence[str | Path]) -> bool:
+    """Whether a path without links lies in one of some folders, however deep; links to the folders are followed."""
+    return any(Path(place).is_relative_to(os.path.realpath(folder)) for folder in folders)
+
+
+def _check_within(path: str | Path, descriptor: int, folders: Sequence[str | Path]) -> None:
+    """Refuse an open file outside of some folders: a part of its path may have become a link since it was resolved.
+
+    Raises:
+        FileError: It lies outside.
+    """
+    if folders and not is_below(os.readlink(f"/proc/self/fd/{descriptor}"), folders):
+        raise FileError(path, f"leads out of {', '.join(map(str, folders))} by a link, and is not read")
+
+
 def check_regular(path: str | Path, status: os.stat_result) -> None:
     """Refuse anything but a regular file.
 
@@ -80,13 +102,13 @@ def check_regular(path: str | Path, status: os.stat_result) -> None:
         raise FileError(path, "cannot be read: it is not a regular file")
 
 
-def read_text(path: str | Path, largest: int = LARGEST) -> str:
+def read_text(path: str | Path, largest: int = LARGEST, *, within: Sequence[str | Path] = ()) -> str:
     """Read a text, without a byte order mark; arguments as of :func:`read_bytes`.
 
     Raises:
         FileError: As of :func:`read_bytes`, or it is not UTF-8; line and column are named.
     """
-    data = read_bytes(path, largest)
+    data = read_bytes(path, largest, within=within)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

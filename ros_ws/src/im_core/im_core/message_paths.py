@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.errors import DataError
-from im_core.files import make_folder, read_bytes, write_whole
+from im_core.files import is_below, make_folder, read_bytes, write_whole
 from im_core.names import results_dir, run_dir
 from im_core.yamltext import quoted_text
 
@@ -34,7 +34,8 @@ def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
         what: Field of the message, for errors.
 
     Returns:
-        The path without links: read or write this one.
+        The path without links: write this one, or read it ``within`` the folders (:func:`im_core.files.read_bytes`),
+        since somebody may put a link into it meanwhile.
 
     Raises:
         DataError: It leads out of all folders.
@@ -43,7 +44,7 @@ def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
     if "\0" in path:
         raise DataError(f"{what}: {shown} is no path", what=what)
     place = Path(os.path.realpath(folders[0] / path))
-    if not any(place.is_relative_to(os.path.realpath(folder)) for folder in folders):
+    if not is_below(place, folders):
         allowed = ", ".join(map(str, folders))
         raise DataError(f"{what}: {shown} is outside of {allowed}; {MORE_FOLDERS} of the machine names more", what=what)
     return place

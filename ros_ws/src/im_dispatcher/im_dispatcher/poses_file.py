@@ -81,7 +81,10 @@ def load_named_poses(path: str) -> PosesFile:
         ConfigError: It is missing, empty, or malformed; names file and line.
     """
     own = package_file(*OWN_POSES)
-    return load_poses(resolve_below(path, [*message_folders(), own.parent], "poses_file") if path else own)
+    if not path:
+        return load_poses(own)
+    folders = [*message_folders(), own.parent]
+    return load_model(resolve_below(path, folders, "poses_file"), PosesFile, within=folders)
 
 
 def load_poses(path: str | Path) -> PosesFile:

@@ -1,6 +1,7 @@
 """Files that messages name: only those of the machine are read, and answers quote little of what is in them."""
 
 import base64
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -108,6 +109,52 @@ def test_a_net_that_a_message_names_includes_nothing_of_elsewhere(folder: Path) 
     net.write_text(f"net: n\ninclude: [{secret}]\nplaces: {{a: 1}}\ntransitions: {{t: {{in: a, out: a}}}}\n")
     with pytest.raises(ImError, match=r"net\.yaml:2.*include: '.*' is outside of .*results"):
         load_named_net(str(net))
+
+
+NET = "net: {}\nplaces: {{a: 1}}\ntransitions: {{t: {{in: a, out: a}}}}\n"
+POSES = "group: left\nframe: world\nposes: [{{name: {}, position_m: [0, 0, 0], orientation_xyzw: [0, 0, 0, 1]}}]\n"
+PNML = """<pnml><net id="{}" type="http://www.pnml.org/version-2009/grammar/ptnet"><page id="p">
+<place id="a"/><transition id="t"/></page></net></pnml>"""
+INCLUDING = "net: n\ninclude: [deep/f.yaml]\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a}}\n"
+
+
+@pytest.mark.parametrize("swapped", ["deep", "deep/{}"])
+@pytest.mark.parametrize(
+    ("load", "name", "text", "named"),
+    [
+        (load_named_poses, "f.yaml", POSES, "deep/f.yaml"),
+        (load_named_net, "f.yaml", NET, "deep/f.yaml"),
+        (load_named_net, "f.pnml", PNML, "deep/f.pnml#own"),
+        (load_named_net, "f.yaml", "places: {{{}: }}\n", "including.yaml"),
+    ],
+)
+def test_a_link_that_is_put_in_after_the_path_was_resolved_leads_nowhere(
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    load: Callable[[str], object],
+    name: str,
+    text: str,
+    named: str,
+    swapped: str,
+) -> None:
+    outside, deep = folder.parent / "outside", folder / "deep"
+    for place, word in ((outside, "secret"), (deep, "own")):
+        place.mkdir()
+        (place / name).write_text(text.format(word))
+    (folder / "including.yaml").write_text(INCLUDING)
+    load(named)
+    real = os.open
+
+    def swap(path: str | Path, *arguments: int) -> int:
+        if Path(path).name == name and not deep.is_symlink() and not (deep / name).is_symlink():
+            part = folder / swapped.format(name)
+            part.rename(folder / "gone")
+            part.symlink_to(outside / part.relative_to(deep), target_is_directory=part == deep)
+        return real(path, *arguments)
+
+    monkeypatch.setattr(os, "open", swap)
+    with pytest.raises(ImError, match=rf"{name}.* leads out of .*results.* by a link, and is not read"):
+        load(named)
 
 
 def test_the_poses_and_nets_that_are_shipped_may_be_named(folder: Path) -> None:

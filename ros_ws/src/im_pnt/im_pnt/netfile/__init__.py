@@ -25,7 +25,7 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
 
     Args:
         path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML. ``FILE#net`` is one of several.
-        within: Folders that included files lie below; empty: they may lie anywhere.
+        within: Folders that this file and those that it includes must lie in; empty: they may lie anywhere.
 
     Returns:
         The net; its names are consistent, its behaviour is not verified.
@@ -38,8 +38,8 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     if named.suffix.lower() in PNML_SUFFIXES:
         from im_pnt.pnml import load_pnml
 
-        return load_pnml(file)
-    return read_net(assemble(read_values(read_text(file), str(file)), file, within))
+        return load_pnml(file, within)
+    return read_net(assemble(read_values(read_text(file, within), str(file)), file, within))
 
 
 def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:

@@ -144,7 +144,7 @@ class _Assembly:
         if len(self._read) > MAX_FILES:
             raise complaint_at(root, location, f"more than {MAX_FILES} files are included")
         try:
-            text = read_text(path)
+            text = read_text(path, self._within)
         except NetFileError as error:
             raise complaint_at(root, location, f"cannot be included: {error.message}") from error
         included = read_values(text, str(path))

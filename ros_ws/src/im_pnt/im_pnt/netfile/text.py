@@ -1,6 +1,6 @@
 """Text of net files at any path, and complaints with file, line and column."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -20,30 +20,35 @@ MAX_YAML = 4 * files.MEBIBYTE
 ResultT = TypeVar("ResultT")
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, within: Sequence[Path] = ()) -> str:
     """Read a YAML file.
 
+    Args:
+        path: The file.
+        within: Folders that the opened file must lie in; empty: it may lie anywhere.
+
     Raises:
-        NetFileError: No such file, not a file, too large, or not UTF-8.
+        NetFileError: No such file, not a file, too large, not UTF-8, or outside of the folders.
     """
     try:
-        return files.read_text(path, MAX_YAML)
+        return files.read_text(path, MAX_YAML, within=within)
     except files.FileError as error:
         raise _unread(error) from error
 
 
-def read_bytes(path: Path, limit: int) -> bytes:
+def read_bytes(path: Path, limit: int, within: Sequence[Path] = ()) -> bytes:
     """Read a file.
 
     Args:
         path: The file.
         limit: Largest size [bytes].
+        within: As of :func:`read_text`.
 
     Raises:
-        NetFileError: No such file, not a file, or too large.
+        NetFileError: No such file, not a file, too large, or outside of the folders.
     """
     try:
-        return files.read_bytes(path, limit)
+        return files.read_bytes(path, limit, within=within)
     except files.FileError as error:
         raise _unread(error) from error
 

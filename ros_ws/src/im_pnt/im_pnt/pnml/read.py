@@ -5,7 +5,7 @@ and test arcs by type, graphics and other tools' things passed over. What would 
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from im_core.errors import nearest
@@ -28,11 +28,12 @@ _COLOURED = re.compile(r"symmetricnet|highlevelnet|pt-hlpng|hlpn|colou?red|algeb
 _TYPES = "place/transition nets are read: http://www.pnml.org/version-2009/grammar/ptnet"
 
 
-def load_pnml(path: Path) -> Net:
+def load_pnml(path: Path, within: Sequence[Path] = ()) -> Net:
     """Read a net from a PNML file.
 
     Args:
         path: The file; ``FILE#net`` for one net of several, by id or name.
+        within: Folders that the file must lie in; empty: it may lie anywhere.
 
     Raises:
         NetFileError: Not PNML, not a place/transition net, or several nets of which none is asked for.
@@ -41,7 +42,7 @@ def load_pnml(path: Path) -> Net:
     if "#" in path.name and not path.exists():
         name, _, wanted = path.name.partition("#")
         file = path.with_name(name)
-    root = parse_xml(read_bytes(file, MAX_SIZE), str(file))
+    root = parse_xml(read_bytes(file, MAX_SIZE, within), str(file))
     if root.tag != "pnml":
         raise root.error("is not the root of a PNML file; 'pnml' is")
     nets = list(root.all("net"))
