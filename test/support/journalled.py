@@ -4,6 +4,7 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import StateError
+from im_core.store_mark import SeenStore
 from im_pnt.execution.actions import FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions, GuardFunction
@@ -55,10 +56,13 @@ class JournalledProcess:
         return_timeout_s: float = RETURN_TIMEOUT_S,
         run: str = "",
         resumes: bool = False,
+        store: SeenStore | None = None,
     ) -> None:
         observer = observer or Observer()
         self._nodes = dict(nodes or {})
-        self.journal = Journal(files, name, sync=sync, compact_bytes=compact_bytes, observer=observer, run=run)
+        self.journal = Journal(
+            files, name, sync=sync, compact_bytes=compact_bytes, observer=observer, run=run, store=store
+        )
         self.link = Link(
             name,
             self.journal.epoch,

@@ -16,6 +16,7 @@ from pathlib import Path
 from im_core.clock import stamp_name
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, make_folder, move
+from im_core.store_mark import StoreMark
 from im_dom.object_record import Damage
 from im_dom.salvage import Salvage, salvage
 from im_dom.schema import COLUMNS, SCHEMA, SCHEMA_VERSION, record_of, request_checksum, row_of
@@ -74,12 +75,17 @@ class StoreFile:
                 self.db.executescript(SCHEMA)
             if found is not None:
                 self._fill(found)
-            (self._number,) = self.db.execute("SELECT number FROM last").fetchone()
+            self._number, self._store = self.db.execute("SELECT number, store FROM last").fetchone()
             damaged = self.db.execute("SELECT name, version, why FROM damaged")
             self.damaged = {name: Damage(version, why) for name, version, why in damaged}
         except sqlite3.Error as error:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         self.move_log()
+
+    @property
+    def mark(self) -> StoreMark:
+        """The last transaction that is on the disk; from any thread."""
+        return StoreMark(self._store, self._number)
 
     def number(self) -> None:
         """Assign the next number to the current transaction.
@@ -169,7 +175,7 @@ class StoreFile:
         self.db.executemany(f"INSERT OR IGNORE INTO versions ({COLUMNS}, data) VALUES ({places})", rows)
         self.db.executemany("INSERT INTO appended VALUES (?, ?, ?, ?)", requests)
         self.db.executemany("INSERT INTO damaged VALUES (?, ?, ?)", damaged)
-        self.db.execute("UPDATE last SET number = ?", (found.number,))
+        self.db.execute("UPDATE last SET number = ?, store = ifnull(nullif(?, ''), store)", (found.number, found.store))
         self.db.execute("COMMIT")
 
 

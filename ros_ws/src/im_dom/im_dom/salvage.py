@@ -8,6 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from im_core.errors import DataError
+from im_core.store_mark import StoreMark
 from im_dom.object_record import Damage, ObjectRecord
 from im_dom.schema import COLUMNS, PAGE, SCHEMA, record_of, request_checksum
 from im_dom.transactions import Listed
@@ -28,12 +30,14 @@ class Salvage:
         appended: Requests to append that are remembered.
         damaged: What is lost, by name; of the empty name what nobody can name.
         number: Of the last transaction.
+        store: Identity of the store; empty: it cannot be read.
     """
 
     versions: list[tuple[ObjectRecord, bytes]] = field(default_factory=list)
     appended: list[tuple[str, str, int]] = field(default_factory=list)
     damaged: dict[str, Damage] = field(default_factory=dict)
     number: int = 0
+    store: str = ""
 
     def newest(self) -> dict[str, ObjectRecord]:
         """Return the newest whole version of each object, by name."""
@@ -114,9 +118,9 @@ def _read(db: sqlite3.Connection, found: Salvage) -> None:
     for name, request, version, checksum in _Scan(db, select).rows:
         if checksum == request_checksum(name, request, version):
             found.appended.append((name, request, version))
-    with suppress(sqlite3.Error, TypeError):
-        for (number,) in db.execute("SELECT number FROM last"):
-            found.number = int(number)
+    with suppress(sqlite3.Error, DataError):
+        for number, store in db.execute("SELECT number, store FROM last"):
+            found.store, found.number = StoreMark.of(f"{store}:{number}")
 
 
 class _Scan:

@@ -5,7 +5,7 @@ from typing import Any
 
 from im_dom.object_record import ObjectRecord
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 PAGE = 4096
 """Size of a page of the file [byte]."""
@@ -24,8 +24,8 @@ CREATE TABLE appended (
 ) STRICT;
 CREATE INDEX appended_request ON appended (name, request);
 CREATE TABLE damaged (name TEXT PRIMARY KEY, version INTEGER NOT NULL, why TEXT NOT NULL) STRICT;
-CREATE TABLE last (number INTEGER NOT NULL) STRICT;
-INSERT INTO last VALUES (0);
+CREATE TABLE last (number INTEGER NOT NULL, store TEXT NOT NULL) STRICT;
+INSERT INTO last VALUES (0, lower(hex(randomblob(8))));
 PRAGMA user_version = {SCHEMA_VERSION};
 COMMIT;
 """

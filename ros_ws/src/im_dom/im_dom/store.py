@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from im_core.errors import DataError, ImError, NotFoundError, StateError, StoreError
 from im_core.files import MEBIBYTE
+from im_core.store_mark import StoreMark
 from im_dom.cache import ObjectCache, Version
 from im_dom.file import StoreFile
 from im_dom.object_record import Damage, DamagedObjectError, ObjectRecord
@@ -370,6 +371,11 @@ class ObjectStore:
             As of :meth:`get`, and on the disk; None if it is not in memory, not valid, or not there.
         """
         return self._cache.get(name)
+
+    @property
+    def mark(self) -> StoreMark:
+        """The identity of the store, and the last transaction that is on the disk; from any thread."""
+        return self._file.mark
 
     def valid_record(self, name: str, version: int = 0) -> ObjectRecord:
         """Return the record of an object valid for :meth:`get`; raise as :meth:`get` does."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
 from im_core.files import MEBIBYTE
+from im_core.store_mark import StoreMark
 from im_dom import store as objects
 from im_dom.cache import ObjectCache
 from im_dom.object_record import ObjectRecord
@@ -135,7 +136,7 @@ def test_a_file_of_another_version_is_set_aside_too(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "dom.sqlite")) as db:
         db.execute("CREATE TABLE objects (name TEXT PRIMARY KEY)")
     store = ObjectStore(tmp_path / "dom.sqlite")
-    assert "is of another version of this software (0, not 5)" in store.aside
+    assert "is of another version of this software (0, not 6)" in store.aside
 
 
 def test_a_file_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
@@ -373,3 +374,27 @@ def test_of_the_newest_versions_those_used_last_stay_in_memory() -> None:
     assert cache.get("b") is None
     there = [name for name in sizes if cache.get(name)]
     assert there == ["a", *map(str, range(9, 40))]
+
+
+def test_the_mark_of_a_store_grows_with_each_transaction_and_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "dom.sqlite"
+    store = ObjectStore(path)
+    begun = store.mark
+    assert (begun.number, StoreMark.of(str(begun))) == (0, begun)
+    store.put("a", KIND, b"1", "", "test", 1)
+    store.together([lambda: store.put("b", KIND, b"1", "", "test", 1)] * 3)
+    store.get("a")
+    assert store.mark == (begun.store, 2)
+    store.close()
+    store = ObjectStore(path)
+    assert store.mark == (begun.store, 2)
+    store.close()
+    content = bytearray(path.read_bytes())
+    content[72] ^= 1  # what is whole goes to a new file, which is the same store
+    path.write_bytes(content)
+    store = ObjectStore(path)
+    assert (bool(store.aside), store.mark) == (True, (begun.store, 2))
+    store.close()
+    for part in tmp_path.glob("dom.sqlite*"):
+        part.unlink()
+    assert ObjectStore(path).mark.store != begun.store

@@ -9,6 +9,7 @@ import pytest
 
 from im_core import clock
 from im_core.errors import ImError, LinkError
+from im_core.store_mark import SeenStore, StoreMark
 from im_pnt.errors import JournalError
 from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import CommandCancelled, TokenArrived
@@ -162,6 +163,23 @@ def test_a_torn_last_record_is_dropped_and_said(sync, more):
     assert again.exchange.nets["n"].marking() == {"b": 1}
 
 
+@pytest.mark.parametrize("compacted", [False, True])
+def test_the_last_transaction_of_the_object_store_is_remembered_with_what_happened(compacted):
+    files, seen = MemoryFiles(), SeenStore()
+    process = JournalledProcess("x", [parse_net(LINE)], files, store=seen)
+    seen.mark = StoreMark("a", 8)
+    process.turn()
+    size = process.journal._log.size
+    seen.mark = StoreMark("a", 9)
+    process.turn()  # nothing has happened: nothing is written
+    assert process.journal._log.size == size
+    if compacted:
+        process.journal.compact()
+    back = SeenStore()
+    again = JournalledProcess("x", [parse_net(LINE)], files.reborn(), store=back)
+    assert (again.recovered, back.mark) == (True, StoreMark("a", 9 if compacted else 8))
+
+
 def test_cut_or_damaged_anywhere_a_process_comes_back_at_a_moment_that_was_or_begins_anew_and_keeps_the_file():
     files, moments = MemoryFiles(), []
     net = parse_net("net: n\nplaces: {a: 6, b: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: b}}")
@@ -206,7 +224,7 @@ def test_entries_that_do_not_fit_are_no_reason_to_crash():
         ["net", "n", []], ["net", "n", [["x"]]], ["exchange", ["closed", "r"]], ["exchange", ["posted", "m", []]],
         ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []], ["link", ["out", "y", [7, 0, "n", "p"]]],
         ["link", ["in", "y", 5, ""]], ["link", []], ["link", ["acked", "y", 3]], ["other"], [], 5, None, "x",
-        ["exchange", ["posted", "n", ["request", [1]]]], ["exchange", ["undeliverable", 1, 2]],
+        ["exchange", ["posted", "n", ["request", [1]]]], ["exchange", ["undeliverable", 1, 2]], ["store", "a"],
     ):  # fmt: skip
         other = files.reborn()
         log = JournalledProcess("x", [parse_net(LINE)], other).journal._log

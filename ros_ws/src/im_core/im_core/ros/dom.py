@@ -19,6 +19,7 @@ from im_core.ros.interfaces import decoded, type_name
 from im_core.ros.node import ManagedNode
 from im_core.ros.servers import doubted
 from im_core.ros.status import status_to_error
+from im_core.store_mark import SeenStore, StoreMark
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
@@ -40,8 +41,14 @@ WAIT_S = 1.0
 #: Kind of the error that says that an object was stored and is damaged in the store.
 DAMAGED = "damaged"
 
+#: Fact of an answer of the store that tells its last transaction (:class:`im_core.store_mark.StoreMark`).
+STORE_MARK = "store_mark"
+
 #: Kinds of errors that say that there is no valid object; all others, that nobody could look.
 NOT_VALID = ("not_found", "state", DAMAGED)
+
+#: No name of an object begins like this.
+_NO_OBJECT = "/"
 
 MessageT = TypeVar("MessageT")
 
@@ -65,12 +72,15 @@ class DomClient:
     All raise ``WaitTimeoutError`` when ``/dom`` does not answer.
 
     Attributes:
-        damaged: Takes the sentence of each answer that says that an object is damaged in the store.
+        damaged: Takes the sentence of each answer that says that an object is damaged in the store, or that the store
+            has lost what was acknowledged.
+        seen: The store as the answers tell of it.
     """
 
     def __init__(self, node: ManagedNode) -> None:
         self._node = node
         self.damaged: Callable[[str], None] = lambda text: None
+        self.seen = SeenStore()
         self._known: dict[str, _Known] = {}
         self._put = node.create_client(PutObject, "/dom/put", qos_profile=qos.QUEUED_SERVICE)
         self._append = node.create_client(AppendObject, "/dom/append", qos_profile=qos.QUEUED_SERVICE)
@@ -244,6 +254,15 @@ class DomClient:
         answer = await self._ask(self._list, ListObjects.Request(prefix=prefix), f"to list '{prefix}'")
         return [str(info.name) for info in answer.objects]
 
+    async def compare_store(self) -> None:
+        """Ask for the last transaction of the store, if one is remembered: :attr:`damaged` is told of a loss.
+
+        Raises:
+            ImError: The store could not be read.
+        """
+        if self.seen.mark is not None:
+            await self._ask(self._list, ListObjects.Request(prefix=_NO_OBJECT), "for the last transaction")
+
     async def forget(self, prefix: str) -> None:
         """Delete all objects below a name.
 
@@ -267,6 +286,7 @@ class DomClient:
 
     async def _call(self, client: Client, request: object, what: str, size: int = 0) -> Any:
         """Call a service, with a request of some size [bytes]."""
+        before = self.seen.mark
         extra_s, tries = size // MEBIBYTE * MEBIBYTE_S, count()
 
         async def ask() -> Any:
@@ -277,6 +297,12 @@ class DomClient:
                 raise
 
         answer = await ask_again(ask, PATIENCE_S + extra_s, f"/dom {what}")
+        marks = [fact.value for fact in answer.status.facts if fact.key == STORE_MARK]
+        if marks:
+            answer.status.facts = [fact for fact in answer.status.facts if fact.key != STORE_MARK]
+            if lost := self.seen.see(StoreMark.of(marks[0]), before):
+                self._known.clear()
+                self.damaged(lost)
         if answer.status.code == DAMAGED:
             self.damaged(answer.status.message)
         return answer

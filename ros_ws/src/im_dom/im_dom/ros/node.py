@@ -7,13 +7,15 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from diagnostic_msgs.msg import KeyValue
+
 from im_core import clock
 from im_core.errors import DataError, ImError, NotFoundError, StateError, WaitTimeoutError
 from im_core.names import run_dir
 from im_core.ros import qos, run
 from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
-from im_core.ros.dom import DAMAGED, NOT_VALID
+from im_core.ros.dom import DAMAGED, NOT_VALID, STORE_MARK
 from im_core.ros.node import ManagedNode
 from im_core.ros.repeated_warnings import Reminders
 from im_core.ros.status import OK, ok_status, to_status
@@ -22,7 +24,7 @@ from im_dom.object_record import ObjectRecord
 from im_dom.places import Places
 from im_dom.ros.types import as_json, check_message, extended, from_json
 from im_dom.store import ObjectStore
-from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo
+from im_msgs.msg import NetDescription, ObjectChange, ObjectInfo, Status
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
 #: How long the store may take to answer [s]: it waits for a disk, to which others may write, too.
@@ -53,6 +55,7 @@ class DomNode(ManagedNode):
         self._awaited: dict[Promise, str] = {}
         self._places = Places()
         self._undescribed: list[Promise] = []
+        self._last = KeyValue()
         self._change = ObjectChange()  # a new one would be filled with an object that nobody needs, at each change
 
     def phase_configure(self) -> None:
@@ -257,6 +260,7 @@ class DomNode(ManagedNode):
         for record in gone:
             self._tell(to_info(replace(record, source=request.source)))
         response.success, response.status, response.object.name = True, ok_status(), request.name
+        self._mark(response.status)
         return response
 
     async def _list(self, request: ListObjects.Request, response: ListObjects.Response) -> ListObjects.Response:
@@ -267,6 +271,7 @@ class DomNode(ManagedNode):
             return response
         response.objects = [to_info(record) for record in records]
         response.success, response.status = True, ok_status("; ".join(self.store.damages(request.prefix)))
+        self._mark(response.status)
         return response
 
     async def _answer(self, response: AnswerT, operation: Callable[[], ObjectRecord], changed: bool) -> AnswerT:
@@ -281,8 +286,10 @@ class DomNode(ManagedNode):
                 self._found_damaged.add(error.message)
                 self._reminders.add("store", error.message)
             response.success, response.status = False, to_status(error)
+            self._mark(response.status)
             return response
         response.success, response.status.code = True, OK
+        self._mark(response.status)
         if changed:
             self._tell(response.object)
         return response
@@ -293,6 +300,13 @@ class DomNode(ManagedNode):
         """Run work in the store, together with other waiting work; answered work is on the disk."""
         assert self._worker is not None, "the services are offered when the store is open"
         return self._worker.run(work, late)
+
+    def _mark(self, status: Status) -> None:
+        """Has an answer of the store tell its last transaction, by which clients notice an old copy of the store."""
+        mark = str(self.store.mark)
+        if self._last.value != mark:
+            self._last = KeyValue(key=STORE_MARK, value=mark)
+        status.facts.append(self._last)
 
     def _tell(self, info: ObjectInfo) -> None:
         self._change.object = info

@@ -98,6 +98,8 @@ def described(held: Recovered, most: int) -> list[str]:
         waiting = len(peer.get("waiting", []))
         sent, taken = peer.get("last"), peer.get("heard", [0, 0])[1]
         lines.append(f"  link to {node}: {sent} messages sent, {waiting} of them not acknowledged; {taken} taken")
+    if "store" in held.state:
+        lines.append(f"  object store of /dom (identity:last transaction): {held.state['store']}")
     entries = [(record.number, entry) for record, batch in held.batches for entry in batch]
     last = entries[-most:]
     lines += ["", f"since then, the last {len(last)} of {len(entries)} entries (record, of what, entry):"]

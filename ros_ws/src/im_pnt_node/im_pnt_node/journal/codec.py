@@ -44,6 +44,8 @@ Of the link, ``["link", entry]``, where a message is its number and what
     ["in", node, number, refusal]
     ["begin", node, epoch, 0 | 1]  ["move", node, number]
     ["epoch", epoch]
+
+Of the object store, as the answers of ``/dom`` tell of it, ``["store", "identity:number"]``: its last transaction.
 """
 
 import functools

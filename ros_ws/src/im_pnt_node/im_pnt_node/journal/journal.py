@@ -14,6 +14,7 @@ from pathlib import Path
 
 from im_core import clock
 from im_core.errors import ImError
+from im_core.store_mark import SeenStore, StoreMark
 from im_pnt.errors import DamagedJournalError, JournalError, NetError
 from im_pnt.execution.actions import ActionOwner, Runner
 from im_pnt.execution.functions import ActionContext, ActionFunction
@@ -56,6 +57,7 @@ class Journal:
         compact_bytes: Size of the file above which a new one is begun with a snapshot, however young it is [bytes].
         observer: Is told of what was not written whole at the end, and of a journal that was set aside.
         run: Name of the run of the machine; with another name somebody has started it anew.
+        store: The object store as the process has seen it; its mark is remembered with what happens.
 
     Attributes:
         of_this_run: Whether the journal that was found, if any, was written in this run of the machine.
@@ -76,6 +78,7 @@ class Journal:
         compact_bytes: int = COMPACT_BYTES,
         observer: Observer | None = None,
         run: str = "",
+        store: SeenStore | None = None,
     ) -> None:
         self._run, self.of_this_run = run, True
         self._files = Folder(files) if isinstance(files, Path) else files
@@ -85,6 +88,8 @@ class Journal:
         self._link: Link | None = None
         self._entries: list[str] = []
         self._outdated = False
+        self._store = store or SeenStore()
+        self._mark: StoreMark | None = None
         self._described: dict[str, tuple[Net, dict[str, str]]] = {}
         self._compact_at = self._compact_soon = compact_bytes
         self._compacted_at = clock.monotonic()
@@ -145,7 +150,7 @@ class Journal:
         recovered, self._recovered = self._recovered, None
         if recovered is not None:
             self._compare(recovered)
-            _bring_back(recovered, exchange, link)
+            _bring_back(recovered, exchange, link, self._store)
             self.epoch = link.epoch
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
@@ -224,7 +229,10 @@ class Journal:
         Raises:
             JournalError: It cannot be written; nothing may leave now, and it may be tried again.
         """
-        entries = self._entries
+        entries, mark = self._entries, self._store.mark
+        if entries and mark != self._mark:
+            entries.append(encode_json(["store", str(mark)]))
+            self._mark = mark
         batch = f"[{','.join(entries)}]" if entries else ""
         if self._outdated or len(batch) > MOST_BYTES:  # what could not be written for long is too long for a record
             self.compact()
@@ -287,8 +295,15 @@ class Journal:
         assert self._exchange is not None
         assert self._link is not None
         nets = {name: net_state(executor) for name, executor in self._exchange.nets.items()}
-        state = {"nets": nets, "exchange": exchange_state(self._exchange), "link": link_state(self._link)}
+        mark = self._store.mark
+        state = {
+            "nets": nets,
+            "exchange": exchange_state(self._exchange),
+            "link": link_state(self._link),
+            **({} if mark is None else {"store": str(mark)}),
+        }
         self._log.replace(self._header(), state)
+        self._mark = mark
         self._entries.clear()  # the snapshot has all that has happened
         self._outdated = False
         self._compact_at = max(self._compact_bytes, 4 * self._log.size)
@@ -372,7 +387,7 @@ class GuardedRunner:
 # Coming back: the snapshot, then batch after batch what has happened since.
 
 
-def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
+def _bring_back(recovered: Recovered, exchange: Exchange, link: Link, store: SeenStore) -> None:
     """Restore the state after the last written batch.
 
     Raises:
@@ -380,11 +395,11 @@ def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
     """
     number, offset = 2, 0
     try:
-        _restore(recovered.state, exchange, link)
+        _restore(recovered.state, exchange, link, store)
         for record, batch in recovered.batches:
             number, offset = record.number, record.offset
             for entry in batch:
-                _replay(entry, exchange, link)
+                _replay(entry, exchange, link, store)
         exchange.inboxes.deliver_again()
     except (ImError, ValueError, LookupError, TypeError, AttributeError, AssertionError) as error:
         raise JournalError(
@@ -396,18 +411,20 @@ def _bring_back(recovered: Recovered, exchange: Exchange, link: Link) -> None:
         ) from error
 
 
-def _restore(state: Mapping[str, object], exchange: Exchange, link: Link) -> None:
+def _restore(state: Mapping[str, object], exchange: Exchange, link: Link, store: SeenStore) -> None:
     match state:
         case {"nets": dict(nets), "exchange": dict(exchanged), "link": dict(linked)}:
             for name, content in nets.items():
                 restore_net(exchange.nets[name], content)
             restore_exchange(exchange, exchanged)
             restore_link(link, linked)
+            if "store" in state:
+                store.mark = StoreMark.of(str(state["store"]))
         case _:
             raise ValueError("the snapshot has no nets, exchange and link")
 
 
-def _replay(entry: object, exchange: Exchange, link: Link) -> None:
+def _replay(entry: object, exchange: Exchange, link: Link, store: SeenStore) -> None:
     match entry:
         case ["net", str(net), list(content)]:
             happened = decode_net_entry(content)
@@ -417,6 +434,8 @@ def _replay(entry: object, exchange: Exchange, link: Link) -> None:
             exchange.replay(decode_exchange_entry(content))
         case ["link", list(content)]:
             link.replay(decode_link_entry(content))
+        case ["store", str(mark)]:
+            store.mark = StoreMark.of(mark)
         case _:
             raise ValueError(f"{str(entry)[:200]} is no entry")
 

@@ -181,7 +181,9 @@ class PntNode(ManagedNode):
         if self._journal_dir:
             folder = Path(self._journal_dir) / self.task_name
             run = os.environ.get(RUN, "")
-            self._journal = Journal(folder, self.task_name, sync=self._journal_sync, observer=self._observer, run=run)
+            self._journal = Journal(
+                folder, self.task_name, sync=self._journal_sync, observer=self._observer, run=run, store=self.dom.seen
+            )
             self.commands.lost = self._journal.lost
             self._library.keep_in(folder / "nets")
         for net in self.completed(self._library.nets(self._journal.found if self._journal else {})):
@@ -603,10 +605,18 @@ class PntNode(ManagedNode):
     async def _compare_objects(self) -> None:
         """Make tokens and guards follow the objects: changes told by /dom while the node or /dom was dead are lost."""
         self.dom.forget_known()
+        self.spawn(self._compare_store())
         self._objects.stale()
         await self.sources.look()
         await self._validity.compare()
         self._guards_changed()
+
+    async def _compare_store(self) -> None:
+        """Has it said if the store of /dom has lost what this node has seen; nothing waits for that."""
+        try:
+            await self.dom.compare_store()
+        except ImError as error:  # the next answer of the store tells
+            self.get_logger().warning(f"whether the object store has lost anything is not known yet: {error.message}")
 
     def _may_turn(self) -> bool:
         return (self.ready and self._looked) or self._stopped
