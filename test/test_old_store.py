@@ -17,8 +17,8 @@ from std_msgs.msg import String
 from im_core.ros import qos
 from im_core.ros.calls import pause
 from im_core.ros.run import spin_in_thread
-from im_pnt_node.ros.node import PntNode
 from im_pnt_analysis import verify_to_load
+from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
 
 NET = """
