@@ -22,6 +22,7 @@ settings.load_profile("same_everywhere")
 # A test that is cut short puts away what it has begun, as after Ctrl-C.
 heed_end_signals(signal.default_int_handler)
 
+
 @pytest.fixture
 def wait_until():
     """``wait_until(condition, what, seconds)``: returns the first true value of the condition, or fails naming what."""

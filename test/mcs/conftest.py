@@ -28,8 +28,6 @@ from im_sim.ros.node import TestbedNode
 from support.mcs_config import write_mcs_config
 
 CELL = load_cell()
-MOST_POINTS = 1000
-"""Of a trajectory: to send the 100,001 that are too many by default holds every thread of this process up."""
 
 
 def wait(future, seconds=60.0):
@@ -176,7 +174,6 @@ def machine(tmp_path_factory, owner_silence_s):
         tmp_path_factory.mktemp("mcs"),
         protective={"patience_s": 600.0},
         safety={"owner_silence_s": owner_silence_s},
-        planning={"max_trajectory_points": MOST_POINTS},
     )
     parameters = {"testbed:factor": 0.0, "testbed:seed": 3, "mcs:config": config}
     with _machine(TestbedNode, McsNode, parameters=parameters) as client:

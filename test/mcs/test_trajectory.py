@@ -15,14 +15,15 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJ
 
 from im_core import clock
 from im_core.ros import qos
-from im_mcs.client.wire import read_trajectory
-from im_mcs.protocol.points import share_points
-from im_mcs.ros.actions import goal_bytes, trajectory_server
+from im_core.ros.calls import pause
+from im_mcs.limits.configuration import load_config
+from im_mcs.ros.access import McsAccess
+from im_mcs.ros.actions import trajectory_server
 from im_msgs.msg import GroupSetpoints
-from test.mcs.conftest import MOST_POINTS
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 Result = FollowJointTrajectory.Result
+MOST_POINTS = load_config().planning.max_trajectory_points
 STEP = np.array([0.05, 0.1, 0.05, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
 ORDER = [4, 0, 8, 2, 6, 1, 3, 7, 5]
 
@@ -87,17 +88,19 @@ def test_joints_in_any_order_with_velocities_and_feedback(ready):
     assert max(abs(f.desired.velocities[3]) for f in told) > 0.05
 
 
-def test_a_goal_is_told_as_the_message_that_it_was(ready, monkeypatch):
-    """To whoever records; one that is too long for that is carried out all the same."""
+@pytest.fixture
+def goals_told(ready):
+    """Goals of the left arm as whoever records hears of them."""
     name = "/left/follow_joint_trajectory/_action/send_goal/_service_event"
-    events = ready.listen(FollowJointTrajectory.Impl.SendGoalService.Event, name, qos.SERVICE_EVENTS)
-    for few, share in ((1, 0.25), (2, 0.5)):
-        monkeypatch.setattr(goal_bytes, "_FEW", few)
-        request = goal(ready, (1.0, ready.home + share * STEP / 2), (1.5, ready.home + share * STEP))
-        handle, result = ready.follow(request)
-        assert result().status == SUCCEEDED
-    ready.until(lambda: events)
-    (told,) = [sent for event in events for sent in event.request]
+    return ready.listen(FollowJointTrajectory.Impl.SendGoalService.Event, name, qos.SERVICE_EVENTS)
+
+
+def test_a_goal_is_told_as_the_message_that_it_was(ready, goals_told):
+    request = goal(ready, (1.0, ready.home + STEP / 2), (1.5, ready.home + STEP))
+    handle, result = ready.follow(request)
+    assert result().status == SUCCEEDED
+    ready.until(lambda: goals_told)
+    (told,) = [sent for event in goals_told for sent in event.request]
     assert told.goal == request
     assert bytes(told.goal_id.uuid) == bytes(handle.goal_id.uuid)
 
@@ -350,51 +353,53 @@ def test_a_stream_on_the_topic_is_followed_and_ends_at_rest(ready):
     assert refused.counts() == before
 
 
-def test_a_long_trajectory_is_read_beside_the_loop_and_followed(ready, monkeypatch):
-    threads = []
+def long_course(client, count, seconds=8.0):
+    """Points of a smooth trajectory, a metre along the track, each with velocities and accelerations."""
+    x = np.linspace(1.0 / count, 1.0, count)
+    shares = (x**3 * (10.0 - 15.0 * x + 6.0 * x**2), 30.0 * (x - x**2) ** 2 / seconds)
+    shares += (60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / seconds**2,)
+    request = goal(client)
+    for k, time in enumerate(seconds * x):
+        point = JointTrajectoryPoint(time_from_start=duration(float(time)))
+        for order, name in enumerate(GIVEN):
+            row = (client.home if order == 0 else 0.0) + shares[order][k] * np.eye(9)[0]
+            setattr(point, name, row.tolist())
+        request.trajectory.points.append(point)
+    return request
 
-    def read(*arguments):
-        threads.append(threading.current_thread().name)
-        return read_trajectory(*arguments)
 
-    monkeypatch.setattr(trajectory_server, "read_trajectory", read)
-    share = np.linspace(0.01, 1.0, 300)
-    points = [(2.0 * x, ready.home + STEP * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)) for x in share]
-    answer = ready.follow(goal(ready, *points))[1]()
+def test_a_trajectory_of_as_many_points_as_are_allowed_is_told_and_followed(ready, goals_told):
+    request = long_course(ready, MOST_POINTS)
+    answer = ready.follow(request)[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + STEP, atol=1e-4)
-    assert ready.follow(goal(ready, (1.0, ready.home)))[1]().status == SUCCEEDED
-    assert threads[0] == "read"
-    assert threads[1] not in ("read", threading.current_thread().name)
-
-
-def long_course(client, seconds=8.0):
-    """Points of a smooth trajectory that is shared with the servo in memory, a metre along the track."""
-    return [
-        (seconds * x, client.home + np.eye(9)[0] * x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
-        for x in np.linspace(0.01, 1.0, 300)
-    ]
+    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + np.eye(9)[0], atol=1e-4)
+    ready.until(lambda: goals_told)
+    (told,) = [sent for event in goals_told for sent in event.request]
+    assert told.goal == request
 
 
 @pytest.fixture
 def held(monkeypatch):
-    """Events: a long trajectory is being shared, and may go on; in the end it may in any case."""
-    sharing, go_on = threading.Event(), threading.Event()
+    """Events: a trajectory is about to be sent to the servo, and may be; in the end it may in any case."""
+    waiting, go_on = threading.Event(), threading.Event()
+    sender = McsAccess.sender
 
-    def share(*arguments):
-        sharing.set()
-        assert go_on.wait(60.0)
-        return share_points(*arguments)
+    async def late(access, *arguments):
+        if not waiting.is_set():  # what comes later overtakes it
+            waiting.set()
+            while not go_on.is_set():
+                await pause(access.node, 0.01)
+        return await sender(access, *arguments)
 
-    monkeypatch.setattr(trajectory_server, "share_points", share)
-    yield sharing, go_on
+    monkeypatch.setattr(McsAccess, "sender", late)
+    yield waiting, go_on
     go_on.set()
 
 
 def test_a_goal_that_is_cancelled_before_the_servo_knows_it_does_not_begin(ready, held):
-    sharing, go_on = held
-    handle, result = ready.follow(goal(ready, *long_course(ready)))
-    assert sharing.wait(60.0)
+    waiting, go_on = held
+    handle, result = ready.follow(far(ready))
+    assert waiting.wait(60.0)
     assert len(ready.cancel(handle).goals_canceling) == 1
     go_on.set()
     answer = result()
@@ -403,10 +408,10 @@ def test_a_goal_that_is_cancelled_before_the_servo_knows_it_does_not_begin(ready
     np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
 
 
-def test_a_goal_that_takes_long_to_read_does_not_replace_a_newer_one(ready, held):
-    sharing, go_on = held
-    _, first = ready.follow(goal(ready, *long_course(ready)))
-    assert sharing.wait(60.0)
+def test_a_goal_that_takes_long_to_be_sent_does_not_replace_a_newer_one(ready, held):
+    waiting, go_on = held
+    _, first = ready.follow(far(ready))
+    assert waiting.wait(60.0)
     _, second = started(ready, goal(ready, (4.0, ready.home + STEP)))
     go_on.set()
     answer = first()
@@ -418,9 +423,9 @@ def test_a_goal_that_takes_long_to_read_does_not_replace_a_newer_one(ready, held
 
 
 def test_a_newer_goal_that_is_refused_leaves_one_that_takes_long_alone(ready, held):
-    sharing, go_on = held
-    _, first = ready.follow(goal(ready, *long_course(ready)))
-    assert sharing.wait(60.0)
+    waiting, go_on = held
+    _, first = ready.follow(far(ready))
+    assert waiting.wait(60.0)
     assert ready.follow(goal(ready, (4.0, ready.home + 100.0)))[1]().status == ABORTED
     go_on.set()
     assert first().status == SUCCEEDED
@@ -428,13 +433,13 @@ def test_a_newer_goal_that_is_refused_leaves_one_that_takes_long_alone(ready, he
 
 @pytest.mark.parametrize("on_topic", [True, False])
 def test_a_stop_counts_for_what_the_servo_does_not_know_yet(ready, held, on_topic):
-    sharing, go_on = held
+    waiting, go_on = held
     publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
     if on_topic:
-        publisher.publish(trajectory(ready, *long_course(ready)))
+        publisher.publish(far(ready).trajectory)
     else:
-        _, result = ready.follow(goal(ready, *long_course(ready)))
-    assert sharing.wait(60.0)
+        _, result = ready.follow(far(ready))
+    assert waiting.wait(60.0)
     publisher.publish(JointTrajectory())
     refused = ready.mcs._mcs.refusals
     before = refused.counts()
@@ -452,19 +457,23 @@ def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):
     def never(*_):
         raise AssertionError("nobody looks at the points")
 
-    monkeypatch.setattr(trajectory_server, "read_trajectory", never)
-    client = ready_once
+    monkeypatch.setattr(trajectory_server, "timed_trajectory", never)
+    client, topic = ready_once, "/left/joint_trajectory"
     request = goal(client)
     request.trajectory.points = [JointTrajectoryPoint()] * (MOST_POINTS + 1)
     answer = client.follow(request)[1]()
     assert answer.result.error_code == Result.INVALID_GOAL
-    sentence = f"a trajectory of {MOST_POINTS + 1} points is too long; {MOST_POINTS} are allowed"
+    sentence = f"the trajectory has {MOST_POINTS + 1} points, {MOST_POINTS} are allowed"
     assert answer.result.error_string == sentence
-    for names in (["x" * 1_000_000], ["x"] * 1000):
+    refused = client.mcs._mcs.refusals
+    before = refused.counts().get(topic, 0)
+    client.talk(JointTrajectory, topic).publish(request.trajectory)
+    client.until(lambda: refused.counts().get(topic, 0) == before + 1)
+    for names, words in ((["x" * 1_000_000], "'xxx"), (["x"] * 1000, "joint_names has 1000 values, 64 are allowed")):
         request = goal(client, (1.0, client.home), joints=names)
         error = client.follow(request)[1]().result.error_string
-        assert len(error) < 100
-        assert "1000000 bytes" in error or "1000 entries" in error
+        assert len(error) < 400
+        assert words in error
 
 
 def test_controller_state_tells_what_was_asked_measured_and_given_out(ready):

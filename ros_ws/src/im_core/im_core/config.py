@@ -186,9 +186,7 @@ def _text(path: Path, within: Sequence[str | Path] = ()) -> str:
         raise ConfigError(error.message, file=str(path)) from error
 
 
-def _config_error(
-    model: type[pydantic.BaseModel] | None, *told: tuple[Value, Location, "str | Fault"]
-) -> ConfigError:
+def _config_error(model: type[pydantic.BaseModel] | None, *told: tuple[Value, Location, "str | Fault"]) -> ConfigError:
     """Build the error for faults at some places, a line each; the facts are the facts of the first.
 
     Args:

@@ -316,13 +316,13 @@ class _Composer:
                 self._alias(event)
             case yaml.ScalarEvent():
                 if event.tag not in _STRING_TAGS:
-                    raise self._error(event, f"tag {quoted_text(event.tag)} is not allowed")
+                    raise self._error(event, f"tag {quoted_text(str(event.tag))} is not allowed")
                 quoted = event.style in ("'", '"', "|", ">") or event.tag is not None
                 value = Value(Kind.SCALAR, self._file, *_position(event), text=event.value, quoted=quoted)
                 self._complete(value, 1, event.anchor)
             case yaml.SequenceStartEvent() | yaml.MappingStartEvent():
                 if event.tag not in (None, "!"):
-                    raise self._error(event, f"tag {quoted_text(event.tag)} is not allowed")
+                    raise self._error(event, f"tag {quoted_text(str(event.tag))} is not allowed")
                 if len(self._open) >= MAX_DEPTH:
                     raise self._error(event, f"values nest deeper than {MAX_DEPTH}")
                 self._open.append(_Open(event))

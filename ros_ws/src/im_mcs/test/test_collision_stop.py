@@ -5,6 +5,7 @@ import pytest
 
 from im_mcs.collision import CollisionChecker
 from im_mcs.planning.trajectories.straight_stop import is_straight
+from im_mcs.protocol.points import TimedPoints, pack_points
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +68,7 @@ def test_curved_motions_towards_the_table_stop_before_they_touch_it(bench, confi
     if seed % 2 == 0:
         path = {"kind": "joint", "points": [point.tolist() for point in points], "blend": 0.2}
     else:
-        timed = [
-            {"time": 1.1 * (k + 1), "positions": point.tolist(), "velocities": [], "accelerations": []}
-            for k, point in enumerate(points)
-        ]
+        timed = pack_points(TimedPoints(1.1 * np.arange(1.0, 5.0), np.array(points), None, None))
         tolerances = {"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": 0.0}
         path = {"kind": "trajectory", "points": timed, **tolerances}
     number = bench.send("move", group="left", path=path, policy="refuse", speed_scale=0.0)

@@ -1,16 +1,18 @@
 """Whatever a request says: it is answered, and what is wrong changes no state, no setpoint and no torque."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from im_mcs.protocol.points import TimedPoints, pack_points
 from im_mcs.state import Event, State
 
 HOME = [-0.6, 0.0, 0.0, 0.0, 1.75, -3.3, 0.0, 0.0, 0.0]
-POINT = {"time": 2.0, "positions": HOME, "velocities": [0.0] * 9}
+POINTS = TimedPoints(np.array([2.0]), np.array([HOME]), np.zeros((1, 9)), None)
 RIGHT = {
     "reserve": {"group": "right", "owner": "tester", "lease_s": 0.0},
     "release": {"group": "right"},
@@ -36,7 +38,7 @@ RIGHT = {
 PATHS = [
     {"kind": "joint", "points": [HOME], "blend": 0.0},
     {"kind": "line", "poses": [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]], "speed": 0.1, "blend": 0.0},
-    {"kind": "trajectory", "points": [POINT], "path_tolerance": [0.1] * 9, "goal_velocity_tolerance": []},
+    {"kind": "trajectory", "points": pack_points(POINTS), "path_tolerance": [0.1] * 9, "goal_velocity_tolerance": []},
 ]
 NAMES = ("group", "preset", "gripper", "controller", "kind", "policy", "request")
 """Arguments that must be one of some names."""
@@ -134,9 +136,12 @@ def test_a_value_deep_inside_a_path_that_cannot_be_is_refused(moving, data):
     paths = [
         {"kind": "joint", "points": [HOME, bad]},
         {"kind": "line", "poses": [pose]},
-        *({"kind": "trajectory", "points": [{**POINT, name: bad}]} for name in ("positions", "velocities")),
-        {"kind": "trajectory", "points": [{**POINT, "time": wrong}]},
+        *({"kind": "trajectory", "points": {**pack_points(POINTS), name: wrong}} for name in pack_points(POINTS)),
     ]
+    if isinstance(wrong, float):
+        q = np.array([bad])
+        changed = (replace(POINTS, q=q), replace(POINTS, v=q), replace(POINTS, times=np.array([wrong])))
+        paths += [{"kind": "trajectory", "points": pack_points(points)} for points in changed]
     path = data.draw(st.sampled_from(paths))
     check_refused(moving, {"request": "move", "arguments": {"group": "left", "path": path}})
 

@@ -126,7 +126,7 @@ def test_one_net_of_several_is_asked_for_by_name(tmp_path, dot):
         "<guard>1</guard>",
         '<im:in>["p"]</im:in>',
         '<im:action>"f"</im:action>',
-        f'<im:message>{"[" * 300}{"]" * 300}</im:message>',
+        f"<im:message>{'[' * 300}{']' * 300}</im:message>",
         f"<im:message>{'[' * 100_000}</im:message>",
     ],
 )

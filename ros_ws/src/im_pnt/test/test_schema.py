@@ -83,7 +83,8 @@ def test_everything_that_an_author_can_write_is_explained():
 
 
 @pytest.mark.parametrize(
-    "data", [{"net": "n", "odd": 1}, {"net": "9"}, {"places": {}}, {"net": "n", "places": {"SI": 1}}]
+    "data",
+    [{"net": "n", "odd": 1}, {"net": "9"}, {"places": {}}, {"net": "n", "places": {"SI": 1}}]
     + [{"net": "n", "assume": {"a": assumed}} for assumed in (None, {}, {"at_most": 1, "returns": "other.a"})],
 )
 def test_the_schema_refuses(data):

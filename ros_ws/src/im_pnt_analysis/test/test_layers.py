@@ -160,8 +160,7 @@ def test_callers_of_whom_a_net_assumes_something_are_counted_together():
         "assume: {s: {at_most: 1}}\ntransitions: {go: {in: asked, out: done}}"
     )
     ask = (
-        "places: {idle: 1}\n"
-        "transitions: {ask: {symbol: go, in: idle, out: idle, request: server.s, on_failure: idle}}"
+        "places: {idle: 1}\ntransitions: {ask: {symbol: go, in: idle, out: idle, request: server.s, on_failure: idle}}"
     )
     one, other = parse_net(f"net: one\n{ask}"), parse_net(f"net: other\n{ask}")
     assert verify_to_load([server, one]).ok

@@ -36,9 +36,7 @@ def nets(draw, *, acting: bool = False) -> Net:
     """Small nets, each with a transition that empties something."""
     arcs = st.lists(st.tuples(st.sampled_from(PLACES), st.sampled_from([1, 1, 1, 2])), max_size=2).map(dict)
     emptied = st.lists(st.sampled_from(PLACES), max_size=2, unique=True).map(tuple)
-    places = {
-        name: Place(name, tokens=draw(st.integers(0, 2)), capacity=CAPACITY, resource=True) for name in PLACES
-    }
+    places = {name: Place(name, tokens=draw(st.integers(0, 2)), capacity=CAPACITY, resource=True) for name in PLACES}
     transitions = {}
     for number in range(draw(st.integers(2, 6))):
         inputs = {draw(st.sampled_from(PLACES)): 1, **draw(arcs)}

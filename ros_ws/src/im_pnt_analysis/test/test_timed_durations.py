@@ -239,6 +239,7 @@ def test_measured_run_fits_and_compares():
     assert rows["net.move"].measured_mean == rows["net.move"].expected_mean == pytest.approx(4.0)
     assert (rows["net.other"].expected_firings, rows["net.other"].measured_firings) == (0.0, 1)
 
+
 CALLER = """
 net: caller
 places: {idle: 1, bad: }

@@ -169,4 +169,4 @@ def test_an_arc_that_empties_a_place_is_drawn_as_such():
     places = "{a: 1, c: {capacity: 2, resource: true}}"
     drawing = draw(parse_net(f"net: n\nplaces: {places}\ntransitions: {{t: {{in: a, out: [a, c], resets: c}}}}\n"))
     assert '"c" -> "t" [arrowhead=normalnormal];' in dot(drawing)
-    assert "stroke-dasharray=\"7 2 1 2\"" in svg(drawing)
+    assert 'stroke-dasharray="7 2 1 2"' in svg(drawing)

@@ -10,6 +10,7 @@ from im_core.errors import DataError
 
 _LARGEST_WIDTH_M, _LARGEST_STIFFNESS_N_M, _LARGEST_MASS_KG = 1.0, 1e9, 1e3
 
+
 class Sensors(NamedTuple):
     """Readings of the testbed's sensors.
 

@@ -9,9 +9,7 @@ from im_cell.robot.parameters import Box, Capsule, Limits, Vector
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
 
 
-def urdf(
-    cell: Cell, *, frames: bool = True, shapes: bool = True, limits: Mapping[str, Limits] | None = None
-) -> str:
+def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, limits: Mapping[str, Limits] | None = None) -> str:
     """The cell as URDF, one element a line (pybullet does not parse one long line).
 
     Args:

@@ -32,7 +32,6 @@ from im_core.ros.client_identity import client_of, nodes_of, process_of, sender_
 from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.interfaces import type_name
 from im_core.ros.logger import Logger
-from im_core.ros.parameter_bounds import bounded
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
@@ -193,7 +192,6 @@ class GuardedNode(Node):
         The callback may be a coroutine. It may also return a function: that is given who called, as
         :func:`im_core.ros.client_identity.client_of` says, and returns what the callback would have returned.
         """
-        srv_type, callback = bounded(srv_type, callback)
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
@@ -215,8 +213,8 @@ class GuardedNode(Node):
 class GuardedActionServer(ActionServer):
     """Action server with callbacks allowed to raise: the goal is rejected, or aborted with the reason in the result.
 
-    What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of a
-    hundred thousand points each, do not add up.
+    What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of
+    thousands of points each, do not add up.
 
     Args:
         node: Its node.
@@ -262,7 +260,7 @@ class GuardedActionServer(ActionServer):
         """Register the execute callback as in rclpy; a raising callback aborts the goal, the result gives a reason."""
 
         async def execute(handle: ServerGoalHandle) -> Any:
-            self._tell(lambda events: events.tell_goal(self.request_for(handle)))
+            self._tell(lambda events: events.tell_goal(handle))
             try:
                 result = execute_callback(handle)
                 result = await result if inspect.iscoroutine(result) else result
@@ -290,10 +288,6 @@ class GuardedActionServer(ActionServer):
             await ActionServer.execute(self, taken_data)
         except Exception as error:  # the other goals go on
             self._guard.note_failure(self._what, error, self._told)
-
-    def request_for(self, handle: ServerGoalHandle) -> Any:
-        """Return the request for a goal, as a message, for listeners to the action's contents; None: not told."""
-        return self._action_type.Impl.SendGoalService.Request(goal_id=handle.goal_id, goal=handle.request)
 
     def _tell(self, tell: Callable[[ActionEvents], None]) -> None:
         """Publish an event of the action, if any; a goal is carried out even if the event cannot be told."""

@@ -1,4 +1,4 @@
-"""JSON messages from one process to another, in order."""
+"""Messages of JSON and bytes from one process to another, in order."""
 
 import json
 from collections.abc import Iterator
@@ -9,13 +9,17 @@ from im_core.shm.block import SharedBlock
 
 _LENGTH_BYTES = 4
 _HEADER_BYTES = 64
+# stands for bytes in a message's text, with their number; no message has such a name of its own
+_BYTES = "\0bytes"
+_BYTES_TEXT = json.dumps(_BYTES).encode()
 
 
 class MessageRing:
     """Queue with one writer and one reader, never blocking each other.
 
     Two counters run through the ring: ``head`` (bytes written, moved by the writer) and ``tail`` (bytes read, moved by
-    the reader). A message is its length (4 bytes) and its JSON text.
+    the reader). A message is its length and that of its JSON text (4 bytes each), the text, and the values of type
+    ``bytes`` that the message has anywhere, in order: to read a megabyte as JSON would take some milliseconds.
     """
 
     def __init__(self, block: SharedBlock) -> None:
@@ -45,15 +49,24 @@ class MessageRing:
         """Append a message.
 
         Raises:
-            DataError: The message is not JSON (NaN and infinity are not).
+            DataError: The message is neither JSON (NaN and infinity are not) nor bytes.
             LinkError: The reader has not made room.
         """
+        parts: list[bytes] = []
+
+        def put_aside(value: object) -> dict[str, int]:
+            if not isinstance(value, bytes):
+                raise TypeError(f"{type(value).__name__} is neither JSON nor bytes")
+            parts.append(value)
+            return {_BYTES: len(value)}
+
         try:
-            text = json.dumps(message, allow_nan=False, separators=(",", ":")).encode()
+            text = json.dumps(message, allow_nan=False, separators=(",", ":"), default=put_aside).encode()
         except (TypeError, ValueError) as error:
             raise DataError(f"a message for ring '{self._block.name}' is not JSON: {error}") from None
+        data = b"".join([len(text).to_bytes(_LENGTH_BYTES, "little"), text, *parts])
         head, tail = int(self._counters[0]), int(self._counters[1])
-        needed, free = _LENGTH_BYTES + len(text), self.capacity - (head - tail)
+        needed, free = _LENGTH_BYTES + len(data), self.capacity - (head - tail)
         if needed > free:
             raise LinkError(
                 f"ring '{self._block.name}' is full: a message of {needed} bytes, {free} of {self.capacity} free",
@@ -61,8 +74,8 @@ class MessageRing:
                 needed=needed,
                 free=free,
             )
-        self._put(head, len(text).to_bytes(_LENGTH_BYTES, "little"))
-        self._put(head + _LENGTH_BYTES, text)
+        self._put(head, len(data).to_bytes(_LENGTH_BYTES, "little"))
+        self._put(head + _LENGTH_BYTES, data)
         self._counters[0] = head + needed
 
     def receive(self) -> dict[str, Any] | None:
@@ -71,7 +84,7 @@ class MessageRing:
         if head == tail:
             return None
         length = int.from_bytes(self._take(tail, _LENGTH_BYTES), "little")
-        message: dict[str, Any] = json.loads(self._take(tail + _LENGTH_BYTES, length))
+        message = _decoded(self._take(tail + _LENGTH_BYTES, length))
         self._counters[1] = tail + _LENGTH_BYTES + length
         return message
 
@@ -108,3 +121,19 @@ class MessageRing:
         start = position % self.capacity
         first = min(count, self.capacity - start)
         return bytes(self._data[start : start + first]) + bytes(self._data[: count - first])
+
+
+def _decoded(data: bytes) -> dict[str, Any]:
+    """The message of the length of its text, the text, and bytes."""
+    at = _LENGTH_BYTES + int.from_bytes(data[:_LENGTH_BYTES], "little")
+
+    def put_back(value: dict[str, Any]) -> object:
+        nonlocal at
+        if _BYTES not in value:
+            return value
+        at += value[_BYTES]
+        return data[at - value[_BYTES] : at]
+
+    text = data[_LENGTH_BYTES:at]
+    message: dict[str, Any] = json.loads(text, object_hook=put_back if _BYTES_TEXT in text else None)
+    return message

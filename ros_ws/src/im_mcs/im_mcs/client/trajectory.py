@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError, NotFoundError
 from im_mcs.client.points import JointsError, joint_order
-from im_mcs.protocol.points import TimedPoints
+from im_mcs.protocol.points import TimedPoints, pack_points
 from im_mcs.protocol.requests import LARGEST
 
 UNSET = 0.0
@@ -124,14 +124,6 @@ class Course(TimedPoints):
         v, a = (None if x is None else np.vstack([np.zeros_like(q), x]) for x in (self.v, self.a))
         return Course(np.append(time_s, self.times), np.vstack([q, self.q]), v, a)
 
-    def points(self) -> list[dict[str, Any]]:
-        """Return the points, in the form of a MOVE request."""
-        none: list[list[float]] = [[] for _ in self.times]
-        v, a = (none if x is None else x.tolist() for x in (self.v, self.a))
-        names = ("time", "positions", "velocities", "accelerations")
-        rows = zip(self.times.tolist(), self.q.tolist(), v, a, strict=True)
-        return [dict(zip(names, row, strict=True)) for row in rows]
-
 
 def trajectory_path(
     group: str,
@@ -141,8 +133,8 @@ def trajectory_path(
     accepted: Accepted = STRICT,
     *,
     stream: bool = False,
-) -> tuple[Course, dict[str, Any]]:
-    """Return the path of a group, and the other fields of the ``path`` of a MOVE request.
+) -> dict[str, Any]:
+    """Return the path of a group, as the ``path`` of a MOVE request.
 
     A start to come shifts all times; a group at rest stays where it is until then. Of a trajectory that began before
     now, the points to come are followed, as the joint trajectory controller of ros2_control does.
@@ -172,8 +164,9 @@ def trajectory_path(
     if delay_s > 0.0 and present.at_rest and course.times[0] > delay_s:
         course = course.held(delay_s, present.q)
     tolerances = trajectory.tolerances
-    return course, {
+    return {
         "kind": "trajectory",
+        "points": pack_points(course),
         **_bounds(group, joints, tolerances.path, "path"),
         **_bounds(group, joints, tolerances.goal, "goal"),
         "goal_time_tolerance": _goal_time(tolerances.goal_time_s),

@@ -10,8 +10,10 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
 from im_mcs.protocol.evidence import RecordLayout
 from im_mcs.protocol.heartbeat import ServoHeartbeat
+from im_mcs.protocol.points import packed_size
 from im_mcs.protocol.samples import SampleRing, sample_type
 
+# for all requests but the one whose trajectory is the longest that is allowed
 _REQUESTS_BYTES = 1 << 20
 _EVENTS_BYTES = 1 << 18
 _TEXT, _LONG_TEXT = "S64", "S240"
@@ -129,10 +131,11 @@ class ServoChannel:
     def create(cls, instance: str, config: McsConfig) -> Self:
         """Create everything, as the owner."""
         prefix, layout = f"{instance}_mcs", record_layout(config)
+        longest = packed_size(config.planning.max_trajectory_points, len(config.joint_slots))
         records = SharedBlock.create(f"{prefix}_evidence", 8 * layout.doubles)
         records.publish()
         return cls(
-            MessageRing.create(f"{prefix}_requests", _REQUESTS_BYTES),
+            MessageRing.create(f"{prefix}_requests", _REQUESTS_BYTES + longest),
             MessageRing.create(f"{prefix}_events", _EVENTS_BYTES),
             SampleRing.create(f"{prefix}_samples", _sample_type(config)),
             Snapshot.create(f"{prefix}_snapshot", snapshot_type(config)),

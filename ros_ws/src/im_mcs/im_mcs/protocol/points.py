@@ -1,14 +1,13 @@
-"""Points in time on the way to the servo: few as JSON, many in separate shared memory."""
+"""Points in time on the way to the servo, each column as bytes: lists of numbers would cost twenty ticks."""
 
-from collections.abc import Mapping
+import reprlib
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import DataError, ImError
-from im_core.shm import SharedBlock
+_COLUMNS = ("times", "positions", "velocities", "accelerations")
 
 
 @dataclass(frozen=True)
@@ -28,52 +27,29 @@ class TimedPoints:
     a: NDArray[np.float64] | None
 
 
-def share_points(name: str, points: TimedPoints) -> tuple[SharedBlock, dict[str, Any]]:
-    """Put points into shared memory.
-
-    Args:
-        name: Of the memory.
-        points: The points.
-
-    Returns:
-        The memory, which the caller closes when the motion has ended, and what stands for the points in a request.
-
-    Raises:
-        LinkError: Another process owns memory of that name.
-    """
-    columns = [points.times, *(x for x in (points.q, points.v, points.a) if x is not None)]
-    block = SharedBlock.create(name, sum(column.nbytes for column in columns))
-    end = 0
-    for column in columns:
-        block.array("<f8", column.size, 8 * end)[:] = column.ravel()
-        end += column.size
-    block.publish()
-    has = {"velocities": points.v is not None, "accelerations": points.a is not None}
-    return block, {"memory": name, "points": len(points.times), "joints": points.q.shape[1], **has}
+def pack_points(points: TimedPoints) -> dict[str, bytes]:
+    """Write points as data of a request: each column as doubles, little end first, row by row; empty for None."""
+    columns = (points.times, points.q, points.v, points.a)
+    return {name: b"" if x is None else x.astype("<f8").tobytes() for name, x in zip(_COLUMNS, columns, strict=True)}
 
 
-def shared_points(given: Mapping[str, Any], most: int | None) -> TimedPoints:
-    """Return the points behind a reference in a request, located in shared memory.
-
-    Args:
-        given: As :func:`share_points` returns it.
-        most: How many there may be.
+def unpack_points(given: Any) -> TimedPoints:
+    """Read points that :func:`pack_points` wrote.
 
     Raises:
-        DataError: It stands for none, or for too many.
+        ValueError: The data are not of that form, or a column does not have one row for each time.
     """
     try:
-        m, n = int(given["points"]), int(given["joints"])
-        if not 1 <= m <= (m if most is None else most):
-            raise DataError(f"a trajectory of {m} points is not one of 1 to {most}")
-        block = SharedBlock.attach(str(given["memory"]), 0.0)
-        there = [True, bool(given["velocities"]), bool(given["accelerations"])]
-        flat = block.array("<f8", m + sum(there) * m * n)
-    except (KeyError, TypeError, ValueError, ImError) as error:
-        if isinstance(error, ImError):
-            raise
-        raise DataError(f"points: {error!r} is wrong with what stands for points in memory") from None
-    rows = iter(flat[m:].reshape(-1, m, n))
-    q, v, a = (next(rows) if has else None for has in there)
-    assert q is not None
-    return TimedPoints(flat[:m], q, v, a)
+        if set(given) != set(_COLUMNS):
+            raise ValueError
+        times, q, *rows = (np.frombuffer(given[name], "<f8") for name in _COLUMNS)
+        v, a = (x.reshape(len(times), -1) if x.size else None for x in rows)
+        return TimedPoints(times, q.reshape(len(times), -1 if q.size else 0), v, a)
+    except (TypeError, ValueError):
+        columns = ", ".join(_COLUMNS)
+        raise ValueError(f"points: {reprlib.repr(given)} is not {columns}, each doubles as bytes") from None
+
+
+def packed_size(points: int, joints: int) -> int:
+    """Compute how many bytes the columns of so many points of so many joints have at most."""
+    return 8 * points * (1 + 3 * joints)

@@ -1,6 +1,7 @@
 """Requests to the servo process: the content, checked once, at the entry.
 
 A request is JSON: ``{"id": 7, "request": "move", "arguments": {...}}``; its name says which model its arguments obey.
+The points of a trajectory are bytes in it.
 What depends on the cell (the joints of a group, their limits) is not checked here but where it is known.
 """
 
@@ -8,7 +9,7 @@ import math
 import reprlib
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,8 @@ from pydantic import (
     AfterValidator,
     ConfigDict,
     Field,
-    GetCoreSchemaHandler,
     GetPydanticSchema,
+    PlainValidator,
     ValidationError,
     ValidationInfo,
     field_validator,
@@ -28,7 +29,7 @@ from pydantic_core import core_schema
 from im_core.config import Fault, Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.yamltext import Location
-from im_mcs.protocol.points import TimedPoints, shared_points
+from im_mcs.protocol.points import TimedPoints, unpack_points
 
 SLOWEST = 0.01
 """Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""
@@ -77,10 +78,10 @@ def _rows(kind: object) -> GetPydanticSchema:
     )
 
 
-def _array(rows: list[list[float]], what: str = "positions") -> NDArray[np.float64]:
+def _array(rows: list[list[float]]) -> NDArray[np.float64]:
     if len(set(map(len, rows))) > 1:
         number, row = next((number, row) for number, row in enumerate(rows, 1) if len(row) != len(rows[0]))
-        raise ValueError(f"point {number}: {len(row)} {what}; point 1 has them for {len(rows[0])} joints")
+        raise ValueError(f"point {number}: {len(row)} positions; point 1 has them for {len(rows[0])} joints")
     return np.array(rows, dtype=np.float64)
 
 
@@ -105,22 +106,15 @@ def unit_pose(numbers: list[float]) -> list[float]:
 
 
 class _Path(ServoRequest):
-    """Common part of all kinds of paths: a bound on the number of points, checked during the validation."""
-
-    _limit: ClassVar[str] = "max_points"
+    """Common part of paths without times: a bound on the number of points, checked during the validation."""
 
     @field_validator("points", "poses", mode="before", check_fields=False)
     @classmethod
     def _count(cls, given: object, info: ValidationInfo) -> object:
-        most = (info.context or {}).get(cls._limit)
-        if isinstance(given, dict) and "memory" in given and cls._limit == "max_trajectory_points":
-            return shared_points(given, most)
+        most = (info.context or {}).get("max_points")
         if isinstance(given, list) and (not given or (most is not None and len(given) > most)):
-            many = f"{len(given)} {info.field_name}"
-            what = {"LineMove": f"line through {many}", "JointMove": f"path of {many}"}.get(
-                cls.__name__, f"trajectory of {many}"
-            )
-            raise ValueError(f"a {what} is not one of 1 to {most}")
+            what = "path of" if info.field_name == "points" else "line through"
+            raise ValueError(f"a {what} {len(given)} {info.field_name} is not one of 1 to {most}")
         return given
 
 
@@ -147,23 +141,11 @@ class LineMove(_Path):
     blend: Metres = 0.0
 
 
-class TimedPoint(ServoRequest):
-    """Point of a trajectory in the transmitted form."""
-
-    time: Seconds
-    positions: list[float]
-    velocities: list[float] = Field(default_factory=list)
-    accelerations: list[float] = Field(default_factory=list)
-
-
-def _timed(points: list[TimedPoint]) -> TimedPoints:
-    times = np.array([point.time for point in points])
-    v, a = (_derivative(name, [getattr(point, name) for point in points]) for name in ("velocities", "accelerations"))
-    return TimedPoints(times, _array([point.positions for point in points]), v, a)
-
-
-def _in_order(points: TimedPoints) -> TimedPoints:
-    times = points.times
+def _points(given: object, info: ValidationInfo) -> TimedPoints:
+    points = unpack_points(given)
+    times, most = points.times, (info.context or {}).get("max_trajectory_points")
+    if not 1 <= len(times) <= (len(times) if most is None else most):
+        raise ValueError(f"a trajectory of {len(times)} points is not one of 1 to {most}")
     late = np.flatnonzero(~(np.diff(times) > 0.0))
     if late.size:
         k = int(late[0])
@@ -177,29 +159,11 @@ def _in_order(points: TimedPoints) -> TimedPoints:
     return points
 
 
-def _points(_: object, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-    """Return a list of points, or points already found in memory."""
-    listed = core_schema.no_info_after_validator_function(_timed, handler.generate_schema(list[TimedPoint]))
-    either = core_schema.no_info_wrap_validator_function(
-        lambda given, check: given if isinstance(given, TimedPoints) else check(given), listed
-    )
-    return core_schema.no_info_after_validator_function(_in_order, either)
-
-
-def _derivative(name: str, rows: list[list[float]]) -> NDArray[np.float64] | None:
-    if not any(rows):
-        return None
-    if not all(rows):
-        number = next(number for number, row in enumerate(rows, start=1) if not row)
-        raise ValueError(f"point {number} has no {name}, others have; give them for every point or for none")
-    return _array(rows, name)
-
-
-class TrajectoryMove(_Path):
+class TrajectoryMove(ServoRequest):
     """Positions at times, with the tolerances.
 
     Attributes:
-        points: Positions at times.
+        points: Positions at times; in a request as :func:`im_mcs.protocol.points.pack_points` writes them.
         path_tolerance: Bound of the error on the way, shape (n,) or empty; 0: not set, below 0: none.
         path_velocity_tolerance: The same of the velocity.
         goal_tolerance: Bound of the error at the end, shape (n,) or empty; 0: not set, below 0: none.
@@ -208,9 +172,8 @@ class TrajectoryMove(_Path):
         may_be_late: Its one point, which moves on with its velocity, is met as soon after its time as limits allow.
     """
 
-    _limit: ClassVar[str] = "max_trajectory_points"
     kind: Literal["trajectory"] = "trajectory"
-    points: Annotated[TimedPoints, GetPydanticSchema(_points)]
+    points: Annotated[TimedPoints, PlainValidator(_points)]
     path_tolerance: list[float] = Field(default_factory=list)
     path_velocity_tolerance: list[float] = Field(default_factory=list)
     goal_tolerance: list[float] = Field(default_factory=list)
@@ -447,7 +410,6 @@ def parse_request(message: Mapping[str, Any], max_points: int, max_trajectory_po
     Raises:
         NotFoundError: The servo knows no such request.
         DataError: An argument is missing, too much, or not what it should be; it is named.
-        LinkError: The memory that holds the points of a trajectory is not there.
     """
     name = message.get("request")
     if not isinstance(name, str) or name not in REQUESTS:
@@ -468,16 +430,15 @@ def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fa
     where, value, here = fault.location, reprlib.repr(fault.value), model
     below: Any = given
     for rank, part in enumerate(where):
-        if isinstance(part, int):
-            here = TimedPoint
-        elif where[:rank] == ("path",):
-            here = _PATHS[part]
+        if where[:rank] == ("path",):
+            here = _PATHS[str(part)]
             continue
-        elif part not in here.model_fields or (fault.kind == "missing" and rank == len(where) - 1):
-            return _fields(name, model, here, given, fault)
-        elif (what := here.model_fields[part].description) is not None:
-            place = _place(where[:rank]) if rank > 0 else name
-            return f"{place + ': ' if place else ''}{part} {reprlib.repr(below[part])} is not {what}"
+        if isinstance(part, str):
+            if part not in here.model_fields or (fault.kind == "missing" and rank == len(where) - 1):
+                return _fields(name, model, here, given, fault)
+            if (what := here.model_fields[part].description) is not None:
+                place = _place(where[:rank]) if rank > 0 else name
+                return f"{place + ': ' if place else ''}{part} {reprlib.repr(below[part])} is not {what}"
         below = below[part]
     match fault.kind:
         case "union_tag_not_found" | "union_tag_invalid":
@@ -486,11 +447,9 @@ def _sentence(name: str, model: type[ServoRequest], given: Mapping[str, Any], fa
             return f"{_place(where[:4]).partition(': ')[0]}: {fault.words}" if "poses" in where[:-1] else fault.words
         case "list_type":
             return f"{_place(where)}: {value} is not a list"
-        case "float_type":
-            return f"{_place(where)}: {value} is not a number"
     if where == ("path",):
         return f"a path is an object with a kind, not {value}"
-    return f"{_place(where)} is an object with time and positions, not {value}"
+    return f"{_place(where)}: {value} is not a number"
 
 
 def _fields(
@@ -501,13 +460,13 @@ def _fields(
     order = [*needed, *(f"[{field}]" for field in here.model_fields if field not in needed)]
     if here is model:
         return f"{name} takes {', '.join(order) or 'no arguments'}, not {', '.join(sorted(given)) or 'none'}"
-    place, field = _place(fault.location[:-1]) or f"path of kind {fault.location[1]}", fault.location[-1]
+    _, kind, field = fault.location
     wrong = f"{field} is missing" if fault.kind == "missing" else f"unknown {field}"
-    return f"{place}: {wrong}; it takes {', '.join(order)}"
+    return f"path of kind {kind}: {wrong}; it takes {', '.join(order)}"
 
 
 def _place(where: Location) -> str:
-    """Return ``("path", "trajectory", "points", 0, "velocities", 3)`` as ``point 1: velocities``."""
+    """Return ``("path", "joint", "points", 0, 3)`` as ``point 1``."""
     words: list[str] = []
     for part in where[2:] if where[:1] == ("path",) else where:
         if isinstance(part, str):

@@ -27,6 +27,22 @@ def check_bounds(message: Any, most_items: int) -> None:
     _Bounds(most_items).check_fields(message, "", listed=False)
 
 
+def check_length(value: Sequence[Any], name: str, most: int, what: str = "values") -> None:
+    """Check the length of a text or a list.
+
+    Args:
+        value: The text or the list.
+        name: Its field, for the error.
+        most: How many elements are allowed.
+        what: What its elements are, for the error.
+
+    Raises:
+        DataError: It is longer; field, length and bound are named.
+    """
+    if len(value) > most:
+        raise DataError(f"{name} has {len(value)} {what}, {most} are allowed", field=name, length=len(value))
+
+
 class _Bounds:
     def __init__(self, most_items: int) -> None:
         self._most_items = most_items
@@ -40,7 +56,7 @@ class _Bounds:
             case bool() | int():
                 return
             case str():
-                _check_length(value, name, LONGEST_TEXT, "characters")
+                check_length(value, name, LONGEST_TEXT, "characters")
             case float():
                 if not listed or math.isfinite(value):
                     _check_number(value, name)
@@ -51,14 +67,9 @@ class _Bounds:
 
     def _check_list(self, values: Sequence[Any], name: str) -> None:
         of_messages = len(values) > 0 and hasattr(values[0], "get_fields_and_field_types")
-        _check_length(values, name, self._most_items if of_messages else MOST_VALUES, "values")
+        check_length(values, name, self._most_items if of_messages else MOST_VALUES)
         for rank, value in enumerate(values):
             self._check(value, f"{name}[{rank}]", listed=True)
-
-
-def _check_length(value: Sequence[Any], name: str, most: int, what: str) -> None:
-    if len(value) > most:
-        raise DataError(f"{name} has {len(value)} {what}, {most} are allowed", field=name, length=len(value))
 
 
 def _check_number(value: float, name: str) -> None:

@@ -1,6 +1,6 @@
 """State of MCS, as messages."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from im_mcs.client.groups import GroupState
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
+from im_mcs.protocol.points import unpack_points
 from im_mcs.state import State
 from im_mcs.state.table import STATES
 from im_mcs.testbed.driver import PowerReading
@@ -22,6 +23,8 @@ from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
 
 _SILENCE_S = 1.0
+# as many of the points of a trajectory are shown
+_MOST_SHOWN = 200
 
 
 def time(stamp_ns: int) -> Time:
@@ -70,7 +73,7 @@ def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
 
 
 def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> GroupPath:
-    """Return an ``im_msgs/GroupPath`` of the ``path`` of a MOVE request."""
+    """Return the ``path`` of a MOVE request as ``im_msgs/GroupPath``, a long trajectory at equal distances."""
     message = GroupPath(stamp=time(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
     if path["kind"] == "line":
         for values in path["poses"]:
@@ -81,15 +84,24 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
             message.line.append(passed)
         return message
     message.path.joint_names = list(joints)
-    for point in path["points"]:
-        if isinstance(point, dict):
-            item = JointTrajectoryPoint(positions=point["positions"], velocities=point["velocities"])
-            item.accelerations = point["accelerations"]
-            item.time_from_start = duration(point["time"])
-        else:
-            item = JointTrajectoryPoint(positions=point)
+    if path["kind"] == "joint":
+        message.path.points = [JointTrajectoryPoint(positions=positions) for positions in path["points"]]
+        return message
+    points = unpack_points(path["points"])
+    many = len(points.times)
+    for k in np.linspace(0, many - 1, min(many, _MOST_SHOWN)).astype(np.intp):
+        item = trajectory_point(x[k] for x in (points.q, points.v, points.a) if x is not None)
+        item.time_from_start = duration(float(points.times[k]))
         message.path.points.append(item)
     return message
+
+
+def trajectory_point(values: Iterable[NDArray[np.float64]]) -> JointTrajectoryPoint:
+    """A point of positions, velocities and accelerations; of those that are given."""
+    point = JointTrajectoryPoint()
+    for name, value in zip(("positions", "velocities", "accelerations"), values, strict=False):
+        setattr(point, name, value)
+    return point
 
 
 def mcs_state(

@@ -17,11 +17,24 @@ from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.goals import Goal
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.trajectories.trajectory import Setpoint
+from im_mcs.protocol.points import TimedPoints, pack_points
 from im_mcs.protocol.requests import parse_request
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest_monitor import RestMonitor
 
 WAY = np.array([0.3, 0.5, 0.3, 0.8, -0.5, 0.5, 0.9, 0.6, 0.9])
+
+
+def packed(path: Any) -> Any:
+    """A path as a request has it: points in time that are listed one by one become columns."""
+    listed = path.get("points") if isinstance(path, dict) and path.get("kind") == "trajectory" else None
+    if not (isinstance(listed, list) and listed and all(isinstance(p, dict) and "time" in p for p in listed)):
+        return path
+    names = ("positions", "velocities", "accelerations")
+    columns = (np.array([point.get(name, []) for point in listed], dtype=np.float64) for name in names)
+    q, v, a = (column if column.size else None for column in columns)
+    assert q is not None
+    return {**path, "points": pack_points(TimedPoints(np.array([point["time"] for point in listed]), q, v, a))}
 
 
 class NoLaw:
@@ -85,7 +98,7 @@ class Rig:
         return parse_request(message, planning.max_points, planning.max_trajectory_points)
 
     def request(self, path: dict[str, Any], **arguments: Any) -> int:
-        _, request = self.parse("move", path=path, **arguments)
+        _, request = self.parse("move", path=packed(path), **arguments)
         goal = self.goal()
         self.group.request(goal, request)
         return goal.id

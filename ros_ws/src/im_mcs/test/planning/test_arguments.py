@@ -9,6 +9,10 @@ from hypothesis import strategies as st
 
 from im_core.errors import DataError, ImError, LimitError
 
+POSE = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+HOME = [-0.6, 0.0, 0.0, 0.0, 1.75, -3.3, 0.0, 0.0, 0.0]
+NOT_COLUMNS = "is not times, positions, velocities, accelerations, each doubles as bytes"
+
 
 def point(time=2.0, positions=None, **more):
     return {"time": time, "positions": positions or [0.0] * 9, **more}
@@ -18,12 +22,18 @@ def course(*points, **more):
     return {"kind": "trajectory", "points": list(points), **more}
 
 
+def columns(times=(1.0,), positions=HOME, velocities=(), accelerations=(), **more):
+    """A trajectory from the numbers of each column, in a row."""
+    given = {"times": times, "positions": positions, "velocities": velocities, "accelerations": accelerations}
+    return {"kind": "trajectory", "points": {name: column(numbers) for name, numbers in given.items()} | more}
+
+
+def column(numbers):
+    return np.array(numbers, dtype="<f8").tobytes()
+
+
 def line(*poses, **more):
     return {"kind": "line", "poses": list(poses), **more}
-
-
-POSE = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-HOME = [-0.6, 0.0, 0.0, 0.0, 1.75, -3.3, 0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -44,20 +54,32 @@ HOME = [-0.6, 0.0, 0.0, 0.0, 1.75, -3.3, 0.0, 0.0, 0.0]
         ({"kind": "joint", "points": [[*HOME[:8], 9.0]]}, "left_j6: position of point 1 9 rad is beyond the limit"),
         ({"kind": "joint", "points": [HOME], "blend": -0.1}, "blend -0.1 is not a finite number >= 0"),
         ({"kind": "joint", "points": [HOME], "blend": math.nan}, "blend nan is not a finite number >= 0"),
-        (course(), "0 points"),
-        (course(3), "point 1 is an object with time and positions, not 3"),
-        (course({"time": 1.0}), "point 1: positions is missing"),
-        (course(point(positions=HOME, effort=[])), "point 1: unknown effort"),
-        (course(point(-1.0, HOME)), "point 1: time -1.0 is not a finite number >= 0 [s]"),
-        (course(point(math.nan, HOME)), "point 1: time nan"),
+        (course(), f"points: [] {NOT_COLUMNS}"),
+        (course(3), f"points: [3] {NOT_COLUMNS}"),
+        (course() | {"points": 7}, f"points: 7 {NOT_COLUMNS}"),
+        (columns(effort=b""), NOT_COLUMNS),
+        (columns(positions=HOME[:8], times=[1.0, 2.0, 3.0]), NOT_COLUMNS),
+        (columns(velocities=HOME, times=[1.0, 2.0], positions=2 * HOME), NOT_COLUMNS),
+        (columns(times=[]), NOT_COLUMNS),
+        *(
+            (course() | {"points": {**columns()["points"], "times": wrong}}, NOT_COLUMNS)
+            for wrong in ("3", "xy", "00", 7)
+        ),
+        (columns(times=[], positions=[]), "a trajectory of 0 points is not one of 1 to 5000"),
+        (columns(np.arange(5001.0), 5001 * HOME), "a trajectory of 5001 points is not one of 1 to 5000"),
+        (columns(positions=[]), "point 1: 0 positions for 9 joints"),
+        (course(point(1.0, HOME[:8])), "point 1: 8 positions for 9 joints"),
+        (course(point(1.0, [*HOME[:8], math.nan])), "left_j6: position nan is not a finite number"),
+        (course(point(-1.0, HOME)), "times from -1 to -1 s are not within 0 to 1e+06 s"),
+        (course(point(-1.0, HOME), point(1.0, HOME)), "times from -1 to 1 s are not within 0 to 1e+06 s"),
+        (course(point(1.0, HOME), point(1e9, HOME)), "times from 1 to 1e+09 s are not within 0 to 1e+06 s"),
+        (course(point(math.nan, HOME)), "times from nan to nan s are not"),
+        (course(point(1.0, HOME), point(math.nan, HOME)), "point 2 is at nan s, not after point 1 at 1 s"),
         (course(point(2.0, HOME), point(2.0, HOME)), "point 2 is at 2 s, not after point 1 at 2 s"),
         (course(point(2.0, HOME, velocities=[0.0])), "point 1: velocities: 1 values for 9 joints"),
         (course(point(2.0, HOME, velocities=[math.nan] * 9)), "left_track: nan is not a finite number"),
         (course(point(2.0, HOME), point(3.0, HOME), may_be_late=True), "a trajectory of 2 points cannot be late"),
-        (course() | {"points": {"memory": "none"}}, "KeyError('points') is wrong with what stands for points"),
-        (course() | {"points": {"memory": "none", "points": 10**6, "joints": 9}}, "1000000 points is not one of 1 to"),
         (course(point(2.0, HOME, accelerations=[0.0] * 9)), "accelerations but no velocities"),
-        (course(point(2.0, HOME, velocities=[0.0] * 9), point(3.0, HOME)), "point 2 has no velocities, others have"),
         (course(point(2.0, HOME), path_tolerance=[0.1]), "path_tolerance: 1 values for 9 joints"),
         (course(point(2.0, HOME), goal_velocity_tolerance=[math.nan] * 9), "left_track: nan is not a finite number"),
         (line(), "a line through 0 poses is not one of 1 to 200"),
@@ -106,15 +128,18 @@ values = st.recursive(
     max_leaves=6,
 )
 numbers = st.lists(st.floats(), min_size=8, max_size=10)
+texts = st.lists(st.floats(), max_size=9).map(column)
 paths = st.fixed_dictionaries(
     {"kind": st.sampled_from(["joint", "line", "trajectory"]) | values},
     optional={
         "points": st.lists(numbers | values, max_size=3)
-        | st.lists(
-            st.fixed_dictionaries(
-                {"time": st.floats() | values, "positions": numbers | values}, optional={"velocities": numbers}
-            ),
-            max_size=3,
+        | st.fixed_dictionaries(dict.fromkeys(("times", "positions", "velocities", "accelerations"), texts | values))
+        | st.builds(
+            lambda times, *rows: columns(times, *(row * len(times) for row in rows))["points"],
+            st.lists(st.floats(), max_size=3),
+            numbers,
+            st.just([]) | numbers,
+            st.just([]) | numbers,
         )
         | values,
         "poses": st.lists(st.lists(st.floats(), min_size=6, max_size=8) | values, max_size=3) | values,

@@ -1,8 +1,5 @@
 """Trajectories in time: which spline, what is refused, tolerances."""
 
-import math
-from contextlib import closing
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly, CubicHermiteSpline, CubicSpline
 from scipy.linalg import solve_banded
 
-from im_core.errors import DataError, LimitError
+from im_core.errors import LimitError
 from im_mcs.planning.trajectories import interpolation
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 from im_mcs.planning.trajectories.trajectory import Setpoint
-from im_mcs.protocol.points import TimedPoints, share_points
+from im_mcs.protocol.points import TimedPoints
 
 TIMES = np.array([1.5, 2.5, 4.0, 5.5])
 
@@ -309,30 +306,11 @@ def test_a_point_out_of_range_is_named_however_far_behind(rig):
     count = 5000
     q = np.tile(rig.home, (count, 1))
     q[4321, 8] = 99.0
-    block, given = share_points("test_spline_points", TimedPoints(np.arange(1.0, count + 1.0), q, None, None))
-    with closing(block):
-        goal = rig.request({"kind": "trajectory", "points": given})
-        rig.run()
+    goal = rig.request({"kind": "trajectory", "points": points(np.arange(1.0, count + 1.0), q)})
+    rig.run()
     fault = rig.results[goal][0]
     assert isinstance(fault, LimitError)
     assert "left_j6: position of point 4322 99 rad is beyond the limit" in fault.message
-
-
-@pytest.mark.parametrize(
-    ("times", "words"),
-    [
-        ([1.0, 1e9], "times from 1 to 1e+09 s are not within 0 to 1e+06 s"),
-        ([-1.0, 1.0], "times from -1 to 1 s are not within 0 to 1e+06 s"),
-        ([1.0, math.nan], "point 2 is at nan s, not after point 1 at 1 s"),
-        ([math.nan], "times from nan to nan s are not"),
-    ],
-)
-def test_times_of_points_in_memory_are_bounded_as_those_in_a_list(rig, times, words):
-    points_ = TimedPoints(np.array(times), np.tile(rig.home, (len(times), 1)), None, None)
-    block, given = share_points("test_spline_points", points_)
-    with closing(block), pytest.raises(DataError) as refused:
-        rig.request({"kind": "trajectory", "points": given})
-    assert words in refused.value.message
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 117, 1000])

@@ -51,9 +51,7 @@ def run(options: argparse.Namespace) -> int:
         steps = _SUMMARY_STEPS if options.summary else _STEPS
     if options.summary:
         with ProgressLine() as progress:
-            summary = summarise(
-                nets, seed=seed, steps=steps, until=options.until, failures=failures, progress=progress
-            )
+            summary = summarise(nets, seed=seed, steps=steps, until=options.until, failures=failures, progress=progress)
         print(json.dumps(asdict(summary)) if options.json else _readable(summary))
     else:
         _play(nets, seed, steps, failures, options)

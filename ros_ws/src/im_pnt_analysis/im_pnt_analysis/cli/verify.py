@@ -31,7 +31,6 @@ any symbol may come at any time.
 Values are checked against the types of the messages that they go into, where ROS was sourced; the output says so."""
 
 
-
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     parser.description = _DESCRIPTION

@@ -96,9 +96,7 @@ def lost_entries(
 
 def lives(graph: ReachabilityGraph, live: list[bool], ways: tuple[int, ...]) -> bool:
     """Return whether a transition can always be enabled again, in one of the ways."""
-    return any(live[way] for way in ways) or (
-        len(ways) > 1 and graph.always_reaches(graph.where_one_is_enabled(ways))
-    )
+    return any(live[way] for way in ways) or (len(ways) > 1 and graph.always_reaches(graph.where_one_is_enabled(ways)))
 
 
 def unpaid_debts(problem: Problem, found: StateSpace, graph: ReachabilityGraph) -> Iterator[Counterexample]:

@@ -37,11 +37,11 @@ class ActionEvents:
         self._cancels = self._publisher(self._cancel_type, f"{action_name}/_action/cancel_goal")
         self._sequence = 0
 
-    def tell_goal(self, request: Any) -> None:
-        """Publish the request for a goal carried out from now on; nothing for None."""
-        if request is not None:
-            info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
-            self._goals.publish(self._goal_type.Event(info=info, request=[request]))
+    def tell_goal(self, handle: ServerGoalHandle) -> None:
+        """Publish the request for a goal carried out from now on."""
+        request = self._goal_type.Request(goal_id=handle.goal_id, goal=handle.request)
+        info = self._info(ServiceEventInfo.REQUEST_RECEIVED)
+        self._goals.publish(self._goal_type.Event(info=info, request=[request]))
 
     def tell_result(self, handle: ServerGoalHandle, result: Any) -> None:
         """Publish the result of an ended goal."""

@@ -1,4 +1,4 @@
-"""The spline through points in time, built some pieces a slice: a trajectory may have 100,000 points."""
+"""The spline through points in time, built some pieces a slice: a trajectory may have thousands of points."""
 
 from collections.abc import Generator
 

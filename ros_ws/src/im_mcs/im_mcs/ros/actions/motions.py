@@ -18,7 +18,6 @@ from im_mcs.client.servo_client import OnProgress
 from im_mcs.protocol.requests import Policy
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
-from im_mcs.ros.actions.goal_bytes import GoalBytes
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
 
@@ -65,7 +64,6 @@ class Motions:
         client: str = "",
         started: Started | None = None,
         on_progress: OnProgress | None = None,
-        path: dict[str, Any] | None = None,
     ) -> dict[str, Any]:
         """Move a group and await the end.
 
@@ -75,7 +73,6 @@ class Motions:
             client: Who asks for it, as :meth:`Goals.client` says; empty: who has said no name, as on a topic.
             started: Told the number of the request.
             on_progress: Told how far it is, in another thread.
-            path: What to show of a path that is not in the arguments itself.
 
         Raises:
             ImError: The motion is refused, or ended badly.
@@ -94,7 +91,7 @@ class Motions:
             with suppress(ImError):  # the servo may have ended since; then nobody needs to be told
                 if not shown:
                     shown.append(True)
-                    self._show(group, path or arguments["path"])
+                    self._show(group, arguments["path"])
                 if on_progress is not None:
                     on_progress(*told)
 
@@ -161,11 +158,6 @@ class CalledActionServer(GuardedActionServer):
         if goal not in self._goal_handles:  # one that has that number keeps its sender
             self.clients[goal] = client_of(header)
         await super()._execute_goal_request(request_header_and_message)
-
-    def request_for(self, handle: ServerGoalHandle) -> Any:
-        """Return the request of a goal; of a long trajectory none, which would hold the node up."""
-        goal = handle.request
-        return goal.request() if isinstance(goal, GoalBytes) else super().request_for(handle)
 
 
 class Goals:

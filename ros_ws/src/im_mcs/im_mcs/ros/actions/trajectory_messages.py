@@ -1,0 +1,73 @@
+"""``trajectory_msgs/JointTrajectory`` and goals of ``FollowJointTrajectory`` from clients, as plain data."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from numpy.typing import NDArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from im_core.errors import DataError
+from im_mcs.client.trajectory import GoalTolerances, TimedTrajectory, Tolerance
+from im_mcs.ros.bounds import MOST_VALUES, check_length
+
+
+def timed_trajectory(message: JointTrajectory) -> TimedTrajectory:
+    """Read a trajectory.
+
+    Raises:
+        DataError: A point does not have one value for each joint, or not the quantities that the others have.
+    """
+    points, joints = message.points, message.joint_names
+    number = next((number for number, point in enumerate(points, start=1) if point.effort), 0)
+    if number:
+        raise DataError(f"point {number} has efforts; only positions, velocities and accelerations can be followed")
+    q = _column(points, "positions", "position", len(joints))
+    v = _column(points, "velocities", "velocity", len(joints)) if _given(points, "velocities") else None
+    a = _column(points, "accelerations", "acceleration", len(joints)) if _given(points, "accelerations") else None
+    times = np.array([_seconds(point.time_from_start) for point in points])
+    return TimedTrajectory(joints, times, q, v, a, _seconds(message.header.stamp))
+
+
+def goal_tolerances(goal: FollowJointTrajectory.Goal) -> GoalTolerances:
+    """Read the tolerances of a goal.
+
+    Raises:
+        DataError: There are too many, or some for joints of several degrees of freedom.
+    """
+    multi = goal.multi_dof_trajectory
+    for name, given in (
+        ("multi_dof_trajectory", multi.joint_names or multi.points),
+        ("component_path_tolerance", goal.component_path_tolerance),
+        ("component_goal_tolerance", goal.component_goal_tolerance),
+    ):
+        if given:
+            raise DataError(f"{name} is not empty; the joints here have one degree of freedom each")
+    path = _tolerances(goal.path_tolerance, "path_tolerance")
+    return GoalTolerances(path, _tolerances(goal.goal_tolerance, "goal_tolerance"), _seconds(goal.goal_time_tolerance))
+
+
+def _given(points: Sequence[JointTrajectoryPoint], field: str) -> bool:
+    return any(len(getattr(point, field)) for point in points)
+
+
+def _column(points: Sequence[JointTrajectoryPoint], field: str, quantity: str, n: int) -> NDArray[np.float64]:
+    """Values of all points, shape (m, n)."""
+    rows = [getattr(point, field) for point in points]
+    for number, row in enumerate(rows, start=1):
+        if not len(row) and field != "positions":
+            raise DataError(f"point {number} has no {field}, others have; give them for every point or for none")
+        if len(row) != n:
+            raise DataError(f"point {number}: {quantity} is given for {len(row)} joints, {n} are needed", point=number)
+    return np.array(rows, dtype=np.float64).reshape(len(rows), n)
+
+
+def _tolerances(given: Sequence[JointTolerance], name: str) -> list[Tolerance]:
+    check_length(given, name, MOST_VALUES)
+    return [Tolerance(each.name, each.position, each.velocity, each.acceleration) for each in given]
+
+
+def _seconds(time: Time | Duration) -> float:
+    return float(time.sec + 1e-9 * time.nanosec)
