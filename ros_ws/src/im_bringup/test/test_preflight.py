@@ -168,7 +168,7 @@ def test_a_start_says_that_somebody_has_stopped_the_machine(monkeypatch, capsys)
     assert "emergency stop" not in capsys.readouterr().out
     (names.run_dir() / names.ESTOP).write_text("request on /mcs/estop")
     start.clear_the_way(fresh=True)
-    assert "emergency stop: arms get no power until scripts/im recover resets it" in capsys.readouterr().out
+    assert "arms get no power until scripts/im recover resets it" in capsys.readouterr().out
 
 
 def test_what_is_in_the_way_of_a_start_is_named(monkeypatch):

@@ -85,7 +85,7 @@ def test_torn_and_damaged_journals_are_named(cook, capsys, tmp_path):
 def test_journals_within_a_folder_are_named(cook, capsys, tmp_path):
     code, text = said(capsys, "show", str(tmp_path / "journal"))
     assert code == BAD_INPUT
-    assert f"'{tmp_path / 'journal' / 'cook'}'" in text
+    assert f"(known: {tmp_path / 'journal' / 'cook'})" in text
     assert said(capsys, "show", str(tmp_path / "journal" / "cook"))[0] == OK
 
 
