@@ -2,6 +2,7 @@
 
 import os
 
+import numpy as np
 import pytest
 
 from im_core import clock
@@ -9,6 +10,7 @@ from im_core.errors import LinkError
 from im_mcs.client.servo_client import ServoClient
 from im_mcs.client.time_source import FlowingTime
 from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.points import TimedPoints, pack_points, unpack_points
 from im_mcs.state import Event
 
 INSTANCE = f"im_mcs_client_{os.getpid()}"
@@ -42,6 +44,17 @@ def test_the_client_s_thread_gives_no_signs_of_life(ends):
     assert servo.heartbeat.silence_s() >= 0.1
     client.beat()
     assert servo.heartbeat.silence_s() == 0.0
+
+
+def test_the_longest_trajectory_of_all_joints_reaches_the_servo(ends, config):
+    client, servo = ends
+    rows = np.random.default_rng(0).normal(size=(3, config.planning.max_trajectory_points, len(config.joint_slots)))
+    packed = pack_points(TimedPoints(rows[0, :, 0], *rows))
+    client.send(Event.MOVE, {"path": {"points": packed}})
+    ((_, arguments),) = heard(servo)
+    found = unpack_points(arguments["path"]["points"])
+    for values, sent in zip((found.times, found.q, found.v, found.a), (rows[0, :, 0], *rows), strict=True):
+        np.testing.assert_array_equal(values, sent)
 
 
 def test_while_the_servo_hangs_nobody_waits_and_only_an_estop_is_passed_on(ends):

@@ -1,5 +1,6 @@
 """``trajectory_msgs/JointTrajectory`` and goals of ``FollowJointTrajectory`` from clients, as plain data."""
 
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,7 +8,7 @@ from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
 from numpy.typing import NDArray
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from im_core.errors import DataError
 from im_mcs.client.trajectory import GoalTolerances, TimedTrajectory, Tolerance
@@ -24,9 +25,10 @@ def timed_trajectory(message: JointTrajectory) -> TimedTrajectory:
     number = next((number for number, point in enumerate(points, start=1) if point.effort), 0)
     if number:
         raise DataError(f"point {number} has efforts; only positions, velocities and accelerations can be followed")
-    q = _column(points, "positions", "position", len(joints))
-    v = _column(points, "velocities", "velocity", len(joints)) if _given(points, "velocities") else None
-    a = _column(points, "accelerations", "acceleration", len(joints)) if _given(points, "accelerations") else None
+    q = _column([point.positions for point in points], "positions", "position", len(joints))
+    v = _column([point.velocities for point in points], "velocities", "velocity", len(joints))
+    a = _column([point.accelerations for point in points], "accelerations", "acceleration", len(joints))
+    assert q is not None
     times = np.array([_seconds(point.time_from_start) for point in points])
     return TimedTrajectory(joints, times, q, v, a, _seconds(message.header.stamp))
 
@@ -49,19 +51,17 @@ def goal_tolerances(goal: FollowJointTrajectory.Goal) -> GoalTolerances:
     return GoalTolerances(path, _tolerances(goal.goal_tolerance, "goal_tolerance"), _seconds(goal.goal_time_tolerance))
 
 
-def _given(points: Sequence[JointTrajectoryPoint], field: str) -> bool:
-    return any(len(getattr(point, field)) for point in points)
-
-
-def _column(points: Sequence[JointTrajectoryPoint], field: str, quantity: str, n: int) -> NDArray[np.float64]:
-    """Values of all points, shape (m, n)."""
-    rows = [getattr(point, field) for point in points]
-    for number, row in enumerate(rows, start=1):
-        if not len(row) and field != "positions":
+def _column(rows: "list[array[float]]", field: str, quantity: str, n: int) -> NDArray[np.float64] | None:
+    """Values of all points, shape (m, n); None where no point has any, but for positions."""
+    sizes = list(map(len, rows))
+    if field != "positions" and not any(sizes):
+        return None
+    for number, size in enumerate(sizes, start=1) if set(sizes) - {n} else ():
+        if not size and field != "positions":
             raise DataError(f"point {number} has no {field}, others have; give them for every point or for none")
-        if len(row) != n:
-            raise DataError(f"point {number}: {quantity} is given for {len(row)} joints, {n} are needed", point=number)
-    return np.array(rows, dtype=np.float64).reshape(len(rows), n)
+        if size != n:
+            raise DataError(f"point {number}: {quantity} is given for {size} joints, {n} are needed", point=number)
+    return np.frombuffer(b"".join(rows)).reshape(len(rows), n)
 
 
 def _tolerances(given: Sequence[JointTolerance], name: str) -> list[Tolerance]:
