@@ -200,9 +200,6 @@ class SvcLaserSpot3d(VisionService):
         return LaserSpot3dResult(spots, stereo, reading, {**images.timing, **watch.report()}, remark)
 
 
-Array = NDArray[np.float64]
-
-
 @dataclass(frozen=True)
 class LineScanRequest:
     """Sweep lines.
