@@ -6,12 +6,14 @@ Opening such a file must follow no link (``O_NOFOLLOW``), making one must fail w
 import os
 import pwd
 import stat
+import sys
 from pathlib import Path
 
 from im_core.errors import LinkError
 
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
+_SHARED = os.path.expanduser("~"), sys.prefix, sys.base_prefix
 
 
 def require_own(path: Path) -> int | None:
@@ -66,7 +68,8 @@ def make_private(folder: Path, way_out: str) -> str:
         other users may only read.
 
     Raises:
-        LinkError: The folder belongs to another user, or every user may write into it: files of theirs may be there.
+        LinkError: The folder belongs to another user, every user may write into it (files of theirs may be there), or
+            the user's home, the program or the working folder lies in it: closing it would harm other programs.
         OSError: The folder cannot be looked at.
     """
     status = folder.stat()
@@ -74,6 +77,8 @@ def make_private(folder: Path, way_out: str) -> str:
         check_owner(folder, status, way_out)
     if not status.st_mode & _OTHERS:
         return ""
+    if any(Path(place).resolve().is_relative_to(folder.resolve()) for place in (*_SHARED, ".")):
+        raise LinkError(f"{folder} is no folder of the machine's own; {way_out}", name=folder.name)
     try:
         folder.chmod(stat.S_IMODE(status.st_mode) & ~_OTHERS)
     except OSError:

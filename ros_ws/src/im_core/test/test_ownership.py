@@ -119,3 +119,14 @@ def test_a_run_folder_that_was_there_is_closed_to_other_users_and_that_is_said_o
         assert stat.S_IMODE((tmp_path / "run").stat().st_mode) == 0o700
     said = f"{tmp_path}/run was open to other users (mode {mode:o}), and is for this user alone now\n"
     assert capsys.readouterr().err == said
+
+
+def test_a_folder_that_holds_more_than_the_machine_is_never_closed(tmp_path, monkeypatch):
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    for folder in (tmp_path, tmp_path / "work"):
+        folder.chmod(0o755)
+        monkeypatch.setenv("IM_RUN_DIR", str(folder))
+        with pytest.raises(StoreError, match=r"is no folder of the machine's own; set another IM_RUN_DIR"):
+            run_dir()
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o755
