@@ -16,8 +16,8 @@ from im_core.unfinished_commands import OpenCommandNote
 BEGINS = """
 import sys
 from pathlib import Path
-from im_bringup.machine import run_state as mission
-from im_core import unfinished_commands as open_commands
+from im_bringup.machine import run_state
+from im_core import unfinished_commands
 from im_core.files import make_folder, write_whole
 folder = Path(sys.argv[1])
 run_state.prepare(folder, True, print)

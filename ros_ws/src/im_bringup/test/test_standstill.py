@@ -161,16 +161,16 @@ from im_core.loop_heartbeat import Beat, Pulse
 pulse = Pulse(int(sys.argv[1]))
 print("begun", flush=True)
 for number in range(1, 500_000):
-    loop_heartbeat.beat(Beat(number, 0.0, 5.0))
+    pulse.beat(Beat(number, 0.0, 5.0))
 """
 
 
 def test_who_reads_while_a_beat_is_told_sees_no_hang():
     pulse = Pulse.create()
     watched = Standstill(os.getpid(), pulse)
-    command = [sys.executable, "-c", BEATS, str(loop_heartbeat.descriptor)]
-    with subprocess.Popen(command, pass_fds=[loop_heartbeat.descriptor], stdout=subprocess.PIPE) as process:
+    command = [sys.executable, "-c", BEATS, str(pulse.descriptor)]
+    with subprocess.Popen(command, pass_fds=[pulse.descriptor], stdout=subprocess.PIPE) as process:
         process.stdout.readline()
         while process.poll() is None:
             assert watched.found(-1.0) == ""
-    assert loop_heartbeat.last() == Beat(499_999, 0.0, 5.0)
+    assert pulse.last() == Beat(499_999, 0.0, 5.0)
