@@ -10,12 +10,12 @@
 #   scripts/chaos.sh --everything --injections 50    kills all processes, starts the machine again (and kills that
 #                                            start, too, in every second injection), and compares what
 #                                            the command then finds with what it finds undisturbed
-#   scripts/chaos.sh --everything --power disk --injections 20    the power goes, too: what was not synchronised is there
-#                                            by chance only; with journal_sync: disk, or os
+#   scripts/chaos.sh --everything --power disk --injections 20    the power goes, too: what was not synchronised is
+#                                            there by chance only; with journal_sync: disk, or os
 #   scripts/chaos.sh --demo --injections 20  signals to scripts/demo.sh instead, and the end of its terminal
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
-#   scripts/chaos.sh --out results/chaos.jsonl --docs docs/evidence/reliability.md    injects nothing, writes the table there
+#   scripts/chaos.sh --out results/chaos.jsonl --docs docs/evidence/reliability.md    writes the table there, no injection
 #
 # Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal, lifecycle (shutdown of
 # /mcs). Roles: servo, physics, cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display,

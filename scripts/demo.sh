@@ -9,8 +9,9 @@
 #   scripts/demo.sh --record            and a bag of it, into bags/
 #
 # Results: results/latest (report.json, summary.txt, pictures). The machine is stopped in any case: after Ctrl-C, SIGTERM
-# and SIGHUP, and when the terminal is closed. After kill -9 of this script what it began goes on; scripts/stop.sh ends it.
-# Exit codes: 0 calibrated, 1 something failed (said what), 2 bad usage, 4 the computer lacks something, 130 interrupted.
+# and SIGHUP, and when the terminal is closed. After kill -9 of this script the machine goes on; scripts/stop.sh ends it.
+# Exit codes: 0 calibrated, 1 something failed (said what), 2 bad usage, 4 the computer lacks something,
+# 130 interrupted.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi

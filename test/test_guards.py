@@ -336,9 +336,9 @@ def test_a_node_takes_no_name_that_its_base_uses_itself():
 
 
 def test_a_module_run_by_its_name_is_of_its_package():
-    """Seen: ``python -m im_bringup.ros.calibrate_camera`` was refused, as if its client were of another package."""
+    """Seen: a client run by ``python -m`` was refused, as if its client were of another package."""
     shown = subprocess.run(
-        [sys.executable, "-m", "im_bringup.ros.calibrate_camera", "--help"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "im_bringup.ros.run_command", "--help"], capture_output=True, text=True, timeout=60
     )
     assert (shown.returncode, shown.stderr) == (0, "")
 

@@ -46,7 +46,7 @@ def recorder(process, tmp_path, wait_until):
     """``recorder(args...)``: a recording; its bag is ``tmp_path / "bag"``."""
 
     def start(*arguments):
-        child = process("bash", RUN, "im_bringup", "record", "-o", tmp_path / "bag", *arguments)
+        child = process("bash", RUN, "im_bag", "record", "-o", tmp_path / "bag", *arguments)
         wait_until(lambda: "Ctrl-C ends it" in child.out.read_text(), "the recorder")
         return child
 

@@ -51,7 +51,7 @@ def test_the_bootstrap_is_told_and_so_are_all_it_starts(monkeypatch, tmp_path):
     monkeypatch.setattr(start, "ChildProcess", lambda argv, **options: told.update(options["environment"]))
     monkeypatch.setattr(start, "path_of", lambda package, name: Path(name))
     deployment = start.deployments.load(start.deployments.default_path())
-    start.spawn_bootstrap(deployment, tmp_path, 240.0)
+    start.spawn_bootstrap(deployment, tmp_path, 240.0, resume=False)
     assert told[START_TIMEOUT] == "240.0"
 
 

@@ -76,12 +76,15 @@ def value_of(kind, rng):
 
 @pytest.fixture
 def still(ready):
-    """A user at home; the arm has to be there at the end, too, and do as it is told."""
+    """A user at home; the arm has to be there at the end, too, and do as it is told.
+
+    It sinks by 5 mrad where an emergency stop takes its power: its brakes hold after 0.08 s.
+    """
     before = ready.group_state().q_rest
     yield ready
     ready.to_cold()
     ready.to_motion()
-    np.testing.assert_allclose(ready.group_state().q_rest, before, atol=2e-4)
+    np.testing.assert_allclose(ready.group_state().q_rest, before, atol=1e-2)
     result = ready.move(ready.home + 0.05)
     assert result.success, result.status.message
 
