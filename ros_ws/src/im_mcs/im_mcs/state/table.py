@@ -65,20 +65,6 @@ POWERED = (State.ACTIVE, State.MOTION)
 TRANSITIONS = frozenset({Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION})
 """Requests that change power and brakes of groups, over several ticks."""
 
-OF_GROUP = TRANSITIONS | {
-    Event.RESERVE,
-    Event.RELEASE,
-    Event.TAKE_OVER,
-    Event.MOVE,
-    Event.STREAM,
-    Event.PAUSE,
-    Event.RESUME,
-    Event.SET_SPEED,
-    Event.SET_CONTROLLER,
-    Event.SET_PAYLOAD,
-}
-"""Requests that concern groups, and are judged by their states; the others by the machine's."""
-
 ANYTIME = frozenset({Event.ESTOP, Event.PROTECTIVE_STOP, Event.PAUSE, Event.CANCEL, Event.RENEW})
 """Requests that are heard while a transition is under way: whatever stops, and signs of life."""
 
