@@ -13,8 +13,9 @@
 Knows ``im_core`` only.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from im_core.plugins import import_at_use
 
 if TYPE_CHECKING:
     from im_bag.delivery import Delivery
@@ -23,16 +24,11 @@ if TYPE_CHECKING:
 
 __all__ = ["BagReader", "BagWriter", "Delivery", "PartLimits", "chosen_topics", "default_folder"]
 
-_FACE = {
-    "delivery": ("Delivery",),
-    "raw": ("BagReader", "chosen_topics", "default_folder"),
-    "writer": ("BagWriter", "PartLimits"),
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import the requested name only, so a reader of decoded messages does not wait for the import of a writer."""
-    for module, names in _FACE.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__getattr__ = import_at_use(
+    __name__,
+    {
+        "delivery": ("Delivery",),
+        "raw": ("BagReader", "chosen_topics", "default_folder"),
+        "writer": ("BagWriter", "PartLimits"),
+    },
+)

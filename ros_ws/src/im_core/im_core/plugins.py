@@ -1,6 +1,7 @@
-"""Loader of objects named ``module:Class`` in configuration: control laws, drivers, vision services, commands."""
+"""Loader of objects named ``module:Class`` in configuration, and of the public names of packages."""
 
 import os
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from types import ModuleType
 from typing import TypeVar, overload
@@ -70,6 +71,23 @@ def require_current(reference: str, what: str) -> None:
             what=what,
             reference=reference,
         )
+
+
+def import_at_use(package: str, names: Mapping[str, Sequence[str]]) -> Callable[[str], object]:
+    """Make the ``__getattr__`` of a package: import a public name at the first use, without the modules of the others.
+
+    Args:
+        package: Name of the package.
+        names: Public names, by module below the package.
+    """
+    modules = {name: module for module, given in names.items() for name in given}
+
+    def find(name: str) -> object:
+        if name not in modules:
+            raise AttributeError(f"module {package} has no {name}")
+        return getattr(import_module(f"{package}.{modules[name]}"), name)
+
+    return find
 
 
 def _stamp(module: ModuleType) -> tuple[int, int] | None:

@@ -8,8 +8,9 @@ Knows ``im_core`` only: no ROS, no network; on disk only net files and learned c
 higher: ``model``, ``expression``, then ``netfile`` and ``pnml``, then ``execution``.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from im_core.plugins import import_at_use
 
 if TYPE_CHECKING:
     from im_pnt.errors import NetError, NetFileError
@@ -36,20 +37,15 @@ __all__ = [
     "woken_by",
 ]
 
-_FACE = {
-    "errors": ("NetError", "NetFileError"),
-    "execution.actions": ("FunctionRunner",),
-    "execution.executor": ("Executor",),
-    "execution.functions": ("ActionContext", "Functions", "idempotent", "woken_by"),
-    "execution.notification": ("Firing", "Observer"),
-    "model.net": ("Net",),
-    "netfile": ("load_net", "parse_net"),
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import the requested name; a user of the model alone waits for no reader of files."""
-    for module, names in _FACE.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__getattr__ = import_at_use(
+    __name__,
+    {
+        "errors": ("NetError", "NetFileError"),
+        "execution.actions": ("FunctionRunner",),
+        "execution.executor": ("Executor",),
+        "execution.functions": ("ActionContext", "Functions", "idempotent", "woken_by"),
+        "execution.notification": ("Firing", "Observer"),
+        "model.net": ("Net",),
+        "netfile": ("load_net", "parse_net"),
+    },
+)

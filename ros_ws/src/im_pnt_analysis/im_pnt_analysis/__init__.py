@@ -7,8 +7,9 @@ as one, closed by their environment), ``search`` and ``symbolic`` (markings, lis
 ``simulation``, and the command ``pnt`` in ``cli``.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from im_core.plugins import import_at_use
 
 if TYPE_CHECKING:
     from im_pnt_analysis.composition.compose import compose
@@ -25,23 +26,18 @@ if TYPE_CHECKING:
 __all__ = ["CommandDuration", "FiringSequence", "Report", "SearchLimits", "compare", "compose", "expected_command"]
 __all__ += ["replay", "search_speed", "simulate", "steady_state", "summarise", "verify_to_load"]
 
-_FACE = {
-    "composition.compose": ("compose",),
-    "search.limits": ("SearchLimits",),
-    "simulation.replay": ("FiringSequence", "replay"),
-    "simulation.simulate": ("simulate", "summarise"),
-    "timed.durations": ("CommandDuration", "expected_command"),
-    "timed.measurement": ("compare",),
-    "timed.steady": ("steady_state",),
-    "verify.report": ("Report",),
-    "verify.load": ("verify_to_load",),
-    "verify.search_speed": ("search_speed",),
-}
-
-
-def __getattr__(name: str) -> object:
-    """Import the requested name, without the numerical libraries of the rest."""
-    for module, names in _FACE.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__getattr__ = import_at_use(
+    __name__,
+    {
+        "composition.compose": ("compose",),
+        "search.limits": ("SearchLimits",),
+        "simulation.replay": ("FiringSequence", "replay"),
+        "simulation.simulate": ("simulate", "summarise"),
+        "timed.durations": ("CommandDuration", "expected_command"),
+        "timed.measurement": ("compare",),
+        "timed.steady": ("steady_state",),
+        "verify.report": ("Report",),
+        "verify.load": ("verify_to_load",),
+        "verify.search_speed": ("search_speed",),
+    },
+)

@@ -9,8 +9,9 @@ Knows ``im_core``, ``im_bag`` and ``im_pnt``. Folders, from the lowest: ``distri
 in ``cli``.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING
+
+from im_core.plugins import import_at_use
 
 if TYPE_CHECKING:
     from im_pnt_node.distributed.exchange import Exchange
@@ -18,12 +19,4 @@ if TYPE_CHECKING:
 
 __all__ = ["Exchange", "Journal"]
 
-_FACE = {"distributed.exchange": ("Exchange",), "journal.journal": ("Journal",)}
-
-
-def __getattr__(name: str) -> object:
-    """Import the requested class; a user of the exchange alone waits for no journal."""
-    for module, names in _FACE.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{module}"), name)
-    raise AttributeError(f"module {__name__} has no {name}")
+__getattr__ = import_at_use(__name__, {"distributed.exchange": ("Exchange",), "journal.journal": ("Journal",)})
