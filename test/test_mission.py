@@ -64,6 +64,12 @@ def client(module, *arguments):
     return subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+def resume(symbol, number):
+    """Resumes a paused command as a user does."""
+    said = client("run_command", "--resume", number).communicate(timeout=COMMAND_S)
+    assert said == (f"resume {symbol} (number {number})\n", ""), said
+
+
 def kill_everything_at(command, lines):
     """Kills all processes of the machine when a command has told so many lines of progress."""
     for _ in range(lines):
@@ -158,12 +164,12 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
         leftovers.end_all()
     machines()
     for symbol in ("demo", "home", "move"):
-        client("run_command", "--resume", numbers[symbol]).communicate(timeout=COMMAND_S)
+        resume(symbol, numbers[symbol])
     for symbol in ("demo", "home", "move"):
         ended = client("run_command", "--attach", numbers[symbol])
         printed, complaint = ended.communicate(timeout=COMMAND_S)
         assert (ended.returncode, complaint) == (0, ""), printed
-    client("run_command", "--resume", paused).communicate(timeout=COMMAND_S)
+    resume("close_gripper", paused)
     ended = client("run_command", "--attach", paused, "--json")
     printed, complaint = ended.communicate(timeout=COMMAND_S)
     assert ended.returncode == 0, complaint
