@@ -44,7 +44,6 @@ from im_msgs.srv import ControlCommand
 
 LIST = "/dispatcher/commands"
 CONTROLS = ("cancel", "pause", "resume")
-ANSWER_S = 10.0
 ASKED_S = 0.05
 """How often is looked whether a question was answered [s]."""
 MOST_NUMBER = 2**32 - 1
@@ -159,9 +158,9 @@ class CommandClient(DispatcherClient):
 
     def _asked(self, client: Any, request: Any) -> Any:
         self._until(lambda: self._dispatcher_there() and client.service_is_ready(), f"the service {client.srv_name}")
-        answer = self._answer(client.call_async(request), ANSWER_S)
+        answer = self._answer(client.call_async(request), SILENCE_S)
         if answer is None:
-            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=ANSWER_S)
+            raise WaitTimeoutError(what=f"the answer of {client.srv_name}", seconds=SILENCE_S)
         return answer
 
     def _learn(self, message: String) -> None:
