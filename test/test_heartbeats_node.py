@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 from im_bringup.tasks.middleware import loopback_profile, open_profile
 from im_core import patience
-from im_core.agent_socket import TaskLife
+from im_core.agent_socket import TaskIncarnation
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.ros import heartbeats
 from im_core.ros.heartbeats import CHECK_PERIOD_S, LEASE_S, SILENCE_S, Heartbeats
@@ -80,7 +80,7 @@ def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(
 
 def test_in_a_machine_only_the_agent_says_that_a_task_has_begun_anew_or_starts(followed):
     node, lost, returned = followed._node, [], []
-    node.lives = {"back": TaskLife(1, 0, False), "front": TaskLife(0, 0, False)}
+    node.incarnations = {"back": TaskIncarnation(1, 0, False), "front": TaskIncarnation(0, 0, False)}
     followed.on_return(returned.append)
     followed._hear(beat_of("back", 0))
     followed.watch("back", 1, lost.append)
@@ -89,7 +89,7 @@ def test_in_a_machine_only_the_agent_says_that_a_task_has_begun_anew_or_starts(f
     followed._hear(TaskStatus(name="back", incarnation=1, phase=TaskStatus.LOADED, pid=os.getpid()))
     assert (lost, returned, followed.incarnation("back"), followed.incarnation("front")) == ([], [], 1, None)
     assert not followed.starting("back")
-    node.lives = {"back": TaskLife(2, 0, True)}
+    node.incarnations = {"back": TaskIncarnation(2, 0, True)}
     assert followed.starting("back")
     followed._hear(beat_of("back", 0, 2))
     assert (returned, followed.incarnation("back")) == (["back"], 2)
@@ -97,7 +97,7 @@ def test_in_a_machine_only_the_agent_says_that_a_task_has_begun_anew_or_starts(f
 
 
 def test_of_made_up_tasks_nothing_is_kept(followed):
-    followed._node.lives = {"back": TaskLife(1, 0, False)}
+    followed._node.incarnations = {"back": TaskIncarnation(1, 0, False)}
     followed.missing("asked")
     for number in range(2 * heartbeats.MOST_TASKS):
         followed._hear(beat_of(f"made_up_{number}", 1))
@@ -105,7 +105,7 @@ def test_of_made_up_tasks_nothing_is_kept(followed):
         followed._hear(beat_of(name, 0))
     assert set(followed._last) == {"back", "asked"}
     assert set(followed._silences) == {"asked"}
-    followed._node.lives = None
+    followed._node.incarnations = None
     for number in range(2 * heartbeats.MOST_TASKS):
         followed._hear(beat_of(f"made_up_{number}", 1))
     assert len(followed._last) == heartbeats.MOST_TASKS

@@ -14,7 +14,7 @@ from im_core import clock, names, unfinished_commands
 
 KIND, POWER = "kill -9 of everything", "loss of power"
 #: How far a number may be from that of the undisturbed command, in standard deviations of the difference: the noise
-#: of another life of the testbed is drawn anew, and the command may do without other poses.
+#: of another incarnation of the testbed is drawn anew, and the command may do without other poses.
 DEVIATIONS = 5.0
 #: Longest time after which a start that goes on is killed, too [s].
 LONGEST_START_S = 8.0

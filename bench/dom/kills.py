@@ -43,7 +43,7 @@ def kill_once(folder: Path, seed: int, *, power: bool = False) -> int:
     """Kill a process that changes the store of a folder, and compare.
 
     Args:
-        folder: Holds the store, with what former lives have left.
+        folder: Holds the store, with what former incarnations have left.
         seed: Of what it does, and of when it is killed.
         power: Whether the power goes with it: what was not synchronised is there by chance only.
 

@@ -21,8 +21,8 @@ _LONGEST_DETAIL = 10_000
 
 
 @dataclass(frozen=True)
-class TaskLife:
-    """Present life of a task, as told by an agent.
+class TaskIncarnation:
+    """Present incarnation of a task, as told by an agent.
 
     Attributes:
         incarnation: Number that the task drew when it started; 0: none is known yet.
@@ -41,11 +41,11 @@ class AgentOrder:
 
     Attributes:
         phase: The last phase of the start-up that all tasks may enter, of :class:`im_core.startup.StartupPhase`.
-        lives: The lives of all tasks of the machine, by name.
+        incarnations: The incarnations of all tasks of the machine, by name.
     """
 
     phase: int
-    lives: dict[str, TaskLife]
+    incarnations: dict[str, TaskIncarnation]
 
     def text(self) -> str:
         """The order as JSON; see :meth:`AgentSocket.orders`."""
@@ -106,7 +106,7 @@ class AgentSocket:
         return True
 
     def report(self, report: TaskReport) -> None:
-        """Send a report to the agent; without room a report is dropped, and repeated with the next sign of life."""
+        """Send a report to the agent; without room a report is dropped, and repeated with the next heartbeat."""
         self.send(_json(replace(report, detail=report.detail[:_LONGEST_DETAIL])))
 
     def reports(self) -> Iterator[TaskReport]:

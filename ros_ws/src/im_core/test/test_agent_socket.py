@@ -3,7 +3,7 @@ import subprocess
 import sys
 
 from im_core import agent_socket
-from im_core.agent_socket import AgentOrder, AgentSocket, TaskLife, TaskReport
+from im_core.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 
 CHILD = """
 from im_core.agent_socket import AgentSocket, TaskReport
@@ -11,7 +11,7 @@ agent = AgentSocket.inherited()
 assert AgentSocket.inherited() is None
 agent.report(TaskReport("oven", 2**63 - 1, 4, "it is cold: \u00e9" + "x" * 30_000))
 for order in agent.orders():
-    print(order.phase, order.lives["oven"].incarnation, flush=True)
+    print(order.phase, order.incarnations["oven"].incarnation, flush=True)
 print("the agent is gone", flush=True)
 """
 
@@ -22,7 +22,7 @@ def test_orders_go_to_a_process_and_its_reports_come_back():
     command = [sys.executable, "-c", CHILD]
     with subprocess.Popen(command, pass_fds=[theirs], env=environment, stdout=subprocess.PIPE, text=True) as child:
         os.close(theirs)
-        assert ours.send(AgentOrder(1, {"oven": TaskLife(5, 0, True)}).text())
+        assert ours.send(AgentOrder(1, {"oven": TaskIncarnation(5, 0, True)}).text())
         assert child.stdout.readline() == "1 5\n"
         (report,) = ours.reports()
         assert (report.task, report.incarnation, report.phase) == ("oven", 2**63 - 1, 4)
@@ -36,7 +36,7 @@ def test_orders_go_to_a_process_and_its_reports_come_back():
 def test_neither_end_waits_for_the_other():
     ours, descriptor = AgentSocket.pair()
     theirs = AgentSocket.of(descriptor)
-    text = AgentOrder(2, {f"task{number}": TaskLife(number, 0, False) for number in range(100)}).text()
+    text = AgentOrder(2, {f"task{number}": TaskIncarnation(number, 0, False) for number in range(100)}).text()
     while ours.send(text):
         pass
     for number in range(100_000):

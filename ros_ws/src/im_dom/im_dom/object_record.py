@@ -18,7 +18,7 @@ class ObjectRecord:
         valid: Whether it may be used.
         place: ``net.place`` that stands for its existence and validity, or empty.
         source: Who changed it last.
-        command: The command that it was put for, ``<node>/<life of the node>-<number>``, or empty.
+        command: The command that it was put for, ``<node>/<incarnation of the node>-<number>``, or empty.
         stamp_ns: Testbed time of the last change [ns].
         size: Of the data [byte].
         data_checksum: Of the data (CRC-32).

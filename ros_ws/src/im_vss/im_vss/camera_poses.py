@@ -39,7 +39,7 @@ class Mounts:
         poses = {(frame, stamp_ns): self._now(frame, stamp_ns) for stamp_ns in stamps_ns}
         with self._lock:
             for exposure, pose in poses.items():
-                self._poses.pop(exposure, None)  # of a former life of the testbed, whose time was the same
+                self._poses.pop(exposure, None)  # of a former incarnation of the testbed, whose time was the same
                 if pose is not None:
                     self._poses[exposure] = pose
             while len(self._poses) > MOST_EXPOSURES:

@@ -18,7 +18,7 @@ MOST_LOOKS = 16
 """Looks that are known, at most; of more the oldest are forgotten."""
 
 FORGOTTEN = "look_forgotten"
-"""Code of the failure of whoever asks for a look that is not known: it was of a former life, or is long past."""
+"""Code of the failure of whoever asks for a look that is not known: it was of a former incarnation, or is long past."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Looks(Generic[Found]):
     def keep(self, name: str, look: Look[Found]) -> None:
         """Keep a look under a name."""
         with self._lock:
-            self._looks.pop(name, None)  # of a former life of the testbed, whose time was the same
+            self._looks.pop(name, None)  # of a former incarnation of the testbed, whose time was the same
             self._looks[name] = look
             while len(self._looks) > MOST_LOOKS:
                 self._looks.popitem(last=False)

@@ -84,7 +84,7 @@ class SilentTasks:
         self._look_at = -math.inf
 
     def heard(self, name: str, pid: int, progress: Progress) -> None:
-        """Note a sign of life of a task; a task may be silent for long before "ready", and fall silent after."""
+        """Note a heartbeat of a task; a task may be silent for long before "ready", and fall silent after."""
         for other in [known for known in self._silences if known[0] == name]:
             del self._silences[other]
         if progress is Progress.READY:
@@ -168,7 +168,7 @@ class Bootstrap:
         return self.phase is StartupPhase.CONFIGURE and done(self.phase, self.registry.records())
 
     def seen(self, name: str, incarnation: int) -> None:
-        """Note a possibly forged sign of life received over DDS: end the silence of a task, nothing else."""
+        """Note a possibly forged heartbeat received over DDS: end the silence of a task, nothing else."""
         with suppress(NotFoundError):
             record = self.registry.find(name)
             if record.incarnation == incarnation:
@@ -176,7 +176,7 @@ class Bootstrap:
 
     def order(self, host: str) -> AgentOrder:
         """Return the order for the tasks of a host, addressed to the agent of the host."""
-        return AgentOrder(int(self.phase), self.registry.lives(host))
+        return AgentOrder(int(self.phase), self.registry.incarnations(host))
 
     def poll(self, now: float) -> list[Started | Died]:
         """Watch the processes and go on to the next phase when all tasks are there.

@@ -22,7 +22,7 @@ ACKNOWLEDGED_S = 2.0
 class RemoteAgents:
     """Sender of orders to the agents of other hosts, and receiver of the agents' reports.
 
-    An agent asks by reporting; the answer names the life of the agent that asked.
+    An agent asks by reporting; the answer names the incarnation of the agent that asked.
 
     Args:
         node: The bootstrap's.

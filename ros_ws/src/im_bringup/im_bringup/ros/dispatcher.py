@@ -27,7 +27,7 @@ ALONE_S = 6.0
 _POLL_S = 0.02
 #: How long a dispatcher that was silent and lives may take to begin what it was asked for [s].
 BEGINS_S = 20.0
-#: Time after which a goal that met the server of a former life is sent again [s].
+#: Time after which a goal that met the server of a former incarnation is sent again [s].
 ACCEPT_S = 2.0
 #: What goes on where a user no longer waits.
 GOES_ON = "; the machine goes on with the command"
@@ -35,11 +35,11 @@ GOES_ON = "; the machine goes on with the command"
 
 @dataclass(frozen=True)
 class DispatcherMoment:
-    """A moment in the life of a Dispatcher.
+    """A moment in an incarnation of a Dispatcher.
 
     Attributes:
         last: The largest number that a command had been given.
-        incarnation: Which life it was.
+        incarnation: Which incarnation it was.
     """
 
     last: int

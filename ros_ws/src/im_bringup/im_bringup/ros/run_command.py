@@ -143,7 +143,7 @@ class CommandClient(DispatcherClient):
     def _ended(self, handle: Any) -> Any | None:
         future = handle.get_result_async()
         try:
-            if self._cancelling:  # a former life was asked to, and may have died with that
+            if self._cancelling:  # a former incarnation was asked to, and may have died with that
                 handle.cancel_goal_async()
             answer = self._answer(future)
         except KeyboardInterrupt:

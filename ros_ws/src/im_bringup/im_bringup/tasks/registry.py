@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from im_bringup.tasks.deployment import PlacedTask
-from im_core.agent_socket import TaskLife
+from im_core.agent_socket import TaskIncarnation
 from im_core.errors import NotFoundError
 
 #: A task of another host of which nothing is reported for longer is taken for dead [s].
@@ -126,10 +126,10 @@ class Registry:
         self._records[name] = new
         return replace(record, heard=now) != new
 
-    def lives(self, host: str) -> dict[str, TaskLife]:
-        """Return the present lives of all tasks, in the form for the agent of a host."""
+    def incarnations(self, host: str) -> dict[str, TaskIncarnation]:
+        """Return the present incarnations of all tasks, in the form for the agent of a host."""
         return {
-            record.name: TaskLife(
+            record.name: TaskIncarnation(
                 record.incarnation,
                 record.pid if record.placed.host == host else 0,
                 record.progress in (Progress.LOADED, Progress.CONFIGURED),

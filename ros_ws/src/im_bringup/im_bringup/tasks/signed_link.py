@@ -1,7 +1,7 @@
 """Messages between the bootstrap and the agent of another host: readable by all participants, forgeable by none.
 
-Each message is signed with a secret that the hosts share. It names the present lives of its sender and of its receiver
-and has a number: what was recorded, of this run or of a former one, is not taken a second time.
+Each message is signed with a secret that the hosts share. It names the present incarnations of its sender and of its
+receiver, and has a number: a recorded message, of this run or of a former one, is not taken a second time.
 """
 
 import hmac
@@ -72,8 +72,8 @@ class Opened:
     """A message with a right signature.
 
     Attributes:
-        sender: The life of its sender.
-        content: What it says; None if it was made for another life, or has been taken before.
+        sender: The incarnation of its sender.
+        content: What it says; None if it was made for another incarnation, or has been taken before.
     """
 
     sender: str
@@ -109,12 +109,12 @@ class SignedLink:
         host: Host of the agent.
 
     Attributes:
-        peer: The present life of the other end; empty before it is known.
+        peer: The present incarnation of the other end; empty before it is known.
     """
 
     def __init__(self, secret: bytes, host: str) -> None:
         self._secret, self._host = secret, host
-        self._life = secrets.token_hex(16)
+        self._incarnation = secrets.token_hex(16)
         self._sent = self._taken = 0
         self.peer = ""
         self._peers: set[str] = set()
@@ -125,10 +125,10 @@ class SignedLink:
         Args:
             topic: On which it is sent.
             content: What it says.
-            receiver: For which life of the other end; None: the present one.
+            receiver: For which incarnation of the other end; None: the present one.
         """
         self._sent += 1
-        message = _Message(self._life, self.peer if receiver is None else receiver, self._sent, content)
+        message = _Message(self._incarnation, self.peer if receiver is None else receiver, self._sent, content)
         text = json.dumps(asdict(message))
         return self._signature(topic, text) + text
 
@@ -150,8 +150,8 @@ class SignedLink:
         return Opened(message.sender, message.content if self._is_fresh(message) else None)
 
     def _is_fresh(self, message: _Message) -> bool:
-        """Return whether a message is new and for the present life; a new life of the other end ends the former."""
-        if message.receiver != self._life:
+        """Return whether a message is new and for this incarnation; a new one of the other end ends the former."""
+        if message.receiver != self._incarnation:
             return False
         if message.sender not in self._peers:
             self._peers.add(message.sender)

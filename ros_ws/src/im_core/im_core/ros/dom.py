@@ -26,7 +26,7 @@ from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, 
 #: Objects of which a client remembers whether they are valid; more are asked for again.
 MOST_KNOWN = 1000
 
-#: Every request has the same effect however often it is made; one that met a server of a former life is made again [s],
+#: Every request has the same effect however often it is made; one that met a former server is made again [s],
 #: each time after twice as long, for an object may be large. A /dom that hangs is missed and started again within the
 #: longer of these times.
 TIMEOUT_S = 2.0

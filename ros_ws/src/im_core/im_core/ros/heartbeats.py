@@ -1,9 +1,9 @@
 """Liveness of tasks: follow the heartbeats, and wait for answers only while the answering task lives.
 
 Every participant of DDS can publish a heartbeat. A heartbeat of a task of the machine counts only if the agent of this
-process vouches for its incarnation (:attr:`im_core.ros.node.ManagedNode.lives`). The agent alone says whether the task
-starts. A made-up heartbeat can then only hide the silence of a task that is stopped. In a process that no agent has
-started every heartbeat counts.
+process vouches for its incarnation (:attr:`im_core.ros.node.ManagedNode.incarnations`). The agent alone says whether
+the task starts. A made-up heartbeat can then only hide the silence of a task that is stopped. In a process that no
+agent has started every heartbeat counts.
 """
 
 import socket
@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
-from im_core.agent_socket import TaskLife
+from im_core.agent_socket import TaskIncarnation
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.patience import Silence
 from im_core.procfs import stat_fields
@@ -99,8 +99,8 @@ class Heartbeats:
 
     def starting(self, task: str) -> bool:
         """Return whether a task was last heard during the start: services are there, but not usable yet."""
-        life = self._vouched(task)
-        return self._followed(task).starting if life is None else life.starting
+        vouched = self._vouched(task)
+        return self._followed(task).starting if vouched is None else vouched.starting
 
     def missing(self, task: str, since: int | None = None) -> str:
         """Why a task cannot answer, or an empty string.
@@ -126,13 +126,13 @@ class Heartbeats:
             last = self._last[task] = Heartbeat(None, since=now, heard=now, pid=0, starting=False)
         return last
 
-    def _vouched(self, task: str) -> TaskLife | None:
+    def _vouched(self, task: str) -> TaskIncarnation | None:
         """Return the agent's record of a task; None for tasks outside the machine, or without an agent."""
-        return None if self._node.lives is None else self._node.lives.get(task)
+        return None if self._node.incarnations is None else self._node.incarnations.get(task)
 
     def _room(self) -> bool:
         """Return whether there is room to follow a task neither requested by anyone nor known to an agent."""
-        return self._node.lives is None and len(self._last) < MOST_TASKS
+        return self._node.incarnations is None and len(self._last) < MOST_TASKS
 
     def _silence_s(self, task: str, last: Heartbeat) -> float:
         known = self._silences.get(task)
@@ -200,17 +200,17 @@ class Heartbeats:
         raise WaitTimeoutError(what=what, seconds=timeout_s)
 
     def _hear(self, message: TaskStatus) -> None:
-        life = self._vouched(message.name)
-        if life is not None and message.incarnation != (life.incarnation or None):
-            return  # of a former life, of one that the agent will tell of, or made up
-        if life is None and message.name not in self._last and not self._room():
+        vouched = self._vouched(message.name)
+        if vouched is not None and message.incarnation != (vouched.incarnation or None):
+            return  # of a former incarnation, of one that the agent will tell of, or made up
+        if vouched is None and message.name not in self._last and not self._room():
             return
         known, now = self._followed(message.name), clock.monotonic()
         starting = message.phase in _STARTING
         if known.incarnation == message.incarnation:
             self._last[message.name] = replace(known, heard=now, starting=starting)
             return
-        pid = life.pid if life is not None else message.pid if message.host == self._host else 0
+        pid = vouched.pid if vouched is not None else message.pid if message.host == self._host else 0
         self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
         if known.incarnation is not None:
             self._tell(message.name)

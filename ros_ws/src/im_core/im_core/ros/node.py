@@ -15,7 +15,7 @@ from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
 from im_core import clock
-from im_core.agent_socket import AgentOrder, AgentSocket, TaskLife, TaskReport
+from im_core.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 from im_core.bounded_json import member
 from im_core.errors import ImError
 from im_core.process import dismiss_prepared
@@ -29,7 +29,7 @@ from im_msgs.msg import TaskStatus
 
 #: A task says often where it is until it is ready: who came late to listen shall not hold up the start [s].
 STARTING_PERIOD_S = 0.25
-#: How often a task that is ready gives a sign of life [s].
+#: How often a task that is ready gives a heartbeat [s].
 HEARTBEAT_PERIOD_S = 1.0
 
 #: How long the loop may stand still in a start-up phase [s], which waits for others with time limits of its own.
@@ -48,7 +48,7 @@ class ManagedNode(GuardedNode):
 
     The agent that started the process orders the phases LOAD, CONFIGURE and START through a socket
     (:mod:`im_core.agent_socket`); the node follows, and reports there how far it is. On ``/im/task_status`` it gives
-    signs of life to the other nodes. With the parameter ``standalone:=true`` it passes through the phases alone; with
+    heartbeats to the other nodes. With the parameter ``standalone:=true`` it passes through the phases alone; with
     ``introspection:=metadata`` or ``contents`` all its services publish what they are asked and answer on
     ``<service>/_service_event``, and with ``contents`` its actions goals, results and cancellations.
     Subclasses override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
@@ -58,7 +58,7 @@ class ManagedNode(GuardedNode):
         detail: What is told of the task with the phases that it has passed.
         introspection: What its services publish of what they are asked and answer.
         nets: The digests of the nets that the node runs, by name; see :func:`im_core.startup.net_digest`.
-        lives: The present life of each task of the machine, as the agent tells; None where no agent has started this.
+        incarnations: The present one of each task, as the agent tells; None where no agent has started this process.
     """
 
     introspection = ServiceIntrospectionState.OFF
@@ -88,7 +88,7 @@ class ManagedNode(GuardedNode):
         if self._alone:
             self.alarms.after(0.0, lambda: self._follow(StartupPhase.START))
         self.nets: dict[str, str] = {}
-        self.lives: dict[str, TaskLife] | None = None
+        self.incarnations: dict[str, TaskIncarnation] | None = None
         self._agent: AgentSocket | None = None
         self._publish_status()
 
@@ -139,7 +139,7 @@ class ManagedNode(GuardedNode):
 
     def serve(self, agent: AgentSocket) -> None:
         """Report from now on to the agent of the process; call before the node is spun."""
-        self._agent, self.lives = agent, {}
+        self._agent, self.incarnations = agent, {}
         self._publish_status()
 
     def obey(self, order: AgentOrder) -> None:
@@ -148,7 +148,7 @@ class ManagedNode(GuardedNode):
         Raises:
             DataError: There is no such phase.
         """
-        self.lives = order.lives
+        self.incarnations = order.incarnations
         self._follow(member(StartupPhase, order.phase, "the phase that the agent orders"))
 
     def promise(self) -> Promise:
