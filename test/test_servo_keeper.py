@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import pytest
 
 from im_core.errors import StateError
-from im_mcs.protocol.channel import ServoChannel
 from im_mcs.ros.servo_keeper import ServoKeeper
 from im_mcs.state import Event, State
 
@@ -73,7 +72,7 @@ def test_a_servo_that_has_not_heard_of_a_stop_is_told_until_it_has(keeper):
 
 
 def test_what_is_refused_after_the_death_of_the_node_names_that_death(keeper, monkeypatch):
-    monkeypatch.setattr(ServoChannel, "dead_owner", lambda _: 77)
+    monkeypatch.setattr("im_mcs.ros.servo_keeper.dead_owner", lambda _: 77)
     again = ServoKeeper(keeper._node, keeper._lifecycle, None, 1.0, SimpleNamespace(), lambda: None)
     death = "/mcs has died (process 77) and was started again"
     assert again.reason == death

@@ -18,7 +18,7 @@ from im_core.process import ChildProcess
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
 from im_mcs.limits.configuration import McsConfig
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.state import Event
 
 _READY_S = 120.0
@@ -75,7 +75,7 @@ def machine(config: McsConfig, factor: float, seed: int) -> Iterator[Machine]:
         folder = Path(name)
         cell = load_cell().at_period(config.servo.period_s)
         with physics(instance, cell, factor, seed, folder) as (link, pid):
-            channel = ServoChannel.create(instance, config)
+            channel = ServoChannel.create(channel_name(instance), ServoChannel.layout(config))
             process = _servo(instance, config, folder)
             try:
                 _await_snapshot(channel, process)

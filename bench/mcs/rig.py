@@ -15,8 +15,8 @@ from im_cell.robot import load_cell
 from im_core.errors import ImError, StateError
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
-from im_mcs.protocol.channel import record_layout
-from im_mcs.protocol.evidence import Recorder
+from im_mcs.protocol.channel import evidence_type
+from im_mcs.protocol.evidence import KEPT, Recorder
 from im_mcs.servo.core import Mcs
 from im_mcs.testbed import TestbedInterface
 
@@ -49,8 +49,7 @@ class Rig:
     ) -> None:
         self.model = model
         self.events: list[dict[str, Any]] = []
-        layout = record_layout(config)
-        self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(layout, np.zeros(layout.doubles)))
+        self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(np.zeros(KEPT, evidence_type(config))))
         self._testbed, self._host, self._time = testbed, host, time
         self._number = 0
         self.true_q: NDArray[np.float64] = host.read_truth().q

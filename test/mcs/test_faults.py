@@ -88,7 +88,7 @@ def test_a_servo_that_is_killed_while_it_writes_is_noticed(client):
     with PanelEnd.attach(names.instance(), 60.0) as panel:
         pid = panel.servo_pid
     os.kill(pid, signal.SIGSTOP)
-    torn._sequence[0] |= 1
+    torn._sequence[()] |= 1
     assert "the stop circuit of testbed is cut" in client.trigger("estop").message
     os.kill(pid, signal.SIGKILL)
     client.until(lambda: client.state() == "unconfigured")

@@ -14,7 +14,7 @@ from im_core import clock
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
 from im_mcs.limits.configuration import load_config
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.state import Event
 from support.mcs_config import write_mcs_config
 
@@ -36,7 +36,8 @@ def run(
     with contextlib.ExitStack() as stack:
         stack.enter_context(_process(*arguments))
         link = ClockEnd.attach(instance, 60.0)
-        channel = stack.enter_context(contextlib.closing(ServoChannel.create(instance, config)))
+        made = ServoChannel.create(channel_name(instance), ServoChannel.layout(config))
+        channel = stack.enter_context(contextlib.closing(made))
         servo = stack.enter_context(_process("im_mcs.servo", instance, config_file))
         client = stack.enter_context(contextlib.closing(ServoClient(channel, TestbedTime(link))))
         deadline = clock.monotonic() + 60.0

@@ -145,7 +145,7 @@ def test_a_bridge_that_died_is_started_again(robot, config, without_testbed):
 
 def test_efforts_that_are_too_old_are_not_published(ros, process, wait_until):
     name = f"{names.instance()}_topics_old"
-    link = TopicLink.create(name, 1)
+    link = TopicLink.create(name, TopicLink.layout(1))
     settings = {"name": name, "joints": ["x"], "state": "/old/state", "command": "/old/command", "silence_s": 0.5}
     process(sys.executable, "-m", "im_mcs.ros.topic_channels", json.dumps(settings))
     efforts = []

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from im_core import clock
 from im_core.errors import DataError, LinkError
 from im_core.procfs import ProcessId
-from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot, dead_owner
+from im_core.shm import MessageRing, Semaphore, SharedBlock, SharedRecord, Snapshot, dead_owner
 from im_core.shm_names import remove_all
 
 PREFIX = f"imtest{os.getpid()}_"
@@ -36,6 +36,18 @@ with SharedBlock.create("small", 2**19) as block:
     block.array("u1", 2**19)[:] = 1
 """
 RECORD = np.dtype([("count", "<i8"), ("values", "<f8", (200,))])
+SNAPSHOT = np.dtype([("newest", Snapshot.layout(RECORD))], align=True)
+
+
+class Doorbell(SharedRecord):
+    """A snapshot, and a semaphore for each side."""
+
+    SEMAPHORES = ("front", "back")
+
+    def __init__(self, block, dtype, semaphores):
+        super().__init__(block, dtype, semaphores)
+        self.front, self.back = semaphores
+        self.newest = Snapshot(self.view["newest"], self.name)
 
 
 @pytest.fixture(autouse=True)
@@ -51,13 +63,14 @@ def create_and_wait(name):
 
 
 def write_snapshots(name):
-    snapshot = Snapshot.attach(name, RECORD, timeout_s=60.0)
+    bell = Doorbell.attach(name, SNAPSHOT, timeout_s=60.0)
+    snapshot = bell.newest
     record = snapshot.record()
     for count in range(1, 20_000):
         record["count"] = count
         record["values"][:] = count
         snapshot.write(record)
-    snapshot.close()
+    bell.close()
 
 
 @pytest.fixture
@@ -120,7 +133,8 @@ def test_block_for_which_there_is_no_room_is_an_error_and_leaves_nothing():
 
 def test_snapshot_is_never_torn():
     name = PREFIX + "snapshot"
-    snapshot = Snapshot.create(name, RECORD)
+    bell = Doorbell.create(name, SNAPSHOT)
+    snapshot = bell.newest
     writer = SPAWN.Process(target=write_snapshots, args=(name,))
     writer.start()
     last, reads = 0, 0
@@ -132,19 +146,51 @@ def test_snapshot_is_never_torn():
         assert writer.is_alive() or snapshot.sequence == 19_999
     writer.join()
     assert reads > 10
-    snapshot.close()
+    bell.close()
 
 
-def test_snapshot_of_another_size_is_refused():
-    snapshot = Snapshot.create(PREFIX + "snapshot", RECORD)
-    with pytest.raises(LinkError, match="holds records of 1608 bytes, not of 8"):
-        Snapshot.attach(PREFIX + "snapshot", np.dtype([("count", "<i8")]), timeout_s=0.0)
-    snapshot.close()
+def test_record_of_another_size_is_refused():
+    name = PREFIX + "record"
+    with closing(Doorbell.create(name, SNAPSHOT)), pytest.raises(LinkError, match=f"'{name}' has 1616 bytes, not 8"):
+        SharedRecord.attach(name, np.dtype([("count", "<i8")]), timeout_s=0.0)
+
+
+def test_fields_and_semaphores_of_a_record_are_those_of_both_sides():
+    name = PREFIX + "record"
+    with closing(Doorbell.create(name, SNAPSHOT)) as mine, closing(Doorbell.attach(name, SNAPSHOT, 0.0)) as its:
+        record = mine.newest.record()
+        record["count"] = 7
+        mine.newest.write(record)
+        assert its.newest.read()["count"] == 7
+        mine.front.post()
+        assert not its.back.wait(0.0)
+        assert its.front.wait(0.0)
+        assert its.owner_alive()
+        mine.unlink()
+        with pytest.raises(LinkError, match="does not exist"):
+            Doorbell.attach(name, SNAPSHOT, 0.0)
+        its.back.post()
+        assert mine.back.wait(0.0), "without names, both sides keep what they have"
+
+
+def test_a_record_is_there_when_all_its_semaphores_are_and_leaves_nothing_if_one_is_not(monkeypatch):
+    name, create = PREFIX + "record", Semaphore.create
+
+    def no_room(part):
+        if part.endswith("back"):
+            with pytest.raises(LinkError, match="is not initialised"):
+                SharedBlock.attach(name, timeout_s=0.0)
+            raise LinkError("there is no room")
+        return create(part)
+
+    monkeypatch.setattr(Semaphore, "create", no_room)
+    with pytest.raises(LinkError, match="there is no room"):
+        Doorbell.create(name, SNAPSHOT)
 
 
 def test_snapshot_of_a_writer_that_died_while_writing_is_an_error():
-    snapshot = Snapshot.create(PREFIX + "snapshot", RECORD)
-    snapshot._sequence[0] = 3
+    snapshot = Snapshot(np.zeros((), Snapshot.layout(RECORD)), "newest")
+    snapshot._sequence[()] = 3
     with pytest.raises(LinkError, match="stopped in the middle of a write"):
         snapshot.read()
     began = clock.monotonic()
@@ -154,7 +200,6 @@ def test_snapshot_of_a_writer_that_died_while_writing_is_an_error():
     assert clock.monotonic() - began < 0.5
     snapshot.write(snapshot.record())
     assert snapshot.read()["count"] == 0
-    snapshot.close()
 
 
 VALUES = st.integers() | st.text(max_size=20) | st.binary(max_size=20) | st.lists(st.binary(max_size=5), max_size=2)
@@ -169,7 +214,7 @@ def most_bytes(message):
 @given(st.lists(st.none() | st.dictionaries(st.text(max_size=5), VALUES)))
 def test_ring_is_a_queue(operations):
     """Against a deque: None takes a message, anything else is sent."""
-    ring = MessageRing.create(PREFIX + "ring", capacity=256)
+    ring = MessageRing(np.zeros((), MessageRing.layout(256)), "ring")
     expected = deque()
     for message in operations:
         if message is None:
@@ -183,12 +228,11 @@ def test_ring_is_a_queue(operations):
             expected.append(message)
     assert list(ring.receive_all()) == list(expected)
     assert ring.empty()
-    ring.close()
 
 
 def test_ring_refuses_what_is_not_json_and_says_when_it_is_full():
-    ring = MessageRing.create(PREFIX + "ring", capacity=64)
-    reader = MessageRing.attach(PREFIX + "ring", timeout_s=0.0)
+    memory = np.zeros((), MessageRing.layout(64))
+    ring, reader = MessageRing(memory, "ring"), MessageRing(memory, "ring")
     for wrong in (float("nan"), {1}):
         with pytest.raises(DataError, match="is not JSON"):
             ring.send({"value": wrong})
@@ -196,8 +240,6 @@ def test_ring_refuses_what_is_not_json_and_says_when_it_is_full():
         ring.send({"text": "x" * 100})
     ring.send({"a": [1, 2.5, None, "ü"]})
     assert reader.receive() == {"a": [1, 2.5, None, "ü"]}
-    reader.close()
-    ring.close()
 
 
 def uses(name):

@@ -11,8 +11,8 @@ from im_cell.link import TickCommand
 from im_cell.robot import Cell, load_cell, urdf
 from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.model import CellModel
-from im_mcs.protocol.channel import record_layout
-from im_mcs.protocol.evidence import Recorder, Records
+from im_mcs.protocol.channel import evidence_type
+from im_mcs.protocol.evidence import KEPT, Recorder, Records
 from im_mcs.servo.core import Mcs
 from im_mcs.testbed import Drive, Measured, TestbedInterface
 from im_mcs.testbed.loopback import LoopbackDriver
@@ -47,10 +47,9 @@ class Bench:
         self.driver, self.drivers = driver, (driver, *others.values())
         clock = config.testbed.clock
         self.testbed = testbed = TestbedInterface({clock: driver, **others}, config.slots, clock)
-        layout = record_layout(config)
-        memory = np.zeros(layout.doubles)
-        self.records = Records(layout, memory)
-        self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(layout, memory))
+        memory = np.zeros(KEPT, evidence_type(config))
+        self.records = Records(memory)
+        self.mcs = Mcs(config, model, testbed, self.events.append, Recorder(memory))
         self._number = 0
 
     def send(self, request: str, **arguments: Any) -> int:

@@ -9,7 +9,7 @@ from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.client.servo_client import ServoClient
 from im_mcs.client.time_source import FlowingTime
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.protocol.points import TimedPoints, pack_points, unpack_points
 from im_mcs.state import Event
 
@@ -20,8 +20,8 @@ HANGS = LinkError("the servo process hangs")
 @pytest.fixture
 def ends(config):
     """The owner's client, and the servo's end of the channel."""
-    channel = ServoChannel.create(INSTANCE, config)
-    servo = ServoChannel.attach(INSTANCE, config, 60.0)
+    channel = ServoChannel.create(channel_name(INSTANCE), ServoChannel.layout(config))
+    servo = ServoChannel.attach(channel_name(INSTANCE), ServoChannel.layout(config), 60.0)
     client = ServoClient(channel, FlowingTime())
     yield client, servo
     client.close()
@@ -109,7 +109,7 @@ def test_of_a_servo_that_stopped_in_the_middle_of_writing_the_state_before_is_kn
     record["tick"] = 7
     servo.snapshot.write(record)
     assert client.snapshot()["tick"] == 7
-    servo.snapshot._sequence[0] += 1
+    servo.snapshot._sequence[()] += 1
     servo.snapshot._bytes[:] = 255
     assert client.snapshot()["tick"] == 7
     servo.snapshot.write(record)

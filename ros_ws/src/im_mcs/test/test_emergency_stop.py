@@ -7,8 +7,8 @@ import pytest
 
 from im_core.errors import StateError, StoreError
 from im_mcs.client.emergency_stop import EmergencyStop
-from im_mcs.protocol.channel import record_layout
-from im_mcs.protocol.evidence import Recorder
+from im_mcs.protocol.channel import evidence_type
+from im_mcs.protocol.evidence import KEPT, Recorder
 from im_mcs.safety.stop_mark import StopLatch, StopMark
 from im_mcs.servo.core import Mcs
 from im_mcs.state import State
@@ -55,9 +55,8 @@ class Told(list):
 
 def stopping_bench(bench, latch):
     """The bench again, with a latch."""
-    layout = record_layout(bench.mcs.config)
     bench.events = told = Told(bench.driver)
-    recorder = Recorder(layout, np.zeros(layout.doubles))
+    recorder = Recorder(np.zeros(KEPT, evidence_type(bench.mcs.config)))
     bench.mcs = Mcs(bench.mcs.config, bench.mcs.model, bench.testbed, lambda m: told.append(m), recorder, latch=latch)
     bench.reply = lambda number: next((m for m, _, _ in told if m["event"] == "reply" and m["id"] == number), None)
     return bench

@@ -8,12 +8,12 @@ import pytest
 
 from im_core.errors import ImError, LimitError
 from im_mcs.client.evidence import write_evidence
-from im_mcs.protocol.evidence import KEPT, PER_JOINT, Recorder, RecordLayout, Records
+from im_mcs.protocol.evidence import KEPT, PER_JOINT, Recorder, Records, record_type
 
 
 @pytest.fixture
-def layout():
-    return RecordLayout(rows=10, n_joints=3, n_wrenches=2)
+def memory():
+    return np.zeros(KEPT, record_type(rows=10, n_joints=3, n_wrenches=2))
 
 
 def fill(recorder, ticks):
@@ -23,9 +23,8 @@ def fill(recorder, ticks):
         recorder.put_row(tick, 4500 * tick, (q, -q, 2.0 * q), setpoint, np.full((2, 6), float(tick)))
 
 
-def test_a_record_holds_the_newest_ticks_in_order(layout):
-    memory = np.zeros(layout.doubles)
-    recorder, records = Recorder(layout, memory), Records(layout, memory)
+def test_a_record_holds_the_newest_ticks_in_order(memory):
+    recorder, records = Recorder(memory), Records(memory)
     fill(recorder, range(24))
     number = recorder.freeze()
     assert recorder.freeze() == number  # one a tick
@@ -44,9 +43,8 @@ def test_a_record_holds_the_newest_ticks_in_order(layout):
     np.testing.assert_array_equal(records.read(number)["tick"], range(15, 25))  # it stays
 
 
-def test_a_short_run_gives_a_short_record_and_old_records_make_room(layout):
-    memory = np.zeros(layout.doubles)
-    recorder, records = Recorder(layout, memory), Records(layout, memory)
+def test_a_short_run_gives_a_short_record_and_old_records_make_room(memory):
+    recorder, records = Recorder(memory), Records(memory)
     assert records.read(1) is None
     assert records.read(0) is None
     fill(recorder, range(3))
@@ -61,12 +59,11 @@ def test_a_short_run_gives_a_short_record_and_old_records_make_room(layout):
         assert records.read(number)["tick"][-1] == number + 2
 
 
-def test_evidence_is_written_whole_as_arrays_and_as_a_table(layout, tmp_path):
-    memory = np.zeros(layout.doubles)
-    recorder = Recorder(layout, memory)
+def test_evidence_is_written_whole_as_arrays_and_as_a_table(memory, tmp_path):
+    recorder = Recorder(memory)
     number = recorder.freeze()
     fill(recorder, [7])
-    record = Records(layout, memory).read(number)
+    record = Records(memory).read(number)
     fault = LimitError(joint="b", value=2.0, limit=1.0, unit="rad")
     path = write_evidence(tmp_path / "new", record, fault, ("a", "b", "c"))
     with np.load(path) as kept:
@@ -81,26 +78,24 @@ def test_evidence_is_written_whole_as_arrays_and_as_a_table(layout, tmp_path):
     assert sorted(file.suffix for file in path.parent.iterdir()) == [".csv", ".npz"]
 
 
-def test_evidence_of_a_servo_that_was_started_again_takes_the_place_of_none(layout, tmp_path, monkeypatch):
+def test_evidence_of_a_servo_that_was_started_again_takes_the_place_of_none(memory, tmp_path, monkeypatch):
     for began in ("20260101-000000", "20260101-000007"):
         monkeypatch.setattr("im_mcs.client.evidence.clock.stamp_name", lambda began=began: began)
-        memory = np.zeros(layout.doubles)
-        recorder = Recorder(layout, memory)
+        recorder = Recorder(memory)
         number = recorder.freeze()
         fill(recorder, [7])
-        write_evidence(tmp_path, Records(layout, memory).read(number), ImError("x", code="joint"))
+        write_evidence(tmp_path, Records(memory).read(number), ImError("x", code="joint"))
     stems = sorted(path.stem for path in tmp_path.glob("*.npz"))
     assert stems == ["20260101-000000_000000007_joint", "20260101-000007_000000007_joint"]
 
 
-def test_a_folder_that_cannot_be_is_a_sentence(layout, tmp_path):
+def test_a_folder_that_cannot_be_is_a_sentence(memory, tmp_path):
     (tmp_path / "file").write_text("")
-    memory = np.zeros(layout.doubles)
-    recorder = Recorder(layout, memory)
+    recorder = Recorder(memory)
     number = recorder.freeze()
     fill(recorder, [1])
     with pytest.raises(ImError, match="evidence cannot be written to"):
-        write_evidence(tmp_path / "file" / "sub", Records(layout, memory).read(number), ImError("x"))
+        write_evidence(tmp_path / "file" / "sub", Records(memory).read(number), ImError("x"))
 
 
 def test_an_abort_names_its_record_and_the_record_shows_the_fault(bench, cell):

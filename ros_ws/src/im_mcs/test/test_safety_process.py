@@ -9,7 +9,7 @@ import pytest
 
 from im_core import clock
 from im_mcs.limits.slots import Driver
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.protocol.evidence import Records
 from im_mcs.servo.process import ServoProcess
 from im_mcs.state import State
@@ -36,7 +36,7 @@ def turns(frictionless, cell, model, monkeypatch, tmp_path):
     testbed = frictionless.testbed.model_copy(update={"drivers": {clock_name: Driver(driver="test_driver:make")}})
     safety = frictionless.safety.model_copy(update={"testbed_silence_s": 0.1, "owner_silence_s": 0.2})
     config = frictionless.model_copy(update={"testbed": testbed, "safety": safety})
-    channel = ServoChannel.create(INSTANCE, config)
+    channel = ServoChannel.create(channel_name(INSTANCE), ServoChannel.layout(config))
     process = ServoProcess(INSTANCE, config)
     process.driver, process.owner, process.seen = made[-1], channel, []
     yield process
@@ -271,7 +271,7 @@ def test_snapshot_samples_and_evidence(turns, cell):
     assert snapshot["preset"] == b"2x9"
     assert snapshot["distance"] < 10.0
     np.testing.assert_array_equal(snapshot["setpoint"], turns._mcs.setpoint[0])
-    record = Records(turns.owner.layout, turns.owner.evidence).read(int(snapshot["evidence"]))
+    record = Records(turns.owner.evidence).read(int(snapshot["evidence"]))
     assert np.abs(record["setpoint_v"][-1, :9]).max() > 0.0
 
     samples = turns.owner.samples.take_samples()

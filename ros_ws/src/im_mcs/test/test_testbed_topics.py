@@ -42,7 +42,7 @@ def bridge(monkeypatch):
 
     def say(q, age_s=0.0, named="x, y"):
         if not links:
-            links.append(TopicLink.attach(NAME, 2, timeout_s=30.0))
+            links.append(TopicLink.attach(NAME, TopicLink.layout(2), timeout_s=30.0))
         record = links[0].received.record()
         record["q"], record["named"] = q, named.encode()
         record["at"] = np.where(np.isfinite(age_s), clock.monotonic() - np.asarray(age_s), 0.0)

@@ -5,13 +5,15 @@ a name left behind by a dead owner is replaced by the next creator and refused t
 
 - :class:`SharedBlock`: named bytes with an owner.
 - :class:`Semaphore`: named counter to wait on.
+- :class:`SharedRecord`: named fields with semaphores; the fields may be snapshots and rings.
 - :class:`Snapshot`: one structured record, one writer, any number of readers, never torn (seqlock).
 - :class:`MessageRing`: JSON messages from one writer to one reader, in order.
 """
 
 from im_core.shm.block import SharedBlock, dead_owner
+from im_core.shm.record import SharedRecord
 from im_core.shm.ring import MessageRing
 from im_core.shm.semaphore import Semaphore
 from im_core.shm.snapshot import Snapshot
 
-__all__ = ["MessageRing", "Semaphore", "SharedBlock", "Snapshot", "dead_owner"]
+__all__ = ["MessageRing", "Semaphore", "SharedBlock", "SharedRecord", "Snapshot", "dead_owner"]

@@ -106,11 +106,6 @@ class SharedBlock:
         """Return a view of ``count`` items of ``dtype`` at byte ``offset``."""
         return np.frombuffer(self._memory, dtype=dtype, count=count, offset=_HEADER_BYTES + offset)
 
-    def buffer(self, count: int, offset: int = 0) -> memoryview:
-        """The ``count`` bytes at byte ``offset``."""
-        start = _HEADER_BYTES + offset
-        return memoryview(self._memory)[start : start + count]
-
     @property
     def owner_pid(self) -> int:
         """Process id of the block's creator."""

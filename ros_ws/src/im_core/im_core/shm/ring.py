@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from im_core.errors import DataError, LinkError
-from im_core.shm.block import SharedBlock
 
 _LENGTH_BYTES = 4
-_HEADER_BYTES = 64
 # stands for bytes in a message's text, with their number; no message has such a name of its own
 _BYTES = "\0bytes"
 _BYTES_TEXT = json.dumps(_BYTES).encode()
@@ -22,28 +23,22 @@ class MessageRing:
     ``bytes`` that the message has anywhere, in order: to read a megabyte as JSON would take some milliseconds.
     """
 
-    def __init__(self, block: SharedBlock) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self._block = block
-        self.capacity = block.size - _HEADER_BYTES
-        self._counters = block.array("<u8", 2)
-        self._data = block.buffer(self.capacity, offset=_HEADER_BYTES)
+    def __init__(self, memory: NDArray[Any], name: str) -> None:
+        """Use the memory of a ring.
 
-    @classmethod
-    def create(cls, name: str, capacity: int = 65536) -> Self:
-        """Create an empty ring of ``capacity`` bytes; a ring of the same name is replaced."""
-        block = SharedBlock.create(name, _HEADER_BYTES + capacity)
-        block.publish()
-        return cls(block)
-
-    @classmethod
-    def attach(cls, name: str, timeout_s: float) -> Self:
-        """Attach to a ring.
-
-        Raises:
-            LinkError: It did not appear within ``timeout_s`` [s].
+        Args:
+            memory: Fields of :meth:`layout`, shape (), all zeros at first.
+            name: Name for errors.
         """
-        return cls(SharedBlock.attach(name, timeout_s))
+        self.name = name
+        self._counters = memory["counters"]
+        self._data = memory["data"].data
+        self.capacity = len(self._data)
+
+    @staticmethod
+    def layout(capacity: int = 65536) -> np.dtype[np.void]:
+        """Return the fields of a ring of ``capacity`` bytes."""
+        return np.dtype([("counters", "<u8", (2,)), ("data", "u1", (capacity,))], align=True)
 
     def send(self, message: dict[str, Any]) -> None:
         """Append a message.
@@ -63,14 +58,14 @@ class MessageRing:
         try:
             text = json.dumps(message, allow_nan=False, separators=(",", ":"), default=put_aside).encode()
         except (TypeError, ValueError) as error:
-            raise DataError(f"a message for ring '{self._block.name}' is not JSON: {error}") from None
+            raise DataError(f"a message for ring '{self.name}' is not JSON: {error}") from None
         data = b"".join([len(text).to_bytes(_LENGTH_BYTES, "little"), text, *parts])
         head, tail = int(self._counters[0]), int(self._counters[1])
         needed, free = _LENGTH_BYTES + len(data), self.capacity - (head - tail)
         if needed > free:
             raise LinkError(
-                f"ring '{self._block.name}' is full: a message of {needed} bytes, {free} of {self.capacity} free",
-                name=self._block.name,
+                f"ring '{self.name}' is full: a message of {needed} bytes, {free} of {self.capacity} free",
+                name=self.name,
                 needed=needed,
                 free=free,
             )
@@ -101,15 +96,6 @@ class MessageRing:
     def empty(self) -> bool:
         """Whether every message has been taken."""
         return int(self._counters[0]) == int(self._counters[1])
-
-    def owner_alive(self) -> bool:
-        """Return whether the process of the ring's creator still runs."""
-        return self._block.owner_alive()
-
-    def close(self) -> None:
-        """Release the memory; the creator removes the name."""
-        self._data.release()
-        self._block.close()
 
     def _put(self, position: int, data: bytes) -> None:
         start = position % self.capacity

@@ -1,13 +1,12 @@
 """One record, written by one process and read by any number of others (a seqlock)."""
 
-from typing import Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.shm.block import SharedBlock
 
 _READ_TIMEOUT_S = 0.5
 
@@ -19,39 +18,28 @@ class Snapshot:
     did not change. Writing never waits.
     """
 
-    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void]) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self._block = block
-        self._dtype = dtype
-        self._sequence = block.array("<u8", 1)
-        self._bytes = block.array("u1", dtype.itemsize, offset=64)
+    def __init__(self, memory: NDArray[Any], name: str) -> None:
+        """Use the memory of a snapshot.
+
+        Args:
+            memory: Fields of :meth:`layout`, shape (); the value is all zeros until the first :meth:`write`.
+            name: Name for errors.
+        """
+        self.name = name
+        self._dtype = memory["value"].dtype
+        self._sequence = memory["sequence"]
+        self._bytes = memory["value"].reshape(1).view("u1")
         self._torn = 0
 
-    @classmethod
-    def create(cls, name: str, dtype: np.dtype[np.void]) -> Self:
-        """Create the snapshot as the only writer; the record is all zeros until the first :meth:`write`."""
-        block = SharedBlock.create(name, 64 + dtype.itemsize)
-        block.publish()
-        return cls(block, dtype)
-
-    @classmethod
-    def attach(cls, name: str, dtype: np.dtype[np.void], timeout_s: float) -> Self:
-        """Attach as a reader (or as the writer, if the creator only reads).
-
-        Raises:
-            LinkError: It did not appear within ``timeout_s`` [s], or holds a record of another size.
-        """
-        block = SharedBlock.attach(name, timeout_s)
-        if block.size != 64 + dtype.itemsize:
-            raise LinkError(
-                f"snapshot '{name}' holds records of {block.size - 64} bytes, not of {dtype.itemsize}", name=name
-            )
-        return cls(block, dtype)
+    @staticmethod
+    def layout(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
+        """Return the fields of a snapshot of records of ``dtype``."""
+        return np.dtype([("sequence", "<u8"), ("value", dtype)], align=True)
 
     @property
     def sequence(self) -> int:
         """Number of records written so far."""
-        return int(self._sequence[0]) // 2
+        return int(self._sequence) // 2
 
     def record(self) -> NDArray[np.void]:
         """An empty record of shape (), to be filled and written."""
@@ -60,10 +48,10 @@ class Snapshot:
     def write(self, record: NDArray[np.void]) -> None:
         """Make ``record``, shape (), the newest value."""
         data = np.frombuffer(record.tobytes(), dtype="u1")
-        odd = int(self._sequence[0]) | 1  # a writer that died inside a write left it odd
-        self._sequence[0] = odd
+        odd = int(self._sequence) | 1  # a writer that died inside a write left it odd
+        self._sequence[()] = odd
         self._bytes[:] = data
-        self._sequence[0] = odd + 1
+        self._sequence[()] = odd + 1
 
     def read(self) -> NDArray[np.void]:
         """Return a copy of the newest record, shape ().
@@ -75,21 +63,14 @@ class Snapshot:
         """
         deadline = 0.0
         while True:
-            before = int(self._sequence[0])
+            before = int(self._sequence)
             data = self._bytes.tobytes()
-            if before % 2 == 0 and int(self._sequence[0]) == before:
+            if before % 2 == 0 and int(self._sequence) == before:
                 return np.frombuffer(data, dtype=self._dtype).reshape(())
             if deadline == 0.0:
                 deadline = clock.monotonic() + _READ_TIMEOUT_S
             elif before == self._torn or clock.monotonic() > deadline:
                 self._torn = before
-                name = self._block.name
-                raise LinkError(f"the writer of snapshot '{name}' stopped in the middle of a write", name=name)
-
-    def owner_alive(self) -> bool:
-        """Return whether the process of the snapshot's creator still runs."""
-        return self._block.owner_alive()
-
-    def close(self) -> None:
-        """Release the memory; the creator removes the name."""
-        self._block.close()
+                raise LinkError(
+                    f"the writer of snapshot '{self.name}' stopped in the middle of a write", name=self.name
+                )

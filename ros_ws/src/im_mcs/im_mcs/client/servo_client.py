@@ -77,7 +77,7 @@ class ServoClient:
         self._time = time
         self._on_state = on_state
         self._newest = channel.snapshot.record()
-        self._records = Records(channel.layout, channel.evidence)
+        self._records = Records(channel.evidence)
         self._lock = threading.Lock()
         self._next_id = 1
         self._waiting: dict[int, tuple[OnReply, OnProgress | None]] = {}

@@ -44,7 +44,7 @@ class LawProcess:
         self._at_work = False
         name = f"{names.instance()}_law_{os.getpid()}_{next(_NUMBERS)}"
         model = ControlledModel(cell)
-        self._link = LawLink.create(name, model.n, len(model.wrists))
+        self._link = LawLink.create(name, LawLink.layout(model.n, len(model.wrists)))
         job: dict[str, object] = {"link": name, "law": law, "cell": cell.model_dump(mode="json")}
         job |= {"model_error": model_error, "groups": list(groups), "priority": priority, "paced": paced}
         self._process = ChildProcess.of_module("im_mcs.control.law_server", stdin=json.dumps(job))

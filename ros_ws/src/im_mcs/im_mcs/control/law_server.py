@@ -22,7 +22,7 @@ def main() -> int:
     """Serve a law until the servo sends the end or is gone; 1 if the law cannot be made, reason in the link."""
     job: dict[str, Any] = json.load(sys.stdin)
     model = ControlledModel(Cell.model_validate(job["cell"]), job["model_error"])
-    link = LawLink.attach(job["link"], model.n, len(model.wrists), _ATTACH_S)
+    link = LawLink.attach(job["link"], LawLink.layout(model.n, len(model.wrists)), _ATTACH_S)
     try:
         laws = [_make(job["law"], model, group) for group in job["groups"]]
     except ImError as error:

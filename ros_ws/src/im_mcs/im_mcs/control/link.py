@@ -1,11 +1,9 @@
 """Shared memory between the servo loop and a control law in a separate process."""
 
-from typing import Any, Self
-
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.shm import Semaphore, SharedBlock
+from im_core.shm import Semaphore, SharedBlock, SharedRecord
 from im_mcs.control.controller import ControlInput
 from im_mcs.planning.trajectories.trajectory import Setpoint
 
@@ -13,66 +11,44 @@ _FAULT_BYTES = 600
 _PARTS = ("q", "v", "a")
 
 
-def layout(n_joints: int, n_wrists: int) -> np.dtype[np.void]:
-    """Return the fields of the link. A group of ``n`` joints uses the first ``n`` of fields smaller than the cell."""
-    joints = (n_joints,)
-    setpoints = [(f"{whose}_{part}", "<f8", joints) for whose in ("setpoint", "wanted_all") for part in _PARTS]
-    return np.dtype(
-        [
-            # servo; not touched while the law is at work
-            ("end", "?"),
-            ("group", "<i8"),
-            ("reset", "?"),
-            ("hold", "<i8"),
-            ("carried", "<f8", (n_wrists, 10)),
-            ("q", "<f8", joints),
-            ("v", "<f8", joints),
-            ("gravity", "<f8", joints),
-            ("q_all", "<f8", joints),
-            *setpoints,
-            # law
-            ("tau", "<f8", joints),
-            ("fault", f"S{_FAULT_BYTES}"),
-        ],
-        align=True,
-    )
-
-
-class LawLink:
-    """One question at a time: the servo asks, the law answers; each wakes the other with a semaphore.
+class LawLink(SharedRecord):
+    """One question at a time: the servo, the creator, asks, the law answers; each wakes the other with a semaphore.
 
     Attributes:
-        view: The fields by name; scalars have shape ().
         question: Posted by the servo when the fields hold a question.
         answer: Posted by the law when they hold its answer, and once when it is ready.
     """
 
-    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], question: Semaphore, answer: Semaphore) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self.question, self.answer = question, answer
-        self._block = block
-        record = block.array(dtype, 1).reshape(())
-        self.view: dict[str, NDArray[Any]] = {name: record[name] for name in dtype.names or ()}
+    SEMAPHORES = ("question", "answer")
 
-    @classmethod
-    def create(cls, name: str, n_joints: int, n_wrists: int) -> Self:
-        """Create memory and semaphores, as the servo."""
-        dtype = layout(n_joints, n_wrists)
-        block = SharedBlock.create(name, dtype.itemsize)
-        link = cls(block, dtype, Semaphore.create(f"{name}_question"), Semaphore.create(f"{name}_answer"))
-        block.publish()
-        return link
+    @staticmethod
+    def layout(n_joints: int, n_wrists: int) -> np.dtype[np.void]:
+        """Return the fields of the link; a group of ``n`` joints uses the first ``n`` of those over all joints."""
+        joints = (n_joints,)
+        setpoints = [(f"{whose}_{part}", "<f8", joints) for whose in ("setpoint", "wanted_all") for part in _PARTS]
+        return np.dtype(
+            [
+                # servo; not touched while the law is at work
+                ("end", "?"),
+                ("group", "<i8"),
+                ("reset", "?"),
+                ("hold", "<i8"),
+                ("carried", "<f8", (n_wrists, 10)),
+                ("q", "<f8", joints),
+                ("v", "<f8", joints),
+                ("gravity", "<f8", joints),
+                ("q_all", "<f8", joints),
+                *setpoints,
+                # law
+                ("tau", "<f8", joints),
+                ("fault", f"S{_FAULT_BYTES}"),
+            ],
+            align=True,
+        )
 
-    @classmethod
-    def attach(cls, name: str, n_joints: int, n_wrists: int, timeout_s: float) -> Self:
-        """Attach, as the law.
-
-        Raises:
-            LinkError: The servo has not created it, or is gone.
-        """
-        block = SharedBlock.attach(name, timeout_s)
-        question = Semaphore.attach(f"{name}_question", timeout_s)
-        return cls(block, layout(n_joints, n_wrists), question, Semaphore.attach(f"{name}_answer", timeout_s))
+    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], semaphores: list[Semaphore]) -> None:
+        super().__init__(block, dtype, semaphores)
+        self.question, self.answer = semaphores
 
     def put_question(
         self, group: int, reset: bool, hold: int, carried: NDArray[np.float64], given: ControlInput
@@ -112,18 +88,3 @@ class LawLink:
     @fault.setter
     def fault(self, sentence: str) -> None:
         self.view["fault"][()] = sentence.encode()[:_FAULT_BYTES].decode(errors="ignore").encode()
-
-    def owner_alive(self) -> bool:
-        """Whether the servo process lives."""
-        return self._block.owner_alive()
-
-    def unlink(self) -> None:
-        """Remove the names, as the servo; both sides keep the mappings."""
-        for part in (self._block, self.question, self.answer):
-            part.unlink()
-
-    def close(self) -> None:
-        """Release everything."""
-        self.view = {}
-        for part in (self._block, self.question, self.answer):
-            part.close()

@@ -1,15 +1,13 @@
 """Channel between servo process and owner: requests one way; events, samples, a snapshot, evidence the other."""
 
-from typing import Self
-
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.shm import MessageRing, Semaphore, SharedBlock, Snapshot, dead_owner
+from im_core.shm import MessageRing, Semaphore, SharedBlock, SharedRecord, Snapshot
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
-from im_mcs.protocol.evidence import RecordLayout
-from im_mcs.protocol.heartbeat import ServoHeartbeat
+from im_mcs.protocol.evidence import KEPT, record_type
+from im_mcs.protocol.heartbeat import OWNER, SERVO, ServoHeartbeat
 from im_mcs.protocol.points import packed_size
 from im_mcs.protocol.samples import SampleRing, sample_type
 
@@ -86,14 +84,19 @@ def snapshot_type(config: McsConfig) -> np.dtype[np.void]:
     )
 
 
-def record_layout(config: McsConfig) -> RecordLayout:
-    """Return the size of the evidence for a configuration."""
+def evidence_type(config: McsConfig) -> np.dtype[np.void]:
+    """Return the fields of a kept record of evidence."""
     rows = max(1, round(config.safety.record_s / config.servo.period_s))
-    return RecordLayout(rows, len(config.joint_slots), len(config.wrench_slots))
+    return record_type(rows, len(config.joint_slots), len(config.wrench_slots))
 
 
-class ServoChannel:
-    """Shared memory ``<instance>_mcs_*`` between the owner, the creator, and the servo.
+def channel_name(instance: str) -> str:
+    """Return the name of the channel's memory."""
+    return f"{instance}_mcs"
+
+
+class ServoChannel(SharedRecord):
+    """Memory of :func:`channel_name` between the owner, the creator, and the servo.
 
     Attributes:
         requests: Owner to servo.
@@ -105,77 +108,31 @@ class ServoChannel:
         evidence: Records of aborts, for :class:`~im_mcs.protocol.evidence.Recorder` and ``Records``.
     """
 
-    def __init__(
-        self,
-        requests: MessageRing,
-        events: MessageRing,
-        samples: SampleRing,
-        snapshot: Snapshot,
-        bell: Semaphore,
-        heartbeat: ServoHeartbeat,
-        records: SharedBlock,
-        layout: RecordLayout,
-    ) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self.requests = requests
-        self.events = events
-        self.samples = samples
-        self.snapshot = snapshot
-        self.bell = bell
-        self.heartbeat = heartbeat
-        self.layout = layout
-        self.evidence: NDArray[np.float64] = records.array("<f8", layout.doubles)
-        self._records = records
-
-    @classmethod
-    def create(cls, instance: str, config: McsConfig) -> Self:
-        """Create everything, as the owner."""
-        prefix, layout = f"{instance}_mcs", record_layout(config)
-        longest = packed_size(config.planning.max_trajectory_points, len(config.joint_slots))
-        records = SharedBlock.create(f"{prefix}_evidence", 8 * layout.doubles)
-        records.publish()
-        return cls(
-            MessageRing.create(f"{prefix}_requests", _REQUESTS_BYTES + longest),
-            MessageRing.create(f"{prefix}_events", _EVENTS_BYTES),
-            SampleRing.create(f"{prefix}_samples", _sample_type(config)),
-            Snapshot.create(f"{prefix}_snapshot", snapshot_type(config)),
-            Semaphore.create(f"{prefix}_bell"),
-            ServoHeartbeat.create(f"{prefix}_heartbeat"),
-            records,
-            layout,
-        )
-
-    @classmethod
-    def attach(cls, instance: str, config: McsConfig, timeout_s: float) -> Self:
-        """Attach to everything, as the servo.
-
-        Raises:
-            LinkError: The owner has not created it within ``timeout_s`` [s].
-        """
-        prefix = f"{instance}_mcs"
-        return cls(
-            MessageRing.attach(f"{prefix}_requests", timeout_s),
-            MessageRing.attach(f"{prefix}_events", timeout_s),
-            SampleRing.attach(f"{prefix}_samples", _sample_type(config), timeout_s),
-            Snapshot.attach(f"{prefix}_snapshot", snapshot_type(config), timeout_s),
-            Semaphore.attach(f"{prefix}_bell", timeout_s),
-            ServoHeartbeat.attach(f"{prefix}_heartbeat", timeout_s),
-            SharedBlock.attach(f"{prefix}_evidence", timeout_s),
-            record_layout(config),
-        )
+    SEMAPHORES = ("bell",)
 
     @staticmethod
-    def dead_owner(instance: str) -> int:
-        """Find the owner process dead in possession of a channel; return 0 if there is none."""
-        return dead_owner(f"{instance}_mcs_evidence")
+    def layout(config: McsConfig) -> np.dtype[np.void]:
+        """Return the fields of the channel."""
+        longest = packed_size(config.planning.max_trajectory_points, len(config.joint_slots))
+        sample = sample_type(len(config.joint_slots), len(config.gripper_slots), len(config.wrench_slots))
+        return np.dtype(
+            [
+                ("requests", MessageRing.layout(_REQUESTS_BYTES + longest)),
+                ("events", MessageRing.layout(_EVENTS_BYTES)),
+                ("samples", SampleRing.layout(sample)),
+                ("snapshot", Snapshot.layout(snapshot_type(config))),
+                ("heartbeat", ServoHeartbeat.LAYOUT),
+                ("evidence", evidence_type(config), (KEPT,)),
+            ],
+            align=True,
+        )
 
-    def close(self) -> None:
-        """Release everything; the owner removes the names."""
-        for part in (
-            self.requests, self.events, self.samples, self.snapshot, self.bell, self.heartbeat, self._records
-        ):  # fmt: skip
-            part.close()
-
-
-def _sample_type(config: McsConfig) -> np.dtype[np.void]:
-    return sample_type(len(config.joint_slots), len(config.gripper_slots), len(config.wrench_slots))
+    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], semaphores: list[Semaphore]) -> None:
+        super().__init__(block, dtype, semaphores)
+        self.requests = MessageRing(self.view["requests"], f"{self.name}_requests")
+        self.events = MessageRing(self.view["events"], f"{self.name}_events")
+        self.samples = SampleRing(self.view["samples"])
+        self.snapshot = Snapshot(self.view["snapshot"], f"{self.name}_snapshot")
+        (self.bell,) = semaphores
+        self.heartbeat = ServoHeartbeat(self.view["heartbeat"], OWNER if block.owned else SERVO)
+        self.evidence: NDArray[np.void] = self.view["evidence"]

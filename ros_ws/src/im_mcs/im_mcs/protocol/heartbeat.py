@@ -1,11 +1,13 @@
 """Signs of life of two processes to each other."""
 
 import os
-from typing import Self
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.patience import Silence
-from im_core.shm import SharedBlock
 
 OWNER, SERVO = 0, 1
 
@@ -16,35 +18,22 @@ class ServoHeartbeat:
     """Counter for each side; a standing counter shows the time of silence.
 
     Args:
-        block: Two counters and two process ids.
-        mine: Which one this side moves.
+        memory: Fields of :data:`LAYOUT`, shape (), all zeros at first.
+        mine: Index of the counter that this side moves.
+
+    Attributes:
+        LAYOUT: Two counters and two process ids.
     """
 
-    def __init__(self, block: SharedBlock, mine: int) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self._block = block
-        self._counters, self._pids = block.array("<u8", 2), block.array("<u8", 2, offset=16)
+    LAYOUT = np.dtype([("counters", "<u8", (2,)), ("pids", "<u8", (2,))], align=True)
+
+    def __init__(self, memory: NDArray[Any], mine: int) -> None:
+        self._counters, self._pids = memory["counters"], memory["pids"]
         self._mine, self._other = mine, 1 - mine
         self._pids[mine] = os.getpid()
         self._seen = int(self._counters[self._other])
         self._silence: Silence | None = None
         self._since = self._next_look = clock.monotonic()
-
-    @classmethod
-    def create(cls, name: str) -> Self:
-        """Create the counters, as the owner."""
-        block = SharedBlock.create(name, 64)
-        block.publish()
-        return cls(block, OWNER)
-
-    @classmethod
-    def attach(cls, name: str, timeout_s: float) -> Self:
-        """Attach, as the servo.
-
-        Raises:
-            LinkError: It did not appear within ``timeout_s`` [s].
-        """
-        return cls(SharedBlock.attach(name, timeout_s), SERVO)
 
     def beat(self) -> None:
         """Give a sign of life."""
@@ -67,7 +56,3 @@ class ServoHeartbeat:
             return self._silence.seconds
         self._next_look = now + _LOOK_S
         return self._silence.seconds
-
-    def close(self) -> None:
-        """Release the memory; the creator removes the name."""
-        self._block.close()

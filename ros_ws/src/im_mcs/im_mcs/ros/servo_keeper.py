@@ -12,12 +12,13 @@ from im_core.process import ChildProcess
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import Promise, calling
 from im_core.ros.node import ManagedNode
+from im_core.shm import dead_owner
 from im_core.startup import patience_s
 from im_mcs.client.emergency_stop import EmergencyStop
 from im_mcs.client.servo_client import OnState, ServoClient
 from im_mcs.client.time_source import FlowingTime, TestbedTime
 from im_mcs.limits.configuration import McsConfig
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.safety.stop_mark import StopLatch, StopMark
@@ -64,7 +65,7 @@ class ServoOwner:
         self._timeout_s = _LONGER * patience_s()
         self._on_demand = asks_for_time(config.testbed.drivers[config.testbed.clock].driver)
         self._deadline = clock.monotonic() + self._timeout_s
-        self._channel = ServoChannel.create(instance, config)
+        self._channel = ServoChannel.create(channel_name(instance), ServoChannel.layout(config))
         arguments = [instance, str(config_file or ""), config.preset, repr(config.servo.period_s)]
         try:
             self.process = ChildProcess.of_module("im_mcs.servo", arguments, log=names.run_dir() / "servo.log")
@@ -133,7 +134,7 @@ class ServoKeeper:
         self._testbed_lost = self._servo_lost = False
         self._silence_s = silence_s
         self._reason = ""
-        died = ServoChannel.dead_owner(names.instance())
+        died = dead_owner(channel_name(names.instance()))
         self._death = f"/mcs has died (process {died}) and was started again" * bool(died)
         self._hang: LinkError | None = None
         self._config_file = config_file

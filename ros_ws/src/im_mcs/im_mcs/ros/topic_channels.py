@@ -34,7 +34,7 @@ class TopicChannels(GuardedNode):
 
     def __init__(self, name: str, joints: list[str], state: str, command: str, silence_s: float) -> None:
         super().__init__("topic_channels", namespace="/mcs")
-        self._link = TopicLink.attach(name, len(joints), patience_s())
+        self._link = TopicLink.attach(name, TopicLink.layout(len(joints)), patience_s())
         self._joints, self._silence_s = joints, silence_s
         self._channel = {joint: channel for channel, joint in enumerate(joints)}
         self._received = self._link.received.record()
@@ -68,7 +68,7 @@ class TopicChannels(GuardedNode):
     def _give(self) -> None:
         while self._running:
             if not self._link.bell.wait(_BELL_S):
-                if not self._link.command.owner_alive():
+                if not self._link.owner_alive():
                     self._running = False
                     if self.executor is not None:
                         self.executor.shutdown()

@@ -12,7 +12,7 @@ from im_core.patience import Silence
 from im_core.startup import patience_s
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
-from im_mcs.protocol.channel import ServoChannel
+from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.protocol.evidence import Recorder
 from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.safety.stop_mark import StopLatch, StopMark
@@ -53,11 +53,11 @@ class ServoProcess:
                 f"the testbed ticks every {self._testbed.period_s:g} s, the servo every {config.servo.period_s:g} s;"
                 " make them equal"
             )
-        self._channel = ServoChannel.attach(instance, config, patience_s())
+        self._channel = ServoChannel.attach(channel_name(instance), ServoChannel.layout(config), patience_s())
         self._pending: list[dict[str, Any]] = []
         self._left = 0
         self._told: tuple[State, dict[str, State]] = State.COLD, {}
-        recorder = Recorder(self._channel.layout, self._channel.evidence)
+        recorder = Recorder(self._channel.evidence)
         self._on_demand = self._testbed.wall_period_s == 0.0
         awaited = AwaitedOwners(config.servo.owner_patience_s) if self._on_demand else None
         latch = StopLatch(StopMark(), StopCircuits(config.testbed.drivers, instance))
@@ -92,7 +92,7 @@ class ServoProcess:
         """Return whether the owner runs; asked twice a tick, checked every 20 ms (takes a tenth of a tick)."""
         now = clock.monotonic()
         if self._owner_runs and now >= self._next_look:
-            self._owner_runs = self._channel.requests.owner_alive()
+            self._owner_runs = self._channel.owner_alive()
             self._next_look = now + _LOOK_S
         return self._owner_runs
 

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Sequence
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,65 +10,40 @@ from numpy.typing import NDArray
 from im_core import clock
 from im_core.errors import ConfigError, LinkError
 from im_core.process import ChildProcess
-from im_core.shm import Semaphore, Snapshot
+from im_core.shm import Semaphore, SharedBlock, SharedRecord, Snapshot
 from im_mcs.testbed.driver import Drive, Measured
-
-
-class TopicLink:
-    """Memory ``<name>_*``: received readings one way, commands for publication the other.
-
-    Attributes:
-        received: Positions and when each was received, by joint; the bridge writes.
-        command: Efforts, and which joints are driven; the driver writes.
-        bell: Rung by the driver when there is a command.
-    """
-
-    def __init__(self, received: Snapshot, command: Snapshot, bell: Semaphore) -> None:
-        """Use :meth:`create` or :meth:`attach`."""
-        self.received = received
-        self.command = command
-        self.bell = bell
-
-    @classmethod
-    def create(cls, name: str, n: int) -> Self:
-        """Create everything for ``n`` joints, as the driver."""
-        return cls(
-            Snapshot.create(f"{name}_received", received_type(n)),
-            Snapshot.create(f"{name}_command", command_type(n)),
-            Semaphore.create(f"{name}_bell"),
-        )
-
-    @classmethod
-    def attach(cls, name: str, n: int, timeout_s: float) -> Self:
-        """Attach to everything, as the bridge.
-
-        Raises:
-            LinkError: The driver has not created it within ``timeout_s`` [s].
-        """
-        return cls(
-            Snapshot.attach(f"{name}_received", received_type(n), timeout_s),
-            Snapshot.attach(f"{name}_command", command_type(n), timeout_s),
-            Semaphore.attach(f"{name}_bell", timeout_s),
-        )
-
-    def close(self) -> None:
-        """Release everything; the driver removes the names."""
-        for part in (self.received, self.command, self.bell):
-            part.close()
-
-
-def received_type(n: int) -> np.dtype[Any]:
-    """Return positions, the wall times of the receipt (0: never) [s], and the names of the last message."""
-    return np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), ("named", "S1024")], align=True)
-
-
-def command_type(n: int) -> np.dtype[Any]:
-    """Return efforts, the driven joints, and the time of writing, monotonic clock [s]."""
-    return np.dtype([("effort", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
-
 
 _BRIDGE = "im_mcs.ros.topic_channels"
 _POLL_S, _AGAIN_S = 0.01, 1.0
+
+
+class TopicLink(SharedRecord):
+    """Memory between driver and bridge: received readings one way, commands for publication the other.
+
+    Attributes:
+        received: Positions and when each was received, by joint; the bridge writes.
+        command: Efforts, and which joints are driven; the driver, the creator, writes.
+        bell: Rung by the driver when there is a command.
+    """
+
+    SEMAPHORES = ("bell",)
+
+    @staticmethod
+    def layout(n: int) -> np.dtype[np.void]:
+        """Return the fields of a link of ``n`` joints.
+
+        ``received``: positions, the wall times of the receipt (0: never) [s], and the names of the last message.
+        ``command``: efforts, the driven joints, and the time of writing, monotonic clock [s].
+        """
+        received = np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), ("named", "S1024")], align=True)
+        command = np.dtype([("effort", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
+        return np.dtype([("received", Snapshot.layout(received)), ("command", Snapshot.layout(command))], align=True)
+
+    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], semaphores: list[Semaphore]) -> None:
+        super().__init__(block, dtype, semaphores)
+        self.received = Snapshot(self.view["received"], f"{self.name}_received")
+        self.command = Snapshot(self.view["command"], f"{self.name}_command")
+        (self.bell,) = semaphores
 
 
 class JointStateDriver:
@@ -118,7 +92,7 @@ class JointStateDriver:
             np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(0), False, np.zeros(0)
         )
         name = instance + "_topics" + re.sub(r"\W", "_", state_topic)
-        self._link = TopicLink.create(name, self.n_joints)
+        self._link = TopicLink.create(name, TopicLink.layout(self.n_joints))
         topics = {"state": state_topic, "command": command_topic}
         settings = {"name": name, "joints": self._joints, **topics, "silence_s": silence_s}
         self._settings = json.dumps(settings)

@@ -13,8 +13,7 @@ from im_core import clock, names
 from im_core.config import faults
 from im_core.errors import ConfigError, ImError, LinkError, WaitTimeoutError
 from im_core.process import ChildProcess, prepare
-from im_core.shm import MessageRing, Semaphore, SharedBlock
-from im_sim.cameras.protocol import CameraReply, CameraRequest, CameraSettings, ChannelNames, ImageStore
+from im_sim.cameras.protocol import CameraChannel, CameraReply, CameraRequest, CameraSettings, channel_name
 
 _CAMERAS = "im_sim.cameras"
 _SLICE_S = 0.1
@@ -46,8 +45,7 @@ class CameraHost(FrameSource):
             raise ConfigError(f"frame_source.settings.{first.field}: {first.sentence}", field=first.field) from error
         self._cell_file = setup.cell_file
         self._start_timeout_s = setup.start_timeout_s
-        self._names = ChannelNames(names.instance())
-        self._store = ImageStore(setup.cell)
+        self._layout = CameraChannel.layout(setup.cell)
         self._lock = threading.Lock()
         self._shared = ExitStack()  # what is closed with the process
         self._child: ChildProcess | None = None
@@ -107,15 +105,15 @@ class CameraHost(FrameSource):
             request = CameraRequest(
                 self._number, order.cameras, order.strobes, order.exposure_s, order.timeout_s, controls
             )
-            self._requests.send(request.to_json())
-            self._requested.post()
+            self._channel.requests.send(request.to_json())
+            self._channel.requested.post()
             timeout_s = len(order.blank_light) * order.timeout_s + _RENDER_BUDGET_S
             reply = self._answer(self._number, timeout_s, exposed)
             if reply.error is not None:
                 raise ImError.restored(reply.error["code"], reply.error["message"], reply.error["facts"])
             frames = {
                 camera: tuple(
-                    Frame(camera, self._store.image(self._images, camera, index).copy(), stamp, blank, controls[camera])
+                    Frame(camera, self._channel.image(camera, index).copy(), stamp, blank, controls[camera])
                     for index, (stamp, blank) in enumerate(zip(reply.stamps_ns, order.blank_light, strict=True))
                 )
                 for camera in order.cameras
@@ -151,17 +149,13 @@ class CameraHost(FrameSource):
             self._rates = None
 
     def _start(self) -> None:
-        channels, run_dir = self._names, names.run_dir()
+        run_dir = names.run_dir()
         arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME)]
         arguments += ["--settings", self._settings.model_dump_json()]
         arguments += ["--cell", str(self._cell_file)] if self._cell_file else []
         with ExitStack() as shared:
-            self._images = shared.enter_context(closing(SharedBlock.create(channels.images, self._store.size)))
-            self._images.publish()
-            self._replies = shared.enter_context(closing(MessageRing.create(channels.replies)))
-            self._requested = shared.enter_context(closing(Semaphore.create(channels.requested)))
-            self._replied = shared.enter_context(closing(Semaphore.create(channels.replied)))
-            self._requests = shared.enter_context(closing(MessageRing.create(channels.requests)))
+            channel = CameraChannel.create(channel_name(names.instance()), self._layout)
+            self._channel = shared.enter_context(closing(channel))
             self._ready = False
             self._child = ChildProcess.of_module(_CAMERAS, arguments, log=run_dir / "camera.log")
             self._shared = shared.pop_all()
@@ -194,11 +188,11 @@ class CameraHost(FrameSource):
         """The last reply to a request; older ones are dropped."""
         deadline = clock.monotonic() + timeout_s
         while clock.monotonic() < deadline:
-            message = self._replies.receive()
+            message = self._channel.replies.receive()
             if message is None:
-                if self._child is not None and self._child.poll() is not None and self._replies.empty():
+                if self._child is not None and self._child.poll() is not None and self._channel.replies.empty():
                     raise LinkError(self._obituary(), process=_CAMERAS)
-                self._replied.wait(_SLICE_S)
+                self._channel.replied.wait(_SLICE_S)
                 continue
             reply = CameraReply.from_json(message)
             if reply.number != number:

@@ -9,10 +9,9 @@ from im_cell.robot.truth import CellTruth, load_truth
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
 from im_core.memory import give_back_zeros
-from im_core.shm import MessageRing, Semaphore, SharedBlock
 from im_core.startup import patience_s
 from im_sim.cameras.bank import CameraBank
-from im_sim.cameras.protocol import CameraReply, CameraRequest, CameraSettings, ChannelNames, ImageStore
+from im_sim.cameras.protocol import CameraChannel, CameraReply, CameraRequest, CameraSettings, channel_name
 from im_sim.cameras.scene import SceneMirror
 
 _NICENESS = 5
@@ -37,13 +36,8 @@ class CameraProcess:
         Raises:
             ImError: The host or the testbed is not there, or the renderer does not load.
         """
-        names, wait_s = ChannelNames(instance), patience_s()
-        self._images = SharedBlock.attach(names.images, wait_s)
-        self._requests = MessageRing.attach(names.requests, wait_s)
-        self._replies = MessageRing.attach(names.replies, wait_s)
-        self._requested = Semaphore.attach(names.requested, wait_s)
-        self._replied = Semaphore.attach(names.replied, wait_s)
-        self._store = ImageStore(cell)
+        wait_s = patience_s()
+        self._channel = CameraChannel.attach(channel_name(instance), CameraChannel.layout(cell), wait_s)
         self._instance, self._truth = instance, truth
         self._scene = SceneMirror(cell, settings.renderer)
         self._cell, self._settings = cell, settings
@@ -60,14 +54,14 @@ class CameraProcess:
         """
         self._send(CameraReply(0))
         begin = clock.monotonic() + _OTHERS_START_S
-        while self._requests.owner_alive():
-            message = self._requests.receive()
+        while self._channel.owner_alive():
+            message = self._channel.requests.receive()
             if message is None:
                 if clock.monotonic() < begin:
-                    self._requested.wait(_IDLE_S)
+                    self._channel.requested.wait(_IDLE_S)
                 elif next(self._cold, None) is None:
                     self._rest()
-                    self._requested.wait(_IDLE_S)
+                    self._channel.requested.wait(_IDLE_S)
                 continue
             for _ in self._cold:
                 pass
@@ -104,7 +98,7 @@ class CameraProcess:
             for camera in request.cameras:
                 sensor = request.controls[camera].of(self._settings.sensor)
                 mean = self._bank.expected(camera, exposure, exposure_s, sensor)
-                out = self._store.image(self._images, camera, frame)
+                out = self._channel.image(camera, frame)
                 self._bank.read_out(camera, mean, exposure.start_tick, frame, out, sensor)
         return CameraReply(
             request.number,
@@ -130,8 +124,8 @@ class CameraProcess:
         return CameraBank(cell, truth, self._settings, self._scene, self._link.seed)
 
     def _send(self, reply: CameraReply) -> None:
-        self._replies.send(reply.to_json())
-        self._replied.post()
+        self._channel.replies.send(reply.to_json())
+        self._channel.replied.post()
 
 
 def run(instance: str, truth: Path, cell_file: Path | None, settings: CameraSettings) -> None:

@@ -1,4 +1,4 @@
-"""Protocol between the camera process and the host: settings, shared memory names, requests and replies."""
+"""Protocol between the camera process and the host: settings, requests, replies, shared memory."""
 
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal, Self
@@ -11,7 +11,7 @@ from im_cell.robot import Cell
 from im_cell.sensor import SensorControls, SensorNoise
 from im_core.config import Model
 from im_core.errors import DataError, ImError
-from im_core.shm import SharedBlock
+from im_core.shm import MessageRing, Semaphore, SharedBlock, SharedRecord
 
 MOST_FRAMES = 4
 """Most exposures of a request."""
@@ -31,38 +31,6 @@ class CameraSettings(Model):
     sensor: SensorNoise
     nominal_exposure: Annotated[float, Field(gt=0.0)]
     renderer: Literal["auto", "egl", "tiny"] = "auto"
-
-
-@dataclass(frozen=True)
-class ChannelNames:
-    """Names of the shared memory and semaphores of one instance of the machine."""
-
-    instance: str
-
-    @property
-    def requests(self) -> str:
-        """Ring of requests to the camera process."""
-        return f"{self.instance}_vss_requests"
-
-    @property
-    def replies(self) -> str:
-        """Name of the ring of replies."""
-        return f"{self.instance}_vss_replies"
-
-    @property
-    def images(self) -> str:
-        """Pixels."""
-        return f"{self.instance}_vss_images"
-
-    @property
-    def requested(self) -> str:
-        """Name of the semaphore raised with each request."""
-        return f"{self.instance}_vss_requested"
-
-    @property
-    def replied(self) -> str:
-        """Name of the semaphore raised with each reply."""
-        return f"{self.instance}_vss_replied"
 
 
 @dataclass(frozen=True)
@@ -126,21 +94,38 @@ class CameraReply:
         return cls(number, error={"code": error.code, "message": error.message, "facts": facts})
 
 
-class ImageStore:
-    """Pixels in shared memory: one place for each camera and exposure of a request."""
+def channel_name(instance: str) -> str:
+    """Return the name of the channel's memory."""
+    return f"{instance}_vss"
 
-    def __init__(self, cell: Cell) -> None:
-        """Lay out places for all cameras of `cell`."""
-        self._shapes = {
-            name: (camera.intrinsics.height, camera.intrinsics.width) for name, camera in cell.cameras.items()
-        }
-        self._offsets: dict[str, int] = {}
-        self.size = 0
-        for name, (height, width) in self._shapes.items():
-            self._offsets[name] = self.size
-            self.size += MOST_FRAMES * height * width
 
-    def image(self, block: SharedBlock, camera: str, frame: int) -> NDArray[np.uint8]:
+class CameraChannel(SharedRecord):
+    """Memory of :func:`channel_name` between the host, the creator, and the camera process.
+
+    Attributes:
+        requests: Host to camera process.
+        replies: Camera process to host.
+        requested: Raised with each request.
+        replied: Raised with each reply.
+    """
+
+    SEMAPHORES = ("requested", "replied")
+
+    @staticmethod
+    def layout(cell: Cell) -> np.dtype[np.void]:
+        """Return the fields of the channel for all cameras of ``cell``; images by camera, one for each exposure."""
+        sizes = {name: (camera.intrinsics.height, camera.intrinsics.width) for name, camera in cell.cameras.items()}
+        images = np.dtype([(name, "u1", (MOST_FRAMES, *size)) for name, size in sizes.items()])
+        ring = MessageRing.layout()
+        return np.dtype([("requests", ring), ("replies", ring), ("images", images)], align=True)
+
+    def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], semaphores: list[Semaphore]) -> None:
+        super().__init__(block, dtype, semaphores)
+        self.requests = MessageRing(self.view["requests"], f"{self.name}_requests")
+        self.replies = MessageRing(self.view["replies"], f"{self.name}_replies")
+        self.requested, self.replied = semaphores
+
+    def image(self, camera: str, frame: int) -> NDArray[np.uint8]:
         """The image of a camera and exposure as a view of shared memory, shape (h, w) [DN].
 
         Raises:
@@ -148,6 +133,5 @@ class ImageStore:
         """
         if not 0 <= frame < MOST_FRAMES:
             raise DataError(f"exposure {frame} is not one of 0 to {MOST_FRAMES - 1}", frame=frame)
-        height, width = self._shapes[camera]
-        start = self._offsets[camera] + frame * height * width
-        return np.asarray(block.array("u1", height * width, start), dtype=np.uint8).reshape(height, width)
+        image: NDArray[np.uint8] = self.view["images"][camera][frame]
+        return image
