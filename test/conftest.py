@@ -333,8 +333,8 @@ def calibration_request():
     import numpy as np
 
     from im_cell.robot import load_cell
+    from im_cell.rotations import quaternion_of_matrix
     from im_msgs.msg import KnownLength, Observation, Spot
-    from im_vss.ros.messages import quaternion
 
     cameras, offset = ("ceiling_left", "ceiling_right"), np.array(load_cell().led.offset)
 
@@ -349,7 +349,7 @@ def calibration_request():
         message = Observation(pose=f"p{i}", position_covariance=covariance)
         place, q = message.wrist.position, message.wrist.orientation
         place.x, place.y, place.z = problem.positions[i] - problem.wrist_rotations[i] @ offset
-        q.x, q.y, q.z, q.w = quaternion(problem.wrist_rotations[i])
+        q.x, q.y, q.z, q.w = quaternion_of_matrix(problem.wrist_rotations[i])
         message.spots = spots(problem.spots[:, i], problem.spot_covariances[:, i])
         return message
 

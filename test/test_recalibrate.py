@@ -20,13 +20,14 @@ from im_core.errors import StateError
 from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
 from im_msgs.srv import Calibrate, SpotFind
 from im_vss.camera_book import nominal
-from im_vss.recalibration import CALL, CALLS, CAMERA_INFO, IMAGE, LOOK, LOOKS, TRANSFORMS, mount_in
 from im_vss.ros import recalibrate
-from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
 from im_vss.services.calibrate import problem_of
 from im_vss.settings import load_settings
 
+CALLS, CALL = "/vss/calibrate/_service_event", "im_msgs/srv/Calibrate_Event"
+LOOKS, LOOK = "/vss/spot_find/_service_event", "im_msgs/srv/SpotFind_Event"
+IMAGE, CAMERA_INFO, TRANSFORMS = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "tf2_msgs/msg/TFMessage"
 CELL = load_cell()
 SETTINGS = load_settings(CELL)
 CAMERAS = ("ceiling_left", "ceiling_right")
@@ -287,11 +288,7 @@ def arm(x, sec, turned=(0.0, 0.0, 0.0, 1.0)):
 
 def mounted(bag, *secs):
     """Where the left wrist was along x at testbed times [s], by the bag [m]."""
-
-    def wrist(tree, side, stamp_ns):
-        return wrist_by(tree, CELL, side, stamp_ns, 1e8)
-
-    return mount_in(bag, 2 * 10**18, wrist, 1e8)("left_wrist", [10**9 * sec for sec in secs])[1][0]
+    return recalibrate.mount_in(bag, 2 * 10**18, CELL, 1e8)("left_wrist", [10**9 * sec for sec in secs])[1][0]
 
 
 def test_the_mount_of_a_camera_is_where_it_was_at_the_exposures(tmp_path):

@@ -31,7 +31,7 @@ COMMAND = "im_bringup.machine.start"
 #: The bootstrap has it tell whether the nets may run together, which mostly was proved before.
 PROVE = "im_pnt_analysis.cli.prove"
 USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
-QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaternion(numpy.eye(3))"
+POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zeros(3), numpy.eye(3))"
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ QUATERNION = "import numpy; from im_vss.ros.messages import quaternion; quaterni
         (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
         (f"import {PROVE}", ("numpy", "im_pnt_analysis.search.reachability")),
         (USED_TYPE, ("em", "lark")),
-        (QUATERNION, LATER),  # each camera's pose, before the machine is ready
+        (POSE, LATER),  # each camera's pose, before the machine is ready
     ],
     ids=["nodes", "supervisor", "command", "launch", "prove", "type of ROS", "poses"],
 )

@@ -23,7 +23,6 @@ from im_core.ros.calls import call_blocking
 from im_msgs.msg import Observation, Spot
 from im_msgs.srv import Calibrate, Snap, SpotFind, SpotFindStereo
 from im_sim.cameras.bank import STEPS
-from im_vss.ros.messages import quaternion
 
 CEILING = ["ceiling_left", "ceiling_right"]
 
@@ -204,13 +203,13 @@ def observations_of(truth, poses):
     result = []
     for number in range(poses):
         position = rng.uniform([-0.8, -0.4, 0.7], [0.8, 0.4, 1.5])
-        rotation = Rotation.random(random_state=rng).as_matrix()
-        light = position + rotation @ truth["leds"]["left_led"]["offset_m"]
+        rotation = Rotation.random(random_state=rng)
+        light = position + rotation.apply(truth["leds"]["left_led"]["offset_m"])
         message = Observation(pose=f"p{number}", position_covariance=(np.eye(3) * 1e-8).ravel())
         target = message.wrist
         target.position.x, target.position.y, target.position.z = position
         q = target.orientation
-        q.x, q.y, q.z, q.w = quaternion(rotation)
+        q.x, q.y, q.z, q.w = rotation.as_quat()
         for name in CEILING:
             true = truth["cameras"][name]
             camera = CameraModel(640, 480, true["K"], true["D"], true["R_cam_base"], true["t_cam_base_m"])

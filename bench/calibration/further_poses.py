@@ -8,8 +8,8 @@ import numpy as np
 from bench.calibration.score import errors
 from bench.calibration.synthetic import Design, make_scene
 from im_calibration.design import Candidates, next_best_poses
-from im_calibration.judgement.expected import rms
 from im_calibration.pipeline import calibrate
+from im_cell.calibration_error import rms
 
 _FIRST, _POOL = 12, 150
 

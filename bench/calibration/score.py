@@ -13,9 +13,9 @@ from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.residuals import linearise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrinsics_of
 from im_calibration.judgement.calibration import Calibration
-from im_calibration.judgement.expected import ExpectedError, expected_error, rms
+from im_calibration.judgement.expected import expected_error
 from im_calibration.pipeline import calibrate
-from im_cell.calibration_error import evaluate
+from im_cell.calibration_error import CalibrationError, evaluate, rms
 from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def true_unknowns(scene: SyntheticScene) -> Unknowns:
     )
 
 
-def cramer_rao(scene: SyntheticScene) -> ExpectedError:
+def cramer_rao(scene: SyntheticScene) -> CalibrationError:
     """Bound of both errors over the workspace, from the inliers at the truth, with the priors the data set states.
 
     Args:

@@ -1,11 +1,11 @@
 """How straight the tool goes: 0.4 m at 0.25 m/s, commanded and measured."""
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from bench.figures import Line
 from bench.mcs.rig import Rig, rig
+from im_cell.rotations import quaternion_of_matrix
 from im_mcs.limits.configuration import McsConfig
 
 _LENGTH_M, _SPEED = 0.4, 0.25
@@ -49,16 +49,9 @@ def _line(machine: Rig, direction: NDArray[np.float64]) -> tuple[float, float, f
         wanted, true = (model.pose(at, "left_wrist").translation for at in (q, machine.true_q))
         ways.append((wanted - start.translation, true - start.translation))
 
-    quaternion = _quaternion(start.rotation)
-    pose = [*(start.translation + _LENGTH_M * direction), *quaternion]
+    pose = [*(start.translation + _LENGTH_M * direction), *quaternion_of_matrix(start.rotation)]
     machine.ask("move", watch, group="left", path={"kind": "line", "poses": [pose], "speed": _SPEED, "blend": 0.0})
     wanted, true = (np.array(way) for way in zip(*ways, strict=True))
     off = [float(np.linalg.norm(way - np.outer(way @ direction, direction), axis=1).max()) for way in (wanted, true)]
     speed = np.abs(np.diff(wanted @ direction)).max() / mcs.config.servo.period_s
     return off[0], off[1], float(speed)
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> list[float]:
-    """x, y, z, w of a rotation matrix, shape (3, 3)."""
-    x, y, z, w = pin.Quaternion(rotation).coeffs()
-    return [float(x), float(y), float(z), float(w)]

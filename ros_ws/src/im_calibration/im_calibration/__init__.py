@@ -1,6 +1,6 @@
 """Camera calibration: pose and imaging of cameras, from a wrist LED moved by the robot.
 
-A library: no ROS, no vision services; of our packages it knows `im_core` and `im_cell`. The story is told in
+A library: no ROS, no vision services; of our packages it knows `im_core`, `im_bag` and `im_cell`. The story is told in
 :mod:`im_calibration.pipeline`: problem, estimation, judgement; then reporting, and :mod:`im_calibration.design` for
 what to measure next.
 """

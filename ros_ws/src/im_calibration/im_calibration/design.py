@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
@@ -21,12 +20,11 @@ from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrin
 from im_calibration.judgement.calibration import Calibration
 from im_calibration.judgement.expected import inside, sensitivity
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.rotations import UNIT_TOLERANCE, matrix_of_quaternion
 from im_core.config import Model, load_model
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
-
-_UNIT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ class CandidatePose(Model):
     @field_validator("orientation_xyzw")
     @classmethod
     def _is_unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        if abs(float(np.linalg.norm(value)) - 1.0) > _UNIT:
+        if abs(float(np.linalg.norm(value)) - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"must be a unit quaternion, its length is {np.linalg.norm(value):g}")
         return value
 
@@ -215,7 +213,7 @@ def load_candidates(path: Path, problem: CalibrationProblem) -> Candidates:
         DataError: The problem has joint offsets, and a pose does not say what they do.
     """
     poses = load_model(path, PoseFile).poses
-    rotations = scipy.spatial.transform.Rotation.from_quat([pose.orientation_xyzw for pose in poses]).as_matrix()
+    rotations = matrix_of_quaternion([pose.orientation_xyzw for pose in poses])
     positions = np.array([pose.position_m for pose in poses]) + rotations @ np.array(problem.led_offset_nominal)
     jacobians = None
     if problem.joint_jacobians is not None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.rotations import cross_matrix
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
@@ -47,9 +48,7 @@ class MeasuredRest:
             raise DataError(text, code=UNUSABLE)
         if not (np.isfinite(self.jacobian).all() and np.isfinite(self.q_covariance).all()):
             raise DataError("the measured joint positions or their covariance are not finite", code=UNUSABLE)
-        x, y, z = self.rotation @ offset
-        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        point = self.jacobian[:3] - skew @ self.jacobian[3:]
+        point = self.jacobian[:3] - cross_matrix(self.rotation @ offset) @ self.jacobian[3:]
         covariance: Array = point @ self.q_covariance @ point.T
         return 0.5 * (covariance + covariance.T)
 
@@ -69,14 +68,3 @@ class MeasuredRest:
                 " to rest; it shows another position"
             )
             raise DataError(text, code=UNUSABLE, pose=pose)
-
-
-def rotation_of(x: float, y: float, z: float, w: float) -> Array:
-    """Rotation matrix of a unit quaternion, shape (3, 3)."""
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

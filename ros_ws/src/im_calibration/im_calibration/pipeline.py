@@ -18,13 +18,14 @@ from im_calibration.judgement.agreement import CameraAgreement, camera_agreement
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.causes import find_cause
 from im_calibration.judgement.checks import Checks, check
-from im_calibration.judgement.expected import expected_error, rms
+from im_calibration.judgement.expected import expected_error
 from im_calibration.judgement.lenses import LensFault, lens_faults
 from im_calibration.judgement.neighbours import Neighbours, compare_neighbours
 from im_calibration.judgement.noise import UNLIKELY, Noise, noise_of
 from im_calibration.judgement.scale import Scale, measure_scale
 from im_calibration.judgement.verdicts import judge
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
+from im_cell.calibration_error import rms
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB
 

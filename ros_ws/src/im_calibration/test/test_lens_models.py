@@ -14,11 +14,11 @@ from im_calibration import calibrate, dataset_of
 from im_calibration.commands.calibrate_dataset import main
 from im_calibration.estimation.covariance import Covariance
 from im_calibration.estimation.unknowns import ParameterLayout
-from im_calibration.judgement.expected import rms
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.verdicts import judge
 from im_calibration.problem.dataset import problems
+from im_cell.calibration_error import rms
 from im_core.errors import DataError
 
 

@@ -12,7 +12,7 @@ from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate
 from im_calibration.design import unknowns_of
 from im_calibration.estimation.unknowns import ParameterLayout
-from im_calibration.judgement.expected import rms
+from im_cell.calibration_error import rms
 
 
 @pytest.mark.parametrize(("view", "poses"), [(6.0, 40), (9.0, 15), (14.0, 25)])

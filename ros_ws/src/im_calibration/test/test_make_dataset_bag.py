@@ -194,7 +194,7 @@ def nonsense(of):
         "type": ([("/tool", spots()[0][1])], ["--camera-info", "left=/tool"], "is geometry_msgs/msg/PointStamped, not"),
         "frames": (several, [], "'/tool' is in several frames: base0, base1; one is needed"),
         "stamps": (unstamped, [], "1 of 12 messages on '/tool' have no stamp"),
-        "quaternion": ([("/tool", long)], [], "has an orientation of length"),
+        "quaternion": ([("/tool", long)], [], "the orientation of '/tool' has length"),
         "points": (points, ["--led-offset", "0", "0", "1"], "'/tool' has points; an LED offset needs poses"),
         "transforms": (moving, [], "'/tool' has transforms; give --frames BASE TOOL"),
         "way": (moving, ["--frames", "base", "led"], "'/tool' does not say where 'led' is in 'base'; it moves arm"),

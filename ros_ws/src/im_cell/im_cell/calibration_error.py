@@ -1,4 +1,4 @@
-"""How wrong calibrated cameras are, measured against true ones: reprojection and triangulation over given points."""
+"""How wrong calibrated cameras are, expected or against true ones: reprojection and triangulation over given points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ _CONVERGED_M = 1e-10
 
 @dataclass(frozen=True)
 class CalibrationError:
-    """Errors of estimated cameras at points of the workspace.
+    """Errors of estimated cameras at points of the workspace: the map of how good they are, place by place.
 
     Attributes:
         points: The points, shape (m, 3) [m].
-        reprojection_px: RMS over the cameras that truly see a point of the length of the error of its projection, NaN
-            where none does, shape (m,).
-        triangulation_mm: Length of the error of the point triangulated from its true, noise-free images, NaN where
-            fewer than two cameras see it, shape (m,).
+        reprojection_px: RMS over the cameras that see a point of the length of the error of its projection, NaN where
+            none does, shape (m,).
+        triangulation_mm: Length of the error of the point triangulated from its noise-free images, RMS if expected,
+            NaN where fewer than two cameras see it, shape (m,).
     """
 
     points: Array
@@ -34,12 +34,18 @@ class CalibrationError:
     @property
     def reprojection_rms_px(self) -> float:
         """RMS over all points [px]; NaN if no camera sees one."""
-        return _rms(self.reprojection_px)
+        return rms(self.reprojection_px)
 
     @property
     def triangulation_rms_mm(self) -> float:
         """RMS over all points [mm]; NaN if no two cameras see one."""
-        return _rms(self.triangulation_mm)
+        return rms(self.triangulation_mm)
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of the values other than NaN; NaN if there are none."""
+    known = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 def evaluate(estimated: Sequence[CameraModel], true: Sequence[CameraModel], points: ArrayLike) -> CalibrationError:
@@ -103,8 +109,3 @@ def triangulate(cameras: Sequence[CameraModel], images: ArrayLike, seen: ArrayLi
         if not np.nanmax(np.abs(step), initial=0.0) > _CONVERGED_M:
             break
     return x
-
-
-def _rms(values: Array) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

@@ -8,6 +8,7 @@ import scipy
 from numpy.typing import NDArray
 
 from im_cell.camera_model import PARAMETERS
+from im_cell.rotations import cross_matrix
 
 Array = NDArray[np.float64]
 
@@ -69,8 +70,7 @@ class CameraCovariance:
         """
         change = np.eye(len(self.parameters))
         turn, shift = ([self.parameters.index(f"{camera}.{kind}{axis}") for axis in "xyz"] for kind in ("r", "t"))
-        x, y, z = origin
-        change[np.ix_(shift, turn)] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        change[np.ix_(shift, turn)] = -cross_matrix(origin)
         return CameraCovariance(self.parameters, change @ self.matrix @ change.T)
 
 

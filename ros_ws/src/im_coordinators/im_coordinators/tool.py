@@ -3,19 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_cell.rotations import UNIT_TOLERANCE, matrix_of_quaternion, matrix_of_rpy, quaternion_of_matrix
 from im_core.errors import DataError, ImError
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation  # loaded when it is used
-
-#: How far from 1 the norm of a quaternion may be.
-UNIT_TOLERANCE = 1e-3
+Array = NDArray[np.float64]
 
 #: Arguments of a request that say more of a ``position``.
 DETAILS = {"orientation": [], "frame": "world"}
@@ -27,21 +22,21 @@ class WristPlacement:
 
     Attributes:
         position: Shape (3,) [m].
-        rotation: Rotation wrist -> world.
+        rotation: Rotation wrist -> world, shape (3, 3).
     """
 
-    position: NDArray[np.float64]
-    rotation: "Rotation"
+    position: Array
+    rotation: Array
 
     @classmethod
     def of(cls, position: Sequence[float], quaternion: Sequence[float]) -> "WristPlacement":
         """The pose with a position, shape (3,) [m], and a quaternion x, y, z, w."""
-        return cls(np.array(position, dtype=np.float64), scipy.spatial.transform.Rotation.from_quat(quaternion))
+        return cls(np.array(position, dtype=np.float64), matrix_of_quaternion(quaternion))
 
     @property
-    def quaternion(self) -> list[float]:
+    def quaternion(self) -> tuple[float, float, float, float]:
         """Rotation of the target as a quaternion x, y, z, w."""
-        return [float(each) for each in self.rotation.as_quat()]
+        return quaternion_of_matrix(self.rotation)
 
 
 @dataclass(frozen=True)
@@ -51,13 +46,13 @@ class ToolTarget:
     Attributes:
         group: The arm that carries the tool.
         position: Of the middle of the jaws, shape (3,) [m].
-        orientation: Of the tool; None: as it is.
+        orientation: Rotation of the tool, shape (3, 3); None: as it is.
         frame: What they are in: ``world``, or ``tool``, where the tool is now.
     """
 
     group: str
     position: tuple[float, ...]
-    orientation: "Rotation | None"
+    orientation: Array | None
     frame: str
 
     @classmethod
@@ -84,12 +79,12 @@ class ToolTarget:
         """
         along = np.array([0.0, 0.0, reach])
         if self.frame == "tool":
-            turn = here.rotation if self.orientation is None else here.rotation * self.orientation
-            place = here.position + here.rotation.apply(along + self.position)
+            turn = here.rotation if self.orientation is None else here.rotation @ self.orientation
+            place = here.position + here.rotation @ (along + self.position)
         else:
             turn = here.rotation if self.orientation is None else self.orientation
             place = np.array(self.position)
-        return WristPlacement(place - turn.apply(along), turn)
+        return WristPlacement(place - turn @ along, turn)
 
     def refusal(self, why: ImError) -> ImError:
         """Return the error for the target, with the reason why the tool cannot be there."""
@@ -114,14 +109,14 @@ def require_position(arguments: Mapping[str, object], way: str) -> None:
             raise DataError(f"argument {name} goes with position; it was given with {way}", argument=name)
 
 
-def _rotation(numbers: tuple[float, ...]) -> "Rotation | None":
+def _rotation(numbers: tuple[float, ...]) -> Array | None:
     match len(numbers):
         case 0:
             return None
         case 3:
-            return scipy.spatial.transform.Rotation.from_euler("xyz", numbers)
+            return matrix_of_rpy(numbers)
         case 4 if abs(math.hypot(*numbers) - 1.0) <= UNIT_TOLERANCE:
-            return scipy.spatial.transform.Rotation.from_quat(numbers)
+            return matrix_of_quaternion(numbers)
     text = f"argument orientation is {list(numbers)}; roll pitch yaw [rad] or a quaternion x y z w of norm 1 are needed"
     raise DataError(text, argument="orientation", value=list(numbers))
 

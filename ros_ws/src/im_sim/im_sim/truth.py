@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Camera, Cell, LaserScanner, Vector
 from im_cell.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth, Matrix
+from im_cell.rotations import matrix_of_vector
 
 FOCAL_SPREAD = 0.02
 ASPECT_SPREAD = 0.001
@@ -41,7 +42,7 @@ def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:
     p1, p2 = rng.normal(0.0, TANGENTIAL_SD, 2)
     rotation, translation = camera.pose()
     position = -rotation.T @ translation + rng.uniform(-POSITION_SPREAD_M, POSITION_SPREAD_M, 3)
-    rotation = _turn(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)) @ rotation
+    rotation = matrix_of_vector(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)) @ rotation
     return CameraTruth(
         parent=camera.parent,
         width=lens.width,
@@ -56,7 +57,7 @@ def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:
 def _laser(scanner: LaserScanner, rng: np.random.Generator) -> LaserTruth:
     rotation, position = scanner.pose()
     position = position + rng.uniform(-POSITION_SPREAD_M, POSITION_SPREAD_M, 3)
-    rotation = _turn(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)) @ rotation
+    rotation = matrix_of_vector(rng.uniform(-ANGLE_SPREAD_RAD, ANGLE_SPREAD_RAD, 3)) @ rotation
     first, second = 1.0 + rng.normal(0.0, scanner.tolerance.gain, 2)
     return LaserTruth(
         rotation=_matrix(rotation),
@@ -65,18 +66,6 @@ def _laser(scanner: LaserScanner, rng: np.random.Generator) -> LaserTruth:
         offset=float(rng.normal(0.0, scanner.tolerance.offset)),
         gap_m=float(scanner.gap + rng.normal(0.0, scanner.tolerance.gap)),
     )
-
-
-def _turn(rotvec: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrix, shape (3, 3), of a rotation vector, shape (3,) [rad] (Rodrigues' formula)."""
-    angle = float(np.linalg.norm(rotvec))
-    x, y, z = rotvec
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # with sinc there is no division by an angle of 0: sin(a) / a, and (1 - cos(a)) / a^2 = sinc(a / 2)^2 / 2
-    turned: NDArray[np.float64] = (
-        np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross
-    )
-    return turned
 
 
 def _stream(seed: int, name: str) -> np.random.Generator:

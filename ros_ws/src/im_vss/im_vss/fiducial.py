@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.fiducial import CELLS
 from im_cell.robot import Target
+from im_cell.rotations import cross_matrix, matrix_of_vector
 from im_cell.sensor import SensorNoise
 from im_core.errors import DataError
 from im_vss.edges.step import Image, StraightEdge, follow_edge, undistorted_by_parameters
@@ -106,8 +106,7 @@ def plate_poses(corners: Corners, K: Array, size: float) -> list[PlatePose]:
         plate, corners.uv[:, None], K, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
     starts = [
-        (np.asarray(cv2.Rodrigues(rotations[i])[0], dtype=float), np.asarray(translations[i], dtype=float).ravel())
-        for i in range(count)
+        (matrix_of_vector(rotations[i].ravel()), np.asarray(translations[i], dtype=float).ravel()) for i in range(count)
     ]
     solved = [_refined(*start, plate, corners, K) for start in starts]
     return sorted((pose for pose in solved if pose is not None), key=lambda pose: pose.chi2)
@@ -121,7 +120,7 @@ def _refined(rotation: Array, translation: Array, plate: Array, corners: Corners
         residual, jacobian = _linearised(rotation, translation, plate, corners.uv, K)
         step = np.linalg.solve(jacobian.T @ weight @ jacobian, jacobian.T @ weight @ residual)
         translation = translation + step[:3]
-        rotation = np.asarray(scipy.spatial.transform.Rotation.from_rotvec(step[3:]).as_matrix()) @ rotation
+        rotation = matrix_of_vector(step[3:]) @ rotation
         if np.abs(step).max() < _TOLERANCE:
             break
     residual, jacobian = _linearised(rotation, translation, plate, corners.uv, K)
@@ -164,10 +163,7 @@ def _linearised(rotation: Array, translation: Array, plate: Array, uv: Array, K:
     by_point = np.zeros((4, 2, 3))
     by_point[:, 0, 0], by_point[:, 0, 2] = K[0, 0] / z, -K[0, 0] * x / z**2
     by_point[:, 1, 1], by_point[:, 1, 2] = K[1, 1] / z, -K[1, 1] * y / z**2
-    turn = np.zeros((4, 3, 3))
-    for axis in range(3):
-        turn[:, :, axis] = np.cross(np.eye(3)[axis], arms)
-    jacobian = np.concatenate((by_point, by_point @ turn), axis=-1).reshape(8, 6)
+    jacobian = np.concatenate((by_point, -by_point @ cross_matrix(arms)), axis=-1).reshape(8, 6)
     seen = np.stack((K[0, 0] * x / z + K[0, 2], K[1, 1] * y / z + K[1, 2]), axis=-1)
     return (uv - seen).ravel(), jacobian
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.lens import EQUIDISTANT
+from im_cell.rotations import cross_matrix
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
@@ -87,8 +88,7 @@ def essential_matrix(first: CameraModel, second: CameraModel) -> Array:
     """Return E with ``y' E x = 0`` for ideal images x, y of one point in two cameras with poses, shape (3, 3)."""
     rotation = second.R_cam_base @ first.R_cam_base.T
     t = second.t_cam_base - rotation @ first.t_cam_base
-    cross = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-    return np.asarray(cross @ rotation)
+    return np.asarray(cross_matrix(t) @ rotation)
 
 
 def epipolar_distance(first: CameraModel, second: CameraModel, spots: Sequence[Array]) -> float:

@@ -7,12 +7,13 @@ import scipy
 from numpy.typing import NDArray
 
 from im_calibration.judgement.checks import Checks
-from im_calibration.judgement.expected import ExpectedError
 from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
+from im_cell.calibration_error import CalibrationError
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
+from im_cell.rotations import cross_matrix
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -126,7 +127,7 @@ class Calibration:
     led_positions: Array
     rejections: tuple[Rejection, ...]
     verdicts: tuple[Verdict, ...]
-    expected: ExpectedError
+    expected: CalibrationError
     checks: Checks
     scale: Scale | None
     noise: Noise
@@ -143,7 +144,7 @@ class Calibration:
         for camera in self.cameras:
             rotated = camera.model.R_cam_base @ by
             block = np.eye(len(camera.covariance))
-            block[-3:, -6:-3] = np.cross(rotated, np.eye(3)).T
+            block[-3:, -6:-3] = cross_matrix(rotated)
             model = replace(camera.model, t_cam_base=camera.model.t_cam_base - rotated)
             cameras.append(replace(camera, model=model, covariance=block @ camera.covariance @ block.T))
             blocks.append(block)

@@ -10,8 +10,9 @@ from im_calibration.estimation.gates import Gated, predict_from_others
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.solve import maximise_likelihood
 from im_calibration.estimation.unknowns import ParameterLayout
-from im_calibration.judgement.expected import expected_error, inside, rms
+from im_calibration.judgement.expected import expected_error, inside
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.calibration_error import rms
 
 Array = NDArray[np.float64]
 

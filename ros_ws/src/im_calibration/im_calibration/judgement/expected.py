@@ -8,34 +8,10 @@ from numpy.typing import NDArray
 
 from im_calibration.estimation.projection import project
 from im_calibration.estimation.unknowns import Unknowns
+from im_cell.calibration_error import CalibrationError
 from im_cell.workspace import Workspace
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class ExpectedError:
-    """Predicted errors over the points of the workspace: the map of how good the cameras are, place by place.
-
-    Attributes:
-        points: Points of the workspace, shape (m, 3) [m].
-        reprojection_px: RMS length of the reprojection error at each point seen by a camera, NaN elsewhere, shape (m,).
-        triangulation_mm: RMS length of the triangulation error at each point seen by two cameras, NaN elsewhere, (m,).
-    """
-
-    points: Array
-    reprojection_px: Array
-    triangulation_mm: Array
-
-    @property
-    def reprojection_rms_px(self) -> float:
-        """RMS over the workspace [px]; NaN if no camera sees the workspace."""
-        return rms(self.reprojection_px)
-
-    @property
-    def triangulation_rms_mm(self) -> float:
-        """RMS over the workspace [mm]; NaN if no two cameras see a common part of the workspace."""
-        return rms(self.triangulation_mm)
 
 
 @dataclass(frozen=True)
@@ -71,12 +47,6 @@ class Sensitivity:
         if not len(known):
             return None
         return np.asarray(1e6 * np.einsum("mia,mib->ab", known, known) / len(known))
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square of the values other than NaN; NaN if there are none."""
-    known = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 def sensitivity(unknowns: Unknowns, image_sizes: tuple[tuple[int, int], ...], workspace: Workspace) -> Sensitivity:
@@ -121,7 +91,7 @@ def inside(pixels: Array, image_sizes: tuple[tuple[int, int], ...]) -> NDArray[n
 
 def expected_error(
     unknowns: Unknowns, covariance: Array, image_sizes: tuple[tuple[int, int], ...], workspace: Workspace
-) -> ExpectedError:
+) -> CalibrationError:
     """Propagate the covariance of the cameras to points of the workspace, to first order.
 
     Args:
@@ -140,4 +110,4 @@ def expected_error(
     count = gains.seen.sum(axis=0)
     reprojection = np.where(count > 0, np.sqrt(variance.sum(axis=0) / np.maximum(count, 1)), np.nan)
     triangulation = 1e3 * np.sqrt(np.einsum("mij,jk,mik->m", gains.points_moved, cameras, gains.points_moved))
-    return ExpectedError(gains.points, reprojection, np.asarray(triangulation))
+    return CalibrationError(gains.points, reprojection, np.asarray(triangulation))

@@ -1,18 +1,19 @@
-"""Data sets from bags of any origin: spots of a light as points, and tool poses, paired by stamps."""
+"""Reader of bags: data sets of spots and poses, paired by stamps, of any origin; recorded calibrations."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from im_bag.reading import BagMessage, messages_of, topics_of
 from im_calibration.problem.convert import dataset_head
 from im_cell.lens import LENSES, PLUMB_BOB
+from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
+from im_core.jsontext import JsonError, decode_json
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -20,7 +21,18 @@ Stamps = NDArray[np.int64]
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
 _TF, _CAMERA_INFO = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/CameraInfo"
 _TF_STATIC = "/tf_static"
-_UNIT = 1e-3
+_CALLS, _CALL = "/vss/calibrate/_service_event", "im_msgs/srv/Calibrate_Event"
+_REQUEST_RECEIVED, _RESPONSE_SENT = 1, 2
+#: What is read of the messages of this workspace.
+_FIELDS = {
+    "im_msgs/srv/Calibrate_Request": ("cameras", "observations", "known_lengths", "directory", "apply"),
+    "im_msgs/srv/Calibrate_Response": ("success", "status", "report"),
+    "im_msgs/msg/CalibrationReport": ("json",),
+    "im_msgs/msg/KnownLength": ("length", "sd", "first", "second"),
+    "im_msgs/msg/Observation": ("pose", "wrist", "position_covariance", "spots"),
+    "im_msgs/msg/Spot": ("camera", "stamp", "found", "u", "v", "covariance"),
+    "im_msgs/msg/Status": ("message",),
+}
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,33 @@ class BagDataSet:
     lenses: Mapping[str, str]
 
 
+@dataclass
+class RecordedCalibration:
+    """Call of the Service ``calibrate``, as held by a bag.
+
+    Attributes:
+        request: The message `im_msgs/srv/Calibrate` of the request.
+        logged_ns: When it came [ns].
+        report: What was answered, as in ``report.json``; None: there was no estimate, or the answer is not in the bag.
+        refusal: Why there was no estimate; empty: there was one, or the answer is not in the bag.
+    """
+
+    request: Any
+    logged_ns: int
+    report: Mapping[str, Any] | None = None
+    refusal: str = ""
+
+    def led_offset(self) -> tuple[tuple[float, float, float], float] | None:
+        """Return the light's nominal place in the wrist frame and the prior deviation [m]; None: not in the answer."""
+        match self.report:
+            case {
+                "led_offset_nominal_m": [float() | int() as x, float() | int() as y, float() | int() as z],
+                "led_offset_prior_sd_m": float() | int() as deviation,
+            }:
+                return (x, y, z), deviation
+        return None
+
+
 @dataclass(frozen=True)
 class _Track:
     """Values over time: stamps, shape (m,) [ns]; positions, shape (m, 3) [m]; rotations, shape (m, 3, 3)."""
@@ -124,7 +163,8 @@ def dataset_from_bag(
         span = (min(track.stamps[0] for track in seen.values()) - tool.stamps[0]) * 1e-9
         late = f"the first spot comes {span:.3f} s after the first pose"
         raise DataError(f"{bag}: no spot has a pose within {tolerance_s:g} s; {late}.")
-    infos = _camera_infos(bag, topics)
+    beside = {name: f"{topic.rpartition('/')[0]}/camera_info" for name, topic in topics.spots.items()}
+    infos = _camera_infos(bag, beside, topics.infos)
     sizes = {name: infos[name][0] if name in infos else image_size for name in seen}
     content = dataset_head(sizes, len(pairing.pose_of), sigma_px, sigma_m)
     lenses = {name: infos[name][1] if name in infos else PLUMB_BOB.name for name in seen}
@@ -202,7 +242,7 @@ def _track(bag: Path, topic: str, types: tuple[str, ...]) -> _Track:
     frames = {message.content.header.frame_id for message in found}
     if len(frames) > 1:
         raise DataError(f"{bag}: '{topic}' is in several frames: {', '.join(sorted(frames))}; one is needed.")
-    stamps = [_stamp(message.content.header) for message in found]
+    stamps = [stamp_of(message.content.header) for message in found]
     if any(stamps) and not all(stamps):
         raise DataError(f"{bag}: {stamps.count(0)} of {len(stamps)} messages on '{topic}' have no stamp.", topic=topic)
     if not any(stamps):
@@ -212,7 +252,8 @@ def _track(bag: Path, topic: str, types: tuple[str, ...]) -> _Track:
     order = [i for i in np.argsort(times, kind="stable") if np.isfinite(rows[i]).all()]
     if not order:
         raise DataError(f"{bag}: topic '{topic}' has no message with finite numbers.", topic=topic)
-    turns = _rotations(rows[order, 3:], f"{bag}: '{topic}'") if rows.shape[1] > 3 else None
+    whose = f"{bag}: the orientation of '{topic}'"
+    turns = matrix_of_quaternion(rows[order, 3:], whose) if rows.shape[1] > 3 else None
     return _Track(times[order], rows[order, :3], turns)
 
 
@@ -227,7 +268,7 @@ def _transforms(bag: Path, topics: BagTopics) -> _Track:
     """Return the tool's pose in the base at each message moving the tool, by the newest transforms on the way."""
     assert topics.frames is not None
     base, tool = topics.frames
-    known: dict[str, tuple[str, Array, Rotation]] = {}
+    known: dict[str, tuple[str, Array, Array]] = {}
     if _TF_STATIC in topics_of(bag):
         for message in messages_of(bag, {_TF_STATIC: (_TF,)}):
             known.update(_steps(message.content, bag))
@@ -238,12 +279,12 @@ def _transforms(bag: Path, topics: BagTopics) -> _Track:
         way = _way(known, base, tool)
         if way is None or not set(way) & set(steps):
             continue
-        position, rotation = np.zeros(3), Rotation.identity()
+        position, rotation = np.zeros(3), np.eye(3)
         for frame in way:
             _, shift, turn = known[frame]
-            position, rotation = turn.apply(position) + shift, turn * rotation
-        stamps = [_stamp(each.header) for each in message.content.transforms if each.child_frame_id in way]
-        rows.append((max(stamps) or message.logged_ns, position, rotation.as_matrix()))
+            position, rotation = turn @ position + shift, turn @ rotation
+        stamps = [stamp_of(each.header) for each in message.content.transforms if each.child_frame_id in way]
+        rows.append((max(stamps) or message.logged_ns, position, rotation))
     if not rows:
         frames = ", ".join(sorted(known)) or "none"
         raise DataError(f"{bag}: '{topics.poses}' does not say where '{tool}' is in '{base}'; it moves {frames}.")
@@ -252,18 +293,18 @@ def _transforms(bag: Path, topics: BagTopics) -> _Track:
     return _Track(np.array(when, dtype=np.int64), np.array(positions), np.array(rotations))
 
 
-def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Rotation]]:
+def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Array]]:
     """Return parent, translation and rotation by the frame of each finite transform."""
     steps = {}
     for each in content.transforms:
         shift, turn = _vector(each.transform.translation), _quaternion(each.transform.rotation)
         if np.isfinite(shift + turn).all():
-            rotation = _rotations(np.array([turn]), f"{bag}: the transform of '{each.child_frame_id}'")[0]
-            steps[each.child_frame_id] = (each.header.frame_id, np.array(shift), Rotation.from_matrix(rotation))
+            rotation = matrix_of_quaternion(turn, f"{bag}: the rotation of '{each.child_frame_id}'")
+            steps[each.child_frame_id] = (each.header.frame_id, np.array(shift), rotation)
     return steps
 
 
-def _way(known: Mapping[str, tuple[str, Array, Rotation]], base: str, tool: str) -> list[str] | None:
+def _way(known: Mapping[str, tuple[str, Array, Array]], base: str, tool: str) -> list[str] | None:
     """Return the frames from the tool up to the base, without the base; None if tool and base are not connected."""
     way: list[str] = []
     frame = tool
@@ -275,15 +316,70 @@ def _way(known: Mapping[str, tuple[str, Array, Rotation]], base: str, tool: str)
     return way
 
 
-def _camera_infos(bag: Path, topics: BagTopics) -> dict[str, tuple[tuple[int, int], str]]:
-    """Return image size and lens model of each camera described in the bag."""
+def recorded_calibrations(bag: Path) -> list[RecordedCalibration]:
+    """Return the calibrations of a bag, in the order of the requests.
+
+    Raises:
+        DataError: It cannot be read, or holds none.
+    """
+    if _CALLS not in topics_of(bag):
+        raise DataError(f"{bag}: it holds no calibration, there is no topic {_CALLS} in it", topic=_CALLS)
+    asked: dict[tuple[bytes, int], RecordedCalibration] = {}
+    for message in messages_of(bag, {_CALLS: (_CALL,)}, _FIELDS):
+        event = message.content
+        key = bytes(bytearray(event.info.client_gid)), int(event.info.sequence_number)
+        if event.info.event_type == _REQUEST_RECEIVED and len(event.request):
+            asked[key] = RecordedCalibration(event.request[0], message.logged_ns)
+        elif event.info.event_type == _RESPONSE_SENT and len(event.response) and key in asked:
+            _add_answer(asked[key], event.response[0], bag)
+    if not asked:
+        raise DataError(f"{bag}: it holds no request of a calibration; were the Services told with their contents?")
+    return list(asked.values())
+
+
+def _add_answer(call: RecordedCalibration, response: Any, bag: Path) -> None:
+    if not response.success:
+        call.refusal = str(response.status.message)
+        return
+    try:
+        report = decode_json(response.report.json)
+    except JsonError as error:
+        raise DataError(f"{bag}: the report of a calibration cannot be read: {error.sentence}") from error
+    if isinstance(report, dict):
+        call.report = report
+
+
+def recorded_sizes(bag: Path, call: RecordedCalibration, cameras: Sequence[str]) -> dict[str, tuple[int, int]]:
+    """Return width and height of the images of cameras [px], by the recorded report, or else by the camera infos.
+
+    Raises:
+        DataError: Nothing in the bag says it of a camera.
+    """
+    sizes: dict[str, tuple[int, int]] = {}
+    told = (call.report or {}).get("cameras")
+    for camera in told if isinstance(told, list) else ():
+        match camera:
+            case {"name": str(name), "width": int(width), "height": int(height)} if min(width, height) > 0:
+                sizes[name] = width, height
+    infos = {camera: f"/{camera}/camera_info" for camera in cameras if camera not in sizes}
+    sizes |= {camera: size for camera, (size, _) in _camera_infos(bag, infos, {}).items()}
+    for camera, topic in infos.items():
+        if camera not in sizes:
+            raise DataError(f"{bag}: neither a report nor {topic} says how large the images of {camera} are")
+    return {camera: sizes[camera] for camera in cameras}
+
+
+def _camera_infos(
+    bag: Path, beside: Mapping[str, str], given: Mapping[str, str]
+) -> dict[str, tuple[tuple[int, int], str]]:
+    """Return image size and lens model by camera: on the given topics, or on those beside, if they are in the bag."""
     have = topics_of(bag)
-    beside = {name: f"{topic.rpartition('/')[0]}/camera_info" for name, topic in topics.spots.items()}
-    chosen = {name: topic for name, topic in beside.items() if have.get(topic) == _CAMERA_INFO} | dict(topics.infos)
+    chosen = {name: topic for name, topic in beside.items() if have.get(topic) == _CAMERA_INFO} | dict(given)
     found = {}
     for name, topic in chosen.items():
-        info = next(_infos(bag, topic), None)
-        if info is None and name in topics.infos:
+        infos = (message.content for message in messages_of(bag, {topic: (_CAMERA_INFO,)}))
+        info = next((each for each in infos if each.width and each.height), None)
+        if info is None and name in given:
             raise DataError(f"{bag}: topic '{topic}' says no image size.", topic=topic)
         if info is not None:
             found[name] = _image_size(info), str(info.distortion_model) or PLUMB_BOB.name
@@ -296,22 +392,9 @@ def _image_size(info: Any) -> tuple[int, int]:
     return int(width) // max(1, int(info.binning_x)), int(height) // max(1, int(info.binning_y))
 
 
-def _infos(bag: Path, topic: str) -> Iterator[Any]:
-    for message in messages_of(bag, {topic: (_CAMERA_INFO,)}):
-        if message.content.width and message.content.height:
-            yield message.content
-
-
-def _rotations(quaternions: Array, what: str) -> Array:
-    """Rotation matrices, shape (m, 3, 3), of quaternions x, y, z, w."""
-    lengths = np.linalg.norm(quaternions, axis=1)
-    if (wrong := np.flatnonzero(np.abs(lengths - 1.0) > _UNIT)).size:
-        raise DataError(f"{what} has an orientation of length {lengths[wrong[0]]:g}, a quaternion has 1.")
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
-
-
-def _stamp(header: Any) -> int:
-    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
+def stamp_of(stamped: Any) -> int:
+    """Return the stamp of a header, or of another message of a bag [ns]."""
+    return int(stamped.stamp.sec) * 10**9 + int(stamped.stamp.nanosec)
 
 
 def _vector(v: Any) -> list[float]:

@@ -15,8 +15,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from im_calibration.judgement.calibration import Calibration
-from im_calibration.judgement.expected import ExpectedError
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.calibration_error import CalibrationError
 from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ def _save(figure: Figure, target: io.BytesIO) -> None:
     figure.savefig(target, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
 
 
-def draw_expected(figure: FigureBase, expected: ExpectedError) -> None:
+def draw_expected(figure: FigureBase, expected: CalibrationError) -> None:
     """Draw both errors from above and from the side, each RMS over the viewing axis.
 
     Args:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.estimation.unknowns import camera_parameters
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
+from im_calibration.judgement.checks import Checks
+from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_calibration.pipeline import calibrate
@@ -61,10 +63,10 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             {"kind": v.kind, "parameters": list(v.parameters), "reason": v.reason, "advice": v.advice}
             for v in calibration.verdicts
         ],
-        "scale": None if calibration.scale is None else _scale(calibration.scale),
+        "scale": None if calibration.scale is None else _plain(calibration.scale),
         "noise": _noise(calibration.noise),
-        "neighbours": {name: number(value) for name, value in asdict(calibration.neighbours).items()},
-        "checks": {name: number(value) for name, value in asdict(calibration.checks).items()},
+        "neighbours": _plain(calibration.neighbours),
+        "checks": _plain(calibration.checks),
         "expected_error": {
             "triangulation_mm": number(calibration.expected.triangulation_rms_mm),
             "reprojection_px": number(calibration.expected.reprojection_rms_px),
@@ -79,8 +81,8 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
     }
 
 
-def _scale(scale: Scale) -> dict[str, Any]:
-    return {name: number(value) for name, value in asdict(scale).items()}
+def _plain(fields: Scale | Neighbours | Checks) -> dict[str, Any]:
+    return {name: number(value) for name, value in asdict(fields).items()}
 
 
 def _noise(noise: Noise) -> dict[str, Any]:
@@ -179,8 +181,7 @@ def summary(report: Mapping[str, Any]) -> str:
 def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
     sd = camera["standard_deviations"]
     K, D = camera["K"], camera["D"]
-    rotation, translation = np.array(camera["R_cam_base"]), np.array(camera["t_cam_base_m"])
-    centre = -rotation.T @ translation
+    centre = -np.array(camera["R_cam_base"]).T @ camera["t_cam_base_m"]
     rows = [
         ("fx, fy [px]", (K[0][0], K[1][1]), ("fx", "fy"), 1.0),
         ("cx, cy [px]", (K[0][2], K[1][2]), ("cx", "cy"), 1.0),
@@ -273,18 +274,9 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         message = f"{flag}: {error.message}"
         return {"cameras": [], "chi2_per_dof": None, "flags": [flag], "message": message, "verdicts": [verdict]}
     report = report_of(result, problem)
-    cameras = [
-        {
-            "K": camera.model.K.tolist(),
-            "distortion_model": camera.model.distortion_model,
-            "D": camera.model.D.tolist(),
-            "R_cam_base": camera.model.R_cam_base.tolist(),
-            "t_cam_base_m": camera.model.t_cam_base.tolist(),
-        }
-        for camera in result.cameras
-    ]
+    model = ("K", "distortion_model", "D", "R_cam_base", "t_cam_base_m")
     told: dict[str, Any] = {
-        "cameras": cameras,
+        "cameras": [{key: camera[key] for key in model} for camera in report["cameras"]],
         "chi2_per_dof": number(result.chi2_per_dof),
         "p_value": number(result.p_value),
         "flags": sorted({verdict.kind for verdict in result.verdicts}, reverse=True),
@@ -295,11 +287,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "parameters": list(result.parameter_names),
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
-        "scale": report["scale"],
-        "noise": report["noise"],
-        "neighbours": report["neighbours"],
-        "checks": report["checks"],
-        "expected_error": report["expected_error"],
+        **{key: report[key] for key in ("scale", "noise", "neighbours", "checks", "expected_error")},
     }
     if problem.led_offset_prior_sd > 0.0:
         told["led_offset_error_m"] = numbers(result.led_offset_error)

@@ -8,17 +8,16 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import pydantic
-import scipy
 import yaml
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
+from im_cell.rotations import UNIT_TOLERANCE, matrix_of_quaternion, quaternion_of_matrix
 from im_core.config import Model, load_model
 
 EXTRINSICS = "extrinsics.yaml"
 """Name of the file."""
 FRAME_END = "_optical_frame"
-_LENGTH_TOLERANCE = 1e-3
 _FARTHEST_M = 1000.0
 
 
@@ -64,7 +63,7 @@ class Quaternion(Model):
     @pydantic.model_validator(mode="after")
     def _unit(self) -> Self:
         length = math.hypot(self.x, self.y, self.z, self.w)
-        if abs(length - 1.0) > _LENGTH_TOLERANCE:
+        if abs(length - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"the quaternion's length is {length:.6g}, it must be 1")
         return self
 
@@ -95,7 +94,7 @@ class TransformStamped(Model):
     def pose(self) -> CameraPose:
         """The same, from the camera's side."""
         place, turn = self.transform.translation, self.transform.rotation
-        R = scipy.spatial.transform.Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix().T
+        R = matrix_of_quaternion([turn.x, turn.y, turn.z, turn.w]).T
         return CameraPose(self.header.frame_id, R, -R @ np.array([place.x, place.y, place.z]))
 
 
@@ -126,13 +125,12 @@ def extrinsics_yaml(poses: Mapping[str, CameraPose]) -> str:
 
 
 def _transform(camera: str, pose: CameraPose) -> dict[str, Any]:
-    rotation = scipy.spatial.transform.Rotation.from_matrix(pose.R_cam_base.T).as_quat()
     translation = -pose.R_cam_base.T @ pose.t_cam_base
     return {
         "header": {"frame_id": pose.parent},
         "child_frame_id": frame_of(camera),
         "transform": {
             "translation": dict(zip("xyz", map(float, translation), strict=True)),
-            "rotation": dict(zip("xyzw", map(float, rotation), strict=True)),
+            "rotation": dict(zip("xyzw", quaternion_of_matrix(pose.R_cam_base.T), strict=True)),
         },
     }

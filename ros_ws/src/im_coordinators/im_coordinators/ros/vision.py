@@ -5,9 +5,10 @@ import sys
 import numpy as np
 from std_msgs.msg import Bool, String
 
-from im_calibration.light import MeasuredRest, rotation_of
+from im_calibration.light import MeasuredRest
 from im_cell.lights import lights_told
 from im_cell.robot import load_cell
+from im_cell.rotations import matrix_of_quaternion
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
@@ -200,11 +201,11 @@ def _light(ctx: ActionContext) -> str:
 
 
 def _rest(position: GroupState) -> MeasuredRest:
-    orientation, n = position.wrist.orientation, len(position.q_rest)
+    q, n = position.wrist.orientation, len(position.q_rest)
     return MeasuredRest(
         jacobian=np.array(position.jacobian).reshape(6, -1),
         q_covariance=np.array(position.q_rest_covariance).reshape(n, -1),
-        rotation=rotation_of(orientation.x, orientation.y, orientation.z, orientation.w),
+        rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w]),
         since_ns=position.rest_since.sec * 10**9 + position.rest_since.nanosec,
     )
 

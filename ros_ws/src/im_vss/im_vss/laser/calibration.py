@@ -20,6 +20,7 @@ from pydantic import Field
 
 from im_cell.laser_model import LaserModel
 from im_cell.robot import LaserScanner
+from im_cell.rotations import matrix_of_vector
 from im_core.config import Model
 from im_vss.stereo import Point
 
@@ -289,7 +290,7 @@ class _Problem:
 def _moved(model: LaserModel, step: Array) -> LaserModel:
     """Return a model changed by a step in :data:`PARAMETERS`, shape (10,)."""
     return LaserModel(
-        rotation=scipy.spatial.transform.Rotation.from_rotvec(step[:3]).as_matrix() @ model.rotation,
+        rotation=matrix_of_vector(step[:3]) @ model.rotation,
         position=model.position + step[3:_POSE],
         gain=(model.gain[0] + float(step[6]), model.gain[1] + float(step[7])),
         offset=model.offset + float(step[8]),

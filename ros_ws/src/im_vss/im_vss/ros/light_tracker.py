@@ -1,11 +1,9 @@
 """Position of the lit wrist light by the robot's pose."""
 
-import math
+import contextlib
 from collections import deque
 
 import numpy as np
-import scipy
-from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -13,6 +11,7 @@ from tf2_msgs.msg import TFMessage
 
 from im_cell.lights import lights_told
 from im_cell.robot import Cell, far_end
+from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.interfaces import decoded
@@ -25,9 +24,6 @@ SWITCH = "/testbed/set_light"
 
 _KEPT = 50
 """Messages on ``/tf``: others than MCS may send there, too, whatever they like."""
-
-_OFF_LENGTH = 1e-3
-"""How far from 1 the length of a quaternion may be that is a rotation."""
 
 
 class LightTracker:
@@ -71,12 +67,8 @@ class LightTracker:
             stamp_ns: The time.
         """
         for message in reversed(tuple(self._newest)):
-            try:
-                tree = {each.child_frame_id: each for each in decoded(message, TFMessage).transforms}
-                if (found := wrist_by(tree, self._cell, side, stamp_ns, self._freshness_ns)) is not None:
-                    return found
-            except DataError:  # no message: not from MCS
-                continue
+            with contextlib.suppress(DataError):  # not from MCS
+                return wrist_by(decoded(message, TFMessage), self._cell, side, stamp_ns, self._freshness_ns)
         return None
 
     def _keep(self, message: bytes) -> None:
@@ -88,35 +80,30 @@ class LightTracker:
         self._light = on[0] if len(on) == 1 else self._usual
 
 
-def wrist_by(
-    tree: dict[str, TransformStamped], cell: Cell, side: str, stamp_ns: int, freshness_ns: float
-) -> Pose | None:
+def wrist_by(message: TFMessage, cell: Cell, side: str, stamp_ns: int, freshness_ns: float) -> Pose:
     """Where the frames of one message put a wrist in the world.
 
     Args:
-        tree: Transforms by the frames that they are of; those that were used are taken out.
+        message: Transforms, also as decoded out of a bag.
         cell: Nominal geometry.
         side: Which arm.
         stamp_ns: Testbed time that is asked for [ns].
         freshness_ns: How far the stamps of the frames may be from it [ns].
 
-    Returns:
-        None where a frame on the way is not in the message, of another time, or not turned by a quaternion of length 1.
+    Raises:
+        DataError: A frame on the way is not in the message, of another time, or not turned by a quaternion of length 1.
     """
+    tree = {each.child_frame_id: each for each in message.transforms}
     xyz, rpy = far_end(cell.arm_models[cell.sides[side].arm].links[-1])
-    rotation = scipy.spatial.transform.Rotation.from_euler("xyz", rpy)
-    origin, frame = np.array(xyz), f"{side}_link6"
+    rotation, origin, frame = matrix_of_rpy(rpy), np.array(xyz), f"{side}_link6"
     while frame != "world":
         if frame not in tree:  # or it was there before: a circle
-            return None
+            raise DataError(f"there is no way from {side}_link6 to the world")
         step_up = tree.pop(frame)
-        header, transform = step_up.header, step_up.transform
+        header, q, t = step_up.header, step_up.transform.rotation, step_up.transform.translation
         if abs(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns) > freshness_ns:
-            return None
-        q, t = transform.rotation, transform.translation
-        if not abs(math.hypot(q.x, q.y, q.z, q.w) - 1.0) < _OFF_LENGTH:
-            return None
-        step = scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w])
-        rotation, origin = step * rotation, step.apply(origin) + np.array([t.x, t.y, t.z])
+            raise DataError(f"{frame} is of another time")
+        step = matrix_of_quaternion([q.x, q.y, q.z, q.w])
+        rotation, origin = step @ rotation, step @ origin + np.array([t.x, t.y, t.z])
         frame = header.frame_id
-    return rotation.as_matrix(), origin
+    return rotation, origin

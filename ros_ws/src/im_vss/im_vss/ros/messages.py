@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
 from std_msgs.msg import Header
 
 from im_cell.calibration_files import folded, implausible
 from im_cell.camera_model import CameraModel
-from im_cell.laser_model import LaserModel
 from im_cell.lens import PLUMB_BOB, lens_of
+from im_cell.rotations import quaternion_of_matrix
 from im_core.errors import DataError
 from im_msgs.msg import Spot, SpotCandidates
 from im_vss.camera_book import CameraEntry
@@ -85,14 +85,19 @@ def from_camera_info(info: CameraInfo) -> CameraModel:
     return model
 
 
-def to_transform(entry: CameraEntry, stamp_ns: int) -> TransformStamped:
-    """Return the pose of a camera's optical frame in the parent, as a message."""
-    message = TransformStamped(header=to_header(entry.parent, stamp_ns), child_frame_id=entry.frame)
-    position, target = entry.model.position, message.transform
-    target.translation.x, target.translation.y, target.translation.z = (float(value) for value in position)
-    x, y, z, w = quaternion(entry.model.R_cam_base.T)
-    target.rotation.x, target.rotation.y, target.rotation.z, target.rotation.w = x, y, z, w
-    return message
+def to_transform(parent: str, frame: str, position: Array, rotation: Array, stamp_ns: int) -> TransformStamped:
+    """Return the place of a frame in the parent as a message; arguments as of :func:`to_pose`."""
+    pose = to_pose(position, rotation)
+    shift = Vector3(x=pose.position.x, y=pose.position.y, z=pose.position.z)
+    transform = Transform(translation=shift, rotation=pose.orientation)
+    return TransformStamped(header=to_header(parent, stamp_ns), child_frame_id=frame, transform=transform)
+
+
+def to_pose(position: Array, rotation: Array) -> Pose:
+    """Return a position, shape (3,) [m], and a rotation, shape (3, 3), as a message."""
+    x, y, z = position.tolist()
+    turn = Quaternion(**dict(zip("xyzw", quaternion_of_matrix(rotation), strict=True)))
+    return Pose(position=Point(x=x, y=y, z=z), orientation=turn)
 
 
 def to_spot(seen: CameraSpot) -> Spot:
@@ -123,32 +128,3 @@ def to_candidates(seen: CameraSpot) -> SpotCandidates:
 def from_region(region: RegionOfInterest) -> Region:
     """Return a part of an image from a message."""
     return Region(region.x_offset, region.y_offset, region.width, region.height)
-
-
-def to_laser_transform(model: LaserModel, stamp_ns: int) -> TransformStamped:
-    """Pose of the laser scanner in the world."""
-    message = TransformStamped(header=to_header("world", stamp_ns), child_frame_id="laser_scanner")
-    target = message.transform
-    target.translation.x, target.translation.y, target.translation.z = (float(value) for value in model.position)
-    x, y, z, w = quaternion(model.rotation)
-    target.rotation.x, target.rotation.y, target.rotation.z, target.rotation.w = x, y, z, w
-    return message
-
-
-def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Return the unit quaternion (x, y, z, w) of a rotation, shape (3, 3), the largest element positive.
-
-    Source: Shepperd, "Quaternion from rotation matrix" (1978).
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
-    products = np.array(  # four times the product of each two elements
-        [
-            [1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz],
-            [xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx],
-            [xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy],
-            [zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz],
-        ]
-    )
-    largest = products[products.diagonal().argmax()]
-    x, y, z, w = (largest / np.linalg.norm(largest)).tolist()
-    return x, y, z, w

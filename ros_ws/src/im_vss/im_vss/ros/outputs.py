@@ -14,7 +14,7 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
-from im_vss.ros.messages import to_camera_info, to_header, to_image, to_laser_transform, to_transform
+from im_vss.ros.messages import to_camera_info, to_header, to_image, to_transform
 
 
 class ImageOutputs:
@@ -59,11 +59,12 @@ class ImageOutputs:
         """Publish the calibrations and poses of cameras and laser scanner, as far as known."""
         stamp_ns = self._node.get_clock().now().nanoseconds
         with self._telling:
+            scanner = self._laser.entry.model
+            places = [("world", "laser_scanner", scanner.position, scanner.rotation)]
             for entry in self._book.entries():
                 self._info[entry.name].publish(to_camera_info(entry, stamp_ns))
-            transforms = [to_transform(entry, stamp_ns) for entry in self._book.entries()]
-            transforms.append(to_laser_transform(self._laser.entry.model, stamp_ns))
-            self._tf_static.publish(TFMessage(transforms=transforms))
+                places.append((entry.parent, entry.frame, entry.model.position, entry.model.R_cam_base.T))
+            self._tf_static.publish(TFMessage(transforms=[to_transform(*place, stamp_ns) for place in places]))
 
     def _publishers(self, names: list[str], kind: type, topic: str, profile: QoSProfile) -> dict[str, Publisher]:
         return {name: self._node.create_publisher(kind, f"/{name}/{topic}", profile) for name in names}

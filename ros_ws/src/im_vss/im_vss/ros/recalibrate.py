@@ -1,6 +1,7 @@
 """``replay.sh BAG --recalibrate``: a calibration again from a bag, without a machine, beside the recorded result."""
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -9,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from im_bag.command_line import parsed
+from im_bag.reading import messages_of, topics_of
 from im_calibration import (
     SAME,
-    Calibration,
     CalibrationProblem,
     DegenerateDataError,
     InconsistentDataError,
@@ -20,18 +21,19 @@ from im_calibration import (
     largest_difference,
     report_of,
 )
+from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes, stamp_of
 from im_calibration.problem.problem import NOISE_SOURCES
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError, ImError, StateError
 from im_core.names import results_dir
 from im_vss.camera_book import CameraBook
-from im_vss.camera_poses import Pose
-from im_vss.recalibration import RecordedCalibration, find_again, image_sizes, mount_in, recorded_calibrations
+from im_vss.camera_poses import Pose, at_rest
+from im_vss.recalibration import find_again
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.calibrate import CalibrateRequest, on_their_mounts, problem_of, write_calibration
+from im_vss.services.calibrate import CalibrateRequest, Mount, on_their_mounts, problem_of, write_calibration
 from im_vss.settings import VssSettings, load_settings
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -111,18 +113,16 @@ def _recalibrate(options: argparse.Namespace) -> int:
     changed = options.source == "images" or options.lens_model or options.noise == "estimated"
     changed = bool(changed or request.cameras != tuple(call.request.cameras))
     if options.source == "images":
-        again = find_again(options.bag, call, request, settings, _progress())
-        request = again.request
-        print(
-            f"replay: {again.found} spots found in the images, {again.lost} of the recorded ones not; the others moved "
-            f"by {again.moved_px:.3g} px at most" + _left_out(again.missing)
-        )
+        request, found = find_again(options.bag, call, request, settings, _progress())
+        print(f"replay: {found}")
     problem = _problem(options, call, request, cell, settings)
     calibration = calibrate(problem)
-    report = report_of(calibration, problem)
-    _write(directory, options, call, request, calibration, problem, cell, settings)
+    book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
+    mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
+    mounted, covariance = on_their_mounts(calibration, request, book, mount)
+    write_calibration(directory, calibration, problem, book, mounted, covariance)
     print(f"replay: {calibration.message}")
-    code = _compared(call, json.loads(json.dumps(report)), changed)
+    code = _compared(call, json.loads(json.dumps(report_of(calibration, problem))), changed)
     print(f"replay: {directory}")
     return code
 
@@ -165,8 +165,7 @@ def _problem(
         offset = cell.led.offset, settings.light.offset_prior_sd
         told = f"{[1e3 * value for value in offset[0]]} mm, each axis to {1e3 * offset[1]:g} mm"
         print(f"replay: the bag does not tell where the light is in the wrist; as this workspace has it: {told}")
-    sizes = image_sizes(options.bag, call, request.cameras)
-    problem = problem_of(request, sizes, *offset, settings.cameras)
+    problem = problem_of(request, recorded_sizes(options.bag, call, request.cameras), *offset, settings.cameras)
     if options.lens_model is not None:
         problem = replace(problem, lens_models=(options.lens_model,) * len(request.cameras))
     return replace(problem, noise_to_estimate=NOISE_SOURCES) if options.noise == "estimated" else problem
@@ -184,25 +183,31 @@ def _folder(options: argparse.Namespace) -> Path:
     return directory
 
 
-def _write(
-    directory: Path,
-    options: argparse.Namespace,
-    call: RecordedCalibration,
-    request: CalibrateRequest,
-    calibration: Calibration,
-    problem: CalibrationProblem,
-    cell: Cell,
-    settings: VssSettings,
-) -> None:
-    book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
-    freshness_ns = settings.region.freshness * 1e9
+def mount_in(bag: Path, until_ns: int, cell: Cell, freshness_ns: float) -> Mount:
+    """Return where wrists were at exposures, by the transforms of a bag.
 
-    def wrist(tree: dict[str, Any], side: str, stamp_ns: int) -> Pose | None:
-        return wrist_by(tree, cell, side, stamp_ns, freshness_ns)
+    Args:
+        bag: The bag.
+        until_ns: Time of recording after which transforms are too late [ns]: the testbed's time may begin again.
+        cell: Nominal geometry.
+        freshness_ns: How far the stamps of transforms may be from an exposure [ns].
+    """
 
-    mount = mount_in(options.bag, call.logged_ns, wrist, freshness_ns)
-    mounted, covariance = on_their_mounts(calibration, request, book, mount)
-    write_calibration(directory, calibration, problem, book, mounted, covariance)
+    def mount(frame: str, stamps_ns: Sequence[int]) -> Pose:
+        if "/tf" not in topics_of(bag):
+            raise StateError(f"{bag}: a camera is fixed to {frame}, and no transforms say where that was")
+        side, found = frame.removesuffix("_wrist"), dict[int, Pose]()
+        for message in messages_of(bag, {"/tf": ("tf2_msgs/msg/TFMessage",)}):
+            if message.logged_ns > until_ns:
+                break
+            told = {stamp_of(each.header) for each in message.content.transforms}
+            for stamp in stamps_ns:
+                if any(abs(stamp - when) <= freshness_ns for when in told):
+                    with contextlib.suppress(DataError):  # not from MCS
+                        found[stamp] = wrist_by(message.content, cell, side, stamp, freshness_ns)
+        return at_rest(frame, [found[stamp] for stamp in stamps_ns if stamp in found])
+
+    return mount
 
 
 def _compared(call: RecordedCalibration, report: dict[str, Any], changed: bool) -> int:
@@ -224,10 +229,6 @@ def _compared(call: RecordedCalibration, report: dict[str, Any], changed: bool) 
         return OK
     print(f"replay: NOT the same numbers as recorded: {where} differs by {difference:.3g} (relative)")
     return FAILED
-
-
-def _left_out(missing: int) -> str:
-    return f"; {missing} looks are left out, their images are not in the bag" if missing else ""
 
 
 def _progress() -> Callable[[str], None]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -115,7 +116,7 @@ class _Window:
         self.usable = off_area < noise.saturation
         self.censored = self.usable & (on_area >= noise.saturation)
         self.least = noise.saturation - 0.5 - off_area  # pixels that round to the largest value have at least this
-        self.background = _smooth(off_area)
+        self.background = np.asarray(cv2.blur(off_area, (3, 3), borderType=cv2.BORDER_REPLICATE), dtype=float)
         self.off_variance = noise.variance(self.background)
         self.noise = noise
 
@@ -200,10 +201,3 @@ class _Window:
             saturated=int(((self.censored | ~self.usable) & near).sum()),
             converged=converged and degrees > 0.0,
         )
-
-
-def _smooth(area: Array) -> Array:
-    """Mean over 3 x 3 pixels, edges repeated."""
-    padded = np.pad(area, 1, mode="edge")
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)

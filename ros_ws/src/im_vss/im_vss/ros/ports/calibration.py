@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy
-from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 
 from im_calibration import Calibration
+from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
 from im_core.message_paths import message_folders, resolve_below
 from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejection, Spot
@@ -83,11 +82,11 @@ def from_observation(message: ObservationMessage) -> Observation:
     Raises:
         DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera.
     """
-    position = message.wrist.position
+    position, q = message.wrist.position, message.wrist.orientation
     return Observation(
         pose=message.pose,
         position=np.array([position.x, position.y, position.z]),
-        rotation=rotation_matrix(message.wrist, message.pose),
+        rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w], f"the orientation of pose '{message.pose}'"),
         position_covariance=np.array(message.position_covariance).reshape(3, 3),
         spots=from_spots(message.spots, f"pose '{message.pose}'"),
     )
@@ -186,19 +185,6 @@ def to_report(
         scale_sd=scale.standard_deviation if scale else math.nan,
         **fields,
     )
-
-
-def rotation_matrix(pose: Pose, name: str) -> Array:
-    """Rotation of a pose, shape (3, 3).
-
-    Raises:
-        DataError: Its quaternion is not of unit length.
-    """
-    q = pose.orientation
-    length = math.sqrt(q.x**2 + q.y**2 + q.z**2 + q.w**2)
-    if not abs(length - 1.0) < 1e-3:
-        raise DataError(f"the orientation of pose '{name}' has length {length:.4g}, it must be 1", pose=name)
-    return np.asarray(scipy.spatial.transform.Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix())
 
 
 def _finite_or_empty(covariance: Array) -> list[float]:

@@ -9,11 +9,11 @@ from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, Spot
 from im_vss.edges import EllipseFit, LineFit
 from im_vss.ros.messages import (
     from_region,
-    quaternion,
     to_camera_info,
     to_candidates,
     to_header,
     to_image,
+    to_pose,
     to_spot,
     to_time,
 )
@@ -203,8 +203,5 @@ class FiducialPosePort(Port):
         )
         message.pose.header = to_header(self.rig.book[seen.camera].frame, seen.stamp_ns)
         message.pose.pose.covariance = pose.covariance.ravel()
-        target = message.pose.pose.pose
-        target.position.x, target.position.y, target.position.z = (float(value) for value in pose.translation)
-        q = target.orientation
-        q.x, q.y, q.z, q.w = quaternion(pose.rotation)
+        message.pose.pose.pose = to_pose(pose.translation, pose.rotation)
         return message

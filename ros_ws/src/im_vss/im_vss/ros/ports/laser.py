@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
-from im_vss.ros.messages import quaternion, to_header, to_spot, to_time
+from im_vss.ros.messages import to_header, to_pose, to_spot, to_time
 from im_vss.ros.ports.port import Port
 from im_vss.services.laser import (
     LaserCalibrateRequest,
@@ -127,9 +127,7 @@ class LaserCalibratePort(Port):
         """The estimate."""
         found = result.calibration
         response.verdicts = list(found.verdicts)
-        position, q = response.pose.position, response.pose.orientation
-        position.x, position.y, position.z = (float(value) for value in found.model.position)
-        q.x, q.y, q.z, q.w = quaternion(found.model.rotation)
+        response.pose = to_pose(found.model.position, found.model.rotation)
         response.gain = list(map(float, found.model.gain))
         response.offset, response.gap = float(found.model.offset), float(found.model.gap)
         if np.all(np.isfinite(found.covariance)):
