@@ -12,9 +12,8 @@ from im_core.clock import thread_cpu
 from im_core.config import package_file
 from im_core.errors import ConfigError, ImError
 from im_dispatcher import commands
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
-from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_dispatcher.report import StepTimes
 from im_pnt.errors import NetError

@@ -13,9 +13,8 @@ from im_core.ros import qos, run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import OneAtATime
 from im_dispatcher.cell import net as cell
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.queue import WaitingLine, reason
-from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
 from im_dispatcher.poses_file import load_named_poses
