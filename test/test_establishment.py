@@ -14,7 +14,7 @@ from im_coordinators.ros.vision import vision_functions
 from im_core.errors import StateError, WaitTimeoutError
 from im_dispatcher.command import joined
 from im_dispatcher.commands import installed
-from im_dispatcher.ros.host import DispatcherHost
+from im_dispatcher.report import StepTimes
 from im_pnt.model.action import FunctionAction
 from im_pnt_node.ros.rerun import installed_nets
 
@@ -57,7 +57,7 @@ class Command:
 
 
 def dispatched(host):
-    return joined(command.functions(DispatcherHost(host)) for command in installed())
+    return joined(command.functions(host, StepTimes()) for command in installed())
 
 
 @pytest.mark.parametrize("heard", [(5,), (None, None, 5)], ids=["known", "just begun"])

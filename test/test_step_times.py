@@ -1,12 +1,11 @@
 """What the dispatcher counts of the firings that anybody may tell of."""
 
 import json
-from types import SimpleNamespace
 
 import pytest
 
 from im_dispatcher.report import StepTimes
-from im_dispatcher.ros.host import DispatcherHost
+from im_dispatcher.ros.node import note_firing
 from im_msgs.msg import Firing
 from im_pnt.netfile import parse_net
 
@@ -26,35 +25,14 @@ transitions: {move: {in: wanted, out: there, action: move, on_failure: stuck}}
 """
 
 
-class Node:
-    """Runs the loop, and knows the net that it asks."""
-
-    seed = 0
-
-    def __init__(self):
-        self._nets = [parse_net(LOOP), parse_net(ARM)]
-        self.exchange = SimpleNamespace(nets={})
-
-    def load(self):
-        """Takes the loop into execution."""
-        self.exchange.nets["loop"] = self._nets[0]
-
-    def net_with_servers(self, name):
-        return self._nets
-
-    def create_subscription(self, message_type, topic, hear, profile):
-        self.hear = hear
-
-
 @pytest.fixture
 def timed():
     """What tells of a firing, and the times that come of it."""
-    node, host, times = Node(), DispatcherHost(None), StepTimes()
-    host.time_steps("loop", times)
-    host.attach(node)
-    node.hear(Firing(net="loop", transition="ask", phase=Firing.END, duration=9.0))  # nobody asks for the loop yet
-    node.load()
-    return (lambda **said: node.hear(Firing(**said))), times
+    nets = []
+    times = StepTimes(lambda: nets)
+    note_firing([times], Firing(net="loop", transition="ask", phase=Firing.END, duration=9.0))  # nobody asks for it yet
+    nets += [parse_net(LOOP), parse_net(ARM)]
+    return (lambda **said: note_firing([times], Firing(**said))), times
 
 
 def test_the_steps_of_a_command_are_those_of_its_net_and_of_the_nets_that_this_needs(timed):
@@ -70,7 +48,7 @@ def test_names_that_somebody_makes_up_take_no_memory(timed):
     for number in range(1000):
         for phase in (Firing.START, Firing.END):
             tell(net="zz", transition=f"t{number}", phase=phase)
-    assert times == StepTimes()
+    assert times == StepTimes(times.nets)
 
 
 @pytest.mark.parametrize("duration", [float("nan"), float("inf"), -1.0])

@@ -33,6 +33,13 @@ class WristPose(Model):
     position_m: tuple[Coordinate, Coordinate, Coordinate]
     orientation_xyzw: Quaternion
 
+    @property
+    def stamped(self) -> dict[str, object]:
+        """Fields of a ``geometry_msgs/msg/PoseStamped``."""
+        position = dict(zip("xyz", self.position_m, strict=True))
+        orientation = dict(zip("xyzw", self.orientation_xyzw, strict=True))
+        return {"header": {"frame_id": "world"}, "pose": {"position": position, "orientation": orientation}}
+
     @pydantic.field_validator("name")
     @classmethod
     def _printable(cls, value: str) -> str:

@@ -4,34 +4,15 @@ import itertools
 import json
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_core.errors import StoreError
 from im_core.files import make_folder, synchronise_names, write_whole
+from im_pnt.model.net import Net
 
 LATEST = "latest"
-
-
-@dataclass(frozen=True)
-class SkippedPose:
-    """Pose left out.
-
-    Attributes:
-        pose: Its name.
-        reason: Why.
-    """
-
-    pose: str
-    reason: str
-
-
-@dataclass(frozen=True)
-class SolverReport:
-    """Report of a calibration, as JSON data: data object ``calibration``."""
-
-    content: dict[str, object]
 
 
 @dataclass
@@ -58,10 +39,14 @@ class StepTimes:
     """Sums of the firings of one command by transition; composite ones count the whole duration.
 
     Attributes:
+        nets: Returns the net of the command and all nets required by it, as written; none before it is loaded.
+        now: Returns the testbed time [s].
         steps: By transition.
         command: Number of the command; those of others, which may run beside it, are not counted.
     """
 
+    nets: Callable[[], Sequence[Net]] = lambda: ()
+    now: Callable[[], float] = lambda: 0.0
     steps: dict[str, StepTime] = field(default_factory=lambda: defaultdict(StepTime))
     command: int = 0
     _started: dict[tuple[str, int], float] = field(default_factory=dict)
@@ -70,6 +55,11 @@ class StepTimes:
         """Count the firings of another command from now on; running ones count from the begin."""
         self.command = command
         self.steps.clear()
+
+    def is_step(self, net: str, transition: str) -> bool:
+        """Return whether a transition belongs to the nets of the command: firings come from any sender."""
+        known = f"{net}.{transition}" in self.steps
+        return known or any(each.name == net and transition in each.transitions for each in self.nets())
 
     def note_start(self, transition: str, command: int, stamp_s: float) -> None:
         """Note the start of a transition for a command at a testbed time [s]."""
@@ -118,26 +108,22 @@ class StepTimes:
         }
 
 
-def succeeded(solver: SolverReport, skipped: Sequence[SkippedPose], poses: int) -> dict[str, object]:
+def succeeded(solver: Mapping[str, object], skipped: Sequence[Mapping[str, object]], poses: int) -> dict[str, object]:
     """Return the report of a command with a successful calibration.
 
     Args:
         solver: What the calibration reports.
-        skipped: Poses that it was not given.
+        skipped: Poses that it was not given, each an ``im_msgs/msg/Rejection``.
         poses: How many were asked for.
     """
-    rejected = solver.content.get("points_rejected", [])
+    rejected = solver.get("points_rejected", [])
     assert isinstance(rejected, list)
-    return {**solver.content, "points_rejected": [*rejected, *_rejections(skipped)], "poses": poses}
+    return {**solver, "points_rejected": [*rejected, *skipped], "poses": poses}
 
 
-def failed(reason: str, skipped: Sequence[SkippedPose]) -> dict[str, object]:
+def failed(reason: str, skipped: Sequence[Mapping[str, object]]) -> dict[str, object]:
     """Return the report of a failed command."""
-    return {"success": False, "message": reason, "points_used": 0, "points_rejected": _rejections(skipped)}
-
-
-def _rejections(skipped: Sequence[SkippedPose]) -> list[dict[str, str]]:
-    return [{"pose": skip.pose, "camera": "", "reason": skip.reason} for skip in skipped]
+    return {"success": False, "message": reason, "points_used": 0, "points_rejected": list(skipped)}
 
 
 def make_directory(results: Path, stamp: str) -> Path:

@@ -7,10 +7,9 @@ import pytest
 
 from im_cell.robot import load_cell
 from im_core.errors import ImError, NotFoundError, StateError
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
 from im_dispatcher.cell.queue import WaitingLine, reason
-from im_dispatcher.cell.resources import resources_of
 from im_pnt.errors import NetError
 from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor

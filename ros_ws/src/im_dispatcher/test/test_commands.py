@@ -12,10 +12,10 @@ from im_core.clock import thread_cpu
 from im_core.config import package_file
 from im_core.errors import ConfigError, ImError
 from im_dispatcher import commands
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
-from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
+from im_dispatcher.report import StepTimes
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import Functions
 from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
@@ -41,7 +41,7 @@ from im_pnt.model.action import RequestAction
 
 COMMAND = CommandDescription(
     net=Path(__file__).parent.parent / "nets/wave.yaml",
-    functions=lambda host: Functions({"wave": lambda ctx: host.warn("waving")}),
+    functions=lambda host, _: Functions({"wave": lambda ctx: host.warn("waving")}),
 )
 """
 
@@ -54,9 +54,6 @@ class Host:
 
     def warn(self, text: str) -> None:
         self.log.append(text)
-
-    def time_steps(self, net: str, times: object) -> None:
-        pass
 
 
 @pytest.fixture
@@ -72,7 +69,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_every_net_that_is_shipped_can_be_loaded_and_names_functions_that_there_are() -> None:
     host = Host()
-    functions = joined(command.functions(host) for command in commands.installed())
+    functions = joined(command.functions(host, StepTimes()) for command in commands.installed())
     nets = [load_net(file) for file in commands.net_files(commands.shipped())]
     for net in nets:
         functions.check(net)
@@ -194,7 +191,7 @@ def test_a_command_is_added_by_a_module_and_a_net(folder: Path) -> None:
     (folder / "nets/wave.yaml").write_text(NET)
     (wave,) = [command for command in commands.installed() if command.net.name == "wave.yaml"]
     net, host = load_net(wave.net), Host()
-    functions = wave.functions(host)
+    functions = wave.functions(host, StepTimes())
     functions.check(net)
     assert net.symbols() == ("wave",)
     functions.actions["wave"](None)

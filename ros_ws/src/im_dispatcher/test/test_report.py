@@ -7,8 +7,6 @@ import pytest
 
 from im_dispatcher.report import (
     MOST_STARTED,
-    SkippedPose,
-    SolverReport,
     StepTimes,
     failed,
     make_directory,
@@ -79,8 +77,7 @@ def test_times_of_a_command_are_not_those_of_one_beside_it() -> None:
 
 
 def test_skipped_poses_stand_behind_those_that_the_solver_rejected() -> None:
-    skipped = [SkippedPose("p3", "out of reach")]
     told = {"pose": "p3", "camera": "", "reason": "out of reach"}
-    report = succeeded(SolverReport({"success": True, "points_rejected": [{"pose": "p7"}]}), skipped, 20)
+    report = succeeded({"success": True, "points_rejected": [{"pose": "p7"}]}, [told], 20)
     assert report == {"success": True, "points_rejected": [{"pose": "p7"}, told], "poses": 20}
-    assert failed("stopped", skipped)["points_rejected"] == [told]
+    assert failed("stopped", [told])["points_rejected"] == [told]

@@ -6,10 +6,9 @@ from im_cell.robot import load_cell
 from im_core.config import package_file
 from im_core.errors import ImError
 from im_dispatcher import commands
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import NAME, cell_net
 from im_dispatcher.cell.queue import WaitingLine
-from im_dispatcher.cell.resources import resources_of
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.expression.template import OPENS

@@ -7,7 +7,7 @@ import pytest
 from im_pnt.errors import NetError
 from im_pnt.netfile import parse_net
 from im_pnt_analysis.simulation.replay import FiringSequence
-from im_pnt_display.page.counterexample import drawn_counterexample
+from im_pnt_display.page.messages import drawn_counterexample
 
 ALONE = """
 net: alone

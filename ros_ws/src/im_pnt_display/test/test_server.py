@@ -16,7 +16,6 @@ import pytest
 from im_core.clock import monotonic
 from im_core.errors import LinkError
 from im_pnt_display.page import site as module
-from im_pnt_display.page.rate import Allowance
 from im_pnt_display.page.server import WEB_PROCESS, DisplayServer
 from im_pnt_display.page.site import (
     LONGEST_REQUEST,
@@ -27,6 +26,7 @@ from im_pnt_display.page.site import (
     READ_ONLY,
     TOO_FAST,
     TOO_MANY,
+    Allowance,
 )
 from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
 from im_pnt_display.page.viewers import Viewers

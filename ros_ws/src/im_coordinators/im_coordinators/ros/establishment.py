@@ -2,11 +2,13 @@
 
 from std_msgs.msg import UInt64
 
-from im_coordinators.established import lost
 from im_core import clock
-from im_core.errors import WaitTimeoutError
+from im_core.errors import StateError, WaitTimeoutError
 from im_pnt.execution.functions import ActionContext
 from im_pnt_node.rerun.host import Host
+
+BEGUN_ANEW = "begun_anew"
+"""Code of the failure; nets that can establish it again, and do again what needs it, look for that."""
 
 HEARD_S, PAUSE_S = 10.0, 0.02
 
@@ -42,14 +44,17 @@ class Establishment:
         """Check the establishment of a command for loss; a command without an establishment may go on.
 
         Raises:
-            StateError: It went with the life in which it was; of code ``begun_anew``.
+            StateError: It went with the life in which it was; of code :data:`BEGUN_ANEW`.
             WaitTimeoutError: The task is not heard.
         """
         if not await self._host.dom.is_valid(noted := self._object(ctx, name)):
             return
         if (await self._host.dom.get(noted, UInt64)).data != await self._life():
             await self._host.pause(FRESH_S)  # nets establish it again, and look at its state for that
-            raise lost(self._task, self._what, name)
+            since = f"has begun anew since {name} was {self._what} for this command, and knows nothing of that"
+            raise StateError(
+                f"{self._task} {since}", code=BEGUN_ANEW, task=self._task, established=f"{self._what}/{name}"
+            )
 
     async def forget(self, ctx: ActionContext, name: str) -> None:
         """Note the end of the establishment."""

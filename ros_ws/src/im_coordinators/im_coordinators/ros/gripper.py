@@ -2,25 +2,18 @@
 
 import sys
 
+from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
-from im_core.config import package_file
 from im_core.ros import run
 from im_pnt.execution.functions import ActionContext, Functions
-from im_pnt_analysis import verify_to_load
 from im_pnt_node.rerun.host import Host
-from im_pnt_node.ros.node import PntNode
-from im_pnt_node.ros.node_host import NodeHost
 
 
-class GripperCoordinator(PntNode):
+class GripperCoordinator(Coordinator):
     """Run ``nets/gripper_coordinator.yaml``, with goals of MCS as actions."""
 
     def __init__(self) -> None:
-        host = NodeHost()
-        made, nets = gripper_functions(host), [package_file("im_coordinators", "nets/gripper_coordinator.yaml")]
-        name, made_by = "gripper_coordinator", f"{__name__}:{gripper_functions.__name__}"
-        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
-        host.attach(self)
+        super().__init__("gripper_coordinator", gripper_functions)
 
 
 def gripper_functions(host: Host) -> Functions:

@@ -18,31 +18,24 @@ from im_coordinators.motion import (
     take_path,
     way_asked,
 )
+from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.tool import DETAILS
-from im_core.config import package_file
 from im_core.ros import qos, run
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions, idempotent, woken_by
-from im_pnt_analysis import verify_to_load
 from im_pnt_node.rerun.host import Host
-from im_pnt_node.ros.node import PntNode
-from im_pnt_node.ros.node_host import NodeHost
 
 MCS_STATE = "/mcs/state"
 of_mcs = woken_by(f"topic:{MCS_STATE}")
 
 
-class MotionCoordinator(PntNode):
+class MotionCoordinator(Coordinator):
     """Runs ``nets/motion_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        host = NodeHost()
-        made, nets = motion_functions(host), [package_file("im_coordinators", "nets/motion_coordinator.yaml")]
-        name, made_by = "motion_coordinator", f"{__name__}:{motion_functions.__name__}"
-        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
-        host.attach(self)
+        super().__init__("motion_coordinator", motion_functions)
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
 
 

@@ -18,34 +18,27 @@ from im_coordinators.path_planning import (
     require_joints,
     tucked_seed,
 )
+from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
-from im_core.config import package_file
 from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
-from im_pnt_analysis import verify_to_load
 from im_pnt_node.rerun.host import Host
-from im_pnt_node.ros.node import PntNode
-from im_pnt_node.ros.node_host import NodeHost
 
 STATE, KINEMATICS, CHECK = "/mcs/get_group_state", "/mcs/inverse_kinematics", "/mcs/check_path"
 SERVICES = {STATE: GetGroupState, KINEMATICS: InverseKinematics, CHECK: CheckPath}
 
 
-class PathPlanningCoordinator(PntNode):
+class PathPlanningCoordinator(Coordinator):
     """Runs ``nets/path_planning_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        host = NodeHost()
-        made, nets = planning_functions(host), [package_file("im_coordinators", "nets/path_planning_coordinator.yaml")]
-        name, made_by = "path_planning_coordinator", f"{__name__}:{planning_functions.__name__}"
-        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
-        host.attach(self)
+        super().__init__("path_planning_coordinator", planning_functions)
         for service, service_type in SERVICES.items():
-            host.prepare(service_type, service)
+            self.host.prepare(service_type, service)
 
 
 def planning_functions(host: Host) -> Functions:

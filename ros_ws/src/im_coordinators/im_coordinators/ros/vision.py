@@ -9,20 +9,17 @@ from im_calibration.light import MeasuredRest
 from im_cell.lights import lights_told
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
+from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
 from im_core.bounded_json import read_data
-from im_core.config import package_file
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
-from im_pnt_analysis import verify_to_load
 from im_pnt_node.rerun.host import Host
-from im_pnt_node.ros.node import PntNode
-from im_pnt_node.ros.node_host import NodeHost
 
 LIGHTS = "/testbed/lights"
 LONG_EXPOSURE = "long_exposure"
@@ -31,15 +28,11 @@ LIGHT_FOUND = "light_found/"
 """Begins the name of a data object: whether a light was on before the command switched it on."""
 
 
-class VisionCoordinator(PntNode):
+class VisionCoordinator(Coordinator):
     """Runs ``nets/vision_coordinator.yaml``."""
 
     def __init__(self) -> None:
-        host = NodeHost()
-        made, nets = vision_functions(host), [package_file("im_coordinators", "nets/vision_coordinator.yaml")]
-        name, made_by = "vision_coordinator", f"{__name__}:{vision_functions.__name__}"
-        super().__init__(name, nets, made.actions, made.guards, made.asks, verifier=verify_to_load, made_by=made_by)
-        host.attach(self)
+        super().__init__("vision_coordinator", vision_functions)
         cell = load_cell()
         self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, cell))
         self.declared.declare(

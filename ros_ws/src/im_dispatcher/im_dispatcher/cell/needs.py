@@ -1,10 +1,11 @@
-"""Needs of commands in the cell: resources for each command, and each choice of the deciding arguments."""
+"""Resources of the cell, and needs of commands: for each command, and each choice of the deciding arguments."""
 
 import itertools
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from im_cell.robot import Cell
 from im_core.errors import NotFoundError
 from im_pnt.errors import NetError
 from im_pnt.model.arguments import CommandDeclaration
@@ -14,6 +15,15 @@ from im_pnt.model.resource_use import filled, named_arguments, require_told, sho
 
 MOST_VARIANTS = 200
 """Of one command: what an arm, a camera and a light decide together."""
+
+ZONE, LASER = "zone", "laser"
+"""Where the arms can meet, and what one command at a time points."""
+
+
+def resources_of(cell: Cell) -> tuple[str, ...]:
+    """Return the resources of a cell: arm, cart, gripper and light of each side, cameras, laser, zone."""
+    sides = [f"{side}_{part}" for side in cell.sides for part in ("arm", "cart", "gripper", "led")]
+    return (*sides, *cell.cameras, LASER, ZONE)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The commands of the Dispatcher: a net each in ``nets/``, and a module here where one needs functions.
 
 ``commands/foo.py`` describes the functions of ``nets/foo.yaml`` as ``COMMAND``. What decides is plain Python; data
-objects are translated in :mod:`im_dispatcher.ros.host`.
+objects are JSON data of a named type of message.
 """
 
 import pkgutil

@@ -5,6 +5,7 @@ objects; every function may be done twice: a dispatcher that died goes on with t
 """
 
 import contextlib
+from collections.abc import Mapping
 from pathlib import Path
 
 from im_cell.robot import load_cell
@@ -12,19 +13,24 @@ from im_core import clock
 from im_core.bounded_json import read_json
 from im_core.errors import ImError, StateError, StoreError
 from im_core.names import results_dir
-from im_dispatcher.command import CommandDescription, CommandHost
+from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
 from im_dispatcher.poses_file import PosesFile, load_named_poses
-from im_dispatcher.report import SkippedPose, SolverReport, StepTimes, failed, make_directory, succeeded, write_report
+from im_dispatcher.report import StepTimes, failed, make_directory, succeeded, write_report
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt.execution.jobs import Job
 from im_pnt_analysis import CommandDuration
+from im_pnt_node.rerun.host import Host
 
 SYMBOL = "calibrate_camera"
 
 #: Data object: the poses of the command.
 POSES = "calibration_poses"
+
+#: Types of the data objects.
+TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
+REPORT = "im_msgs/msg/CalibrationReport"
 
 #: Code of the failure of whoever needs what was established in a former life of the task that kept it.
 BEGUN_ANEW = "begun_anew"
@@ -41,15 +47,14 @@ class CalibrateCamera:
 
     Args:
         host: The node that runs it.
+        times: Times of its steps.
     """
 
-    def __init__(self, host: CommandHost) -> None:
-        self._host = host
+    def __init__(self, host: Host, times: StepTimes) -> None:
+        self._host, self._times = host, times
         self._cameras = list(load_cell().cameras)
-        self._times = StepTimes()
         self._expected: CommandDuration | None = None
         self._file: tuple[int, PosesFile] | None = None
-        host.time_steps(SYMBOL, self._times)
 
     @property
     def functions(self) -> Functions:
@@ -104,7 +109,7 @@ class CalibrateCamera:
         ctx.memory["cameras"] = list(order.cameras)
         ctx.memory["light"] = order.light
         ctx.memory["loop"] = PoseLoop(poses).to_json()
-        await self._host.put_object(ctx.object(POSES), order.file)
+        await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
 
@@ -117,7 +122,7 @@ class CalibrateCamera:
         ctx.memory["planned"] = False
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
-        await self._host.put_object(ctx.object("destination"), pose, place=f"{SYMBOL}.destination_valid")
+        await self._host.values.put(ctx.object("destination"), POSE, pose.stamped, f"{SYMBOL}.destination_valid")
         ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
 
     async def read_planned_pos(self, ctx: ActionContext) -> None:
@@ -136,7 +141,7 @@ class CalibrateCamera:
     async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
         """Where the arm goes from here, and where the path to there is to lie."""
         pose = (await self._poses(ctx)).poses[_loop(ctx).following - 1]
-        await self._host.put_object(ctx.object("next_destination"), pose)
+        await self._host.values.put(ctx.object("next_destination"), POSE, pose.stamped)
         return {"destination": "next_destination", "leaves": f"path/{ctx.command.arguments['group']}"}
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
@@ -182,18 +187,19 @@ class CalibrateCamera:
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """Return the input of the calibration: numbers of the observed poses, and reasons for the others."""
         skipped = await self._skipped(ctx)
-        left_out = {skip.pose for skip in skipped}
+        left_out = {skip["pose"] for skip in skipped}
         poses = (await self._poses(ctx)).poses
         return {
             "cameras": ctx.memory["cameras"],
             "observations": [number for number, pose in enumerate(poses, 1) if pose.name not in left_out],
-            "rejected": {skip.pose: skip.reason for skip in skipped},
+            "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
             "directory": ctx.memory["directory"],
         }
 
     async def write_report(self, ctx: ActionContext) -> None:
         """Write the report of a successful calibration."""
-        solver = await self._host.get_object(ctx.object("calibration"), SolverReport)
+        told = await self._host.values.read(ctx.object("calibration"), REPORT, [("json",)])
+        solver = read_json(dict[str, object], str(told["json"]), "the report of the calibration")
         poses = _loop(ctx).poses
         report = succeeded(solver, await self._skipped(ctx), poses)
         await self._expect(poses)
@@ -224,7 +230,7 @@ class CalibrateCamera:
         ctx.result["message"] = reason
         self._expected = None
         if "loop" in ctx.memory:
-            skipped: list[SkippedPose] = []
+            skipped: list[Mapping[str, object]] = []
             with contextlib.suppress(ImError):  # the data objects may be what failed
                 skipped = await self._skipped(ctx)
             try:
@@ -236,25 +242,26 @@ class CalibrateCamera:
 
     async def _skip(self, ctx: ActionContext, pose: str, progress: float) -> None:
         loop, reason = _loop(ctx), _reason(ctx)
-        await self._host.put_object(ctx.object(f"skipped/{loop.skip()}"), SkippedPose(pose, reason))
+        await self._host.values.put(ctx.object(f"skipped/{loop.skip()}"), REJECTION, {"pose": pose, "reason": reason})
         ctx.memory["loop"] = loop.to_json()
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
         """Return the poses of a command; read the file again after a restart or in a recording."""
         if self._file is None or self._file[0] != ctx.command.id or self._host.recorded:
-            self._file = ctx.command.id, await self._host.get_object(ctx.object(POSES), PosesFile)
+            told = await self._host.values.read(ctx.object(POSES), TEXT, [("data",)])
+            self._file = ctx.command.id, read_json(PosesFile, str(told["data"]), "the poses of the calibration")
         return self._file[1]
 
-    async def _skipped(self, ctx: ActionContext) -> list[SkippedPose]:
+    async def _skipped(self, ctx: ActionContext) -> list[Mapping[str, object]]:
         counts = range(1, _loop(ctx).skipped + 1)
-        return [await self._host.get_object(ctx.object(f"skipped/{count}"), SkippedPose) for count in counts]
+        return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
 
     async def _expect(self, poses: int) -> None:
         """Compute the expected duration of the command, where the nets give one."""
 
         def compute() -> None:
-            self._expected = expectation(self._host.nets_for(SYMBOL), SYMBOL, poses)
+            self._expected = expectation(self._times.nets(), SYMBOL, poses)
 
         self._expected = None
         try:
@@ -273,7 +280,7 @@ class CalibrateCamera:
                 summary["expectation"] = beside(self._expected, times.steps, simulated_s)
             return summary
 
-        seed = self._host.noted("seed", lambda: self._host.seed)
+        seed = self._host.noted("seed", lambda: self._host.parameter("seed"))
         report = {**report, "timing": self._host.noted("timing", timing), "seed": seed}
         self._host.noted("report", lambda: str(write_report(Path(directory), report)))
         return {"report": report, "directory": directory}
@@ -297,7 +304,7 @@ class CalibrateCamera:
 
     def _clocks_ms(self) -> list[int]:
         return self._host.noted(
-            "clocks_ms", lambda: [round(1000.0 * clock.monotonic()), round(1000.0 * self._host.now())]
+            "clocks_ms", lambda: [round(1000.0 * clock.monotonic()), round(1000.0 * self._times.now())]
         )
 
     def _times_of(self, ctx: ActionContext) -> StepTimes:
@@ -363,6 +370,6 @@ def _standing(command: Job) -> str:
 
 COMMAND = CommandDescription(
     net=Path(__file__).parent.parent / "nets/calibrate_camera.yaml",
-    functions=lambda host: CalibrateCamera(host).functions,
+    functions=lambda host, times: CalibrateCamera(host, times).functions,
     standing={SYMBOL: _standing},
 )

@@ -1,6 +1,7 @@
 """Node ``/dispatcher``."""
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -8,18 +9,17 @@ from functools import partial
 
 from im_cell.robot import load_cell
 from im_core.errors import ArgumentError, ImError, StateError
-from im_core.ros import run
+from im_core.ros import qos, run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import OneAtATime
 from im_dispatcher.cell import net as cell
-from im_dispatcher.cell.needs import Needs
+from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.queue import WaitingLine, reason
-from im_dispatcher.cell.resources import resources_of
 from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
 from im_dispatcher.poses_file import load_named_poses
-from im_dispatcher.ros.host import DispatcherHost
-from im_msgs.msg import CalibrationReport
+from im_dispatcher.report import StepTimes
+from im_msgs.msg import CalibrationReport, Firing
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.functions import Functions
@@ -52,15 +52,15 @@ class Dispatcher(PntNode):
 
     def __init__(self) -> None:
         host, commands = NodeHost(), installed()
-        command_host = DispatcherHost(host)
-        made = joined(command.functions(command_host) for command in commands)
+        times = [StepTimes(partial(self._nets_for, command.net.stem), self._now) for command in commands]
+        made = joined(command.functions(host, each) for command, each in zip(commands, times, strict=True))
         made_by = f"{__name__}:{dispatcher_functions.__name__}"
         name, verifier = "dispatcher", verify_to_load
         super().__init__(name, (), made.actions, made.guards, made.asks, verifier=verifier, made_by=made_by)
         named = "the commands to begin with: names of those shipped, net files, folders of them; separated by commas"
         self._commands_named = self.declared.declare("commands", ",".join(shipped()), named)
         host.attach(self)
-        command_host.attach(self)
+        self.create_subscription(Firing, "/pnt/firings", partial(note_firing, times), qos.EVENTS)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
         self._resources = resources_of(load_cell())
         self._changes = OneAtATime(self.promise)
@@ -148,6 +148,14 @@ class Dispatcher(PntNode):
         claim = self._line.claim(asked)
         keepers = self._line.keepers(claim) if command.job.waiting else []
         return claim.variant.needs, reason(claim, keepers) if keepers else ""
+
+    def _nets_for(self, net: str) -> Sequence[Net]:
+        """Return a net as written, with all required nets; none before it is loaded."""
+        return self.net_with_servers(net) if net in self.exchange.nets else ()
+
+    def _now(self) -> float:
+        """Return the testbed time [s]."""
+        return float(self.get_clock().now().nanoseconds) * 1e-9
 
     def _know(self, needs: Needs) -> None:
         """Set the needs for the queue of commands."""
@@ -283,9 +291,24 @@ def require_wait(seconds: float) -> None:
         raise ArgumentError(f"wait is {seconds:g} s; 0 to {LONGEST_WAIT_S:g} s are allowed")
 
 
+def note_firing(times: Iterable[StepTimes], message: Firing) -> None:
+    """Add a firing to the times of its command."""
+    if not 0.0 <= message.duration < math.inf:
+        return  # no node of ours says that, and JSON cannot carry a number that is none
+    name = f"{message.net}.{message.transition}"
+    stamp = message.stamp.sec + message.stamp.nanosec * 1e-9
+    for each in times:
+        if not each.is_step(message.net, message.transition):
+            continue
+        if message.phase == Firing.START:
+            each.note_start(name, message.command_id, stamp)
+        elif message.phase in (Firing.END, Firing.FAILED):
+            each.note_end(name, message.command_id, stamp, message.duration)
+
+
 def dispatcher_functions(host: Host) -> Functions:
     """Return the functions of commands and cell, for a re-run of the nets of a mission."""
-    made = joined(command.functions(DispatcherHost(host)) for command in installed())
+    made = joined(command.functions(host, StepTimes()) for command in installed())
     needs = Needs([net for net in host.nets() if net.name != cell.NAME], resources_of(load_cell()))
     made.guards.update(WaitingLine(needs, lambda: host.executor(cell.NAME)).guards())
     return made

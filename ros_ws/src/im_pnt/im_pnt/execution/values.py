@@ -22,13 +22,13 @@ class ObjectPendingError(ImError):
 class Objects(Protocol):
     """Data objects, as seen by expressions; names are names in the Data Object Manager."""
 
-    async def read(self, name: str, kind: str, ways: Sequence[Way]) -> object:
+    async def read(self, name: str, kind: str, ways: Sequence[Way]) -> Mapping[str, object]:
         """Return fields of a data object as JSON data.
 
         Args:
             name: Its name.
             kind: Its type, ``package/msg/Type``.
-            ways: The ways to the fields.
+            ways: The ways to the fields; an empty one leads to all.
 
         Raises:
             ImError: There is none that is valid, or it is of another type.
@@ -45,14 +45,14 @@ class Objects(Protocol):
     def stale(self) -> None:
         """Make :meth:`latest` read objects anew after a possible change by the last events."""
 
-    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
+    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str = "") -> None:
         """Store a data object.
 
         Args:
             name: Its name.
             kind: Its type.
             fields: Its fields.
-            place: ``net.place`` that stands for it.
+            place: ``net.place`` that stands for it, or empty.
 
         Raises:
             ImError: A field does not fit, or it was refused.

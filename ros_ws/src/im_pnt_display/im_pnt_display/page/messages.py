@@ -10,9 +10,9 @@ from im_core.bounded_json import read_json
 from im_core.errors import ImError
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Phase
+from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
-from im_pnt_analysis.simulation.replay import FiringSequence
-from im_pnt_display.page.counterexample import drawn_counterexample
+from im_pnt_analysis.simulation.replay import FiringSequence, replay
 from im_pnt_display.page.state import net_content
 
 
@@ -52,6 +52,37 @@ def counterexample(text: str) -> dict[str, object]:
         return {}
     firings = FiringSequence(tuple(refusal.sequence), tuple(refusal.repeat), refusal.reason)
     return drawn_counterexample(nets, firings)
+
+
+def drawn_counterexample(nets: Sequence[Net], firings: FiringSequence) -> dict[str, object]:
+    """Return the steps of a firing sequence, with the drawings, as JSON data.
+
+    Args:
+        nets: The nets that it is for, as written.
+        firings: The sequence, for instance a counterexample.
+
+    Raises:
+        NetError: The sequence does not fit to the nets.
+    """
+    steps = [{"fired": step.transition, "markings": _by_net(nets, step.marking)} for step in replay(nets, firings)]
+    return {
+        "reason": firings.reason,
+        "drawings": [net_content(net) for net in nets],
+        "steps": steps,
+        "repeats": len(firings.sequence) if firings.repeat else None,
+    }
+
+
+def _by_net(nets: Sequence[Net], marking: dict[str, int]) -> dict[str, dict[str, int]]:
+    """Take the marking of a composition apart; places of the environment are left out."""
+    if len(nets) == 1:
+        return {nets[0].name: marking}
+    parts: dict[str, dict[str, int]] = {net.name: {} for net in nets}
+    for name, count in marking.items():
+        net, _, place = name.partition(".")
+        if net in parts:
+            parts[net][place] = count
+    return parts
 
 
 def token_counts(places: Sequence[str], tokens: Sequence[int]) -> dict[str, int]:

@@ -2,7 +2,7 @@
 
 import asyncio
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from aiohttp import WSMsgType, web
 
 from im_core.bounded_json import read_json
+from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
-from im_pnt_display.page.rate import Allowance
 from im_pnt_display.page.viewers import Operate, Viewers
 
 if TYPE_CHECKING:
@@ -37,6 +37,30 @@ TOO_FAST = f"more than {VIEWER_PER_S:g} messages a second were sent; the connect
 TOO_MANY = f"viewers have asked for more than {PAGE_PER_S:g} things a second; this one is not done"
 _TOLD_S = 0.5
 """Time in which a viewer that sends too much can read why its connection ends [s]."""
+
+
+class Allowance:
+    """Number of requests growing with time (token bucket); each request takes one away.
+
+    Args:
+        per_s: Growth [1/s].
+        most: Largest number, which it begins with.
+        now: Clock [s].
+    """
+
+    def __init__(self, per_s: float, most: int, now: Callable[[], float] = monotonic) -> None:
+        self._per_s, self._most, self._now = per_s, most, now
+        self._left, self._seen = float(most), now()
+
+    def take_request(self) -> bool:
+        """Take one away; returns whether one was left."""
+        now = self._now()
+        self._left = min(self._most, self._left + (now - self._seen) * self._per_s)
+        self._seen = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
 
 
 class Site:

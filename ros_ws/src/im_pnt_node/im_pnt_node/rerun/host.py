@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
 from im_pnt.execution.executor import Executor
+from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net
 
 ValueT = TypeVar("ValueT")
@@ -36,11 +37,13 @@ class Host(Protocol):
 
     Attributes:
         name: Full name of the node.
-        dom: The data objects.
+        dom: The data objects, as messages.
+        values: The same as JSON data, as seen by expressions of nets.
     """
 
     name: str
     dom: HostObjects
+    values: Objects
 
     @property
     def recorded(self) -> bool:

@@ -73,6 +73,7 @@ class NodeRerun:
         self._life = Life(stream)
         self._script = Script(stream, self._life.differs, messages)
         self._host = ScriptHost(stream.node, self._script, messages, self._life.executors, self._life.nets)
+        self._host.values = world.objects(self._host, self._script.spawn, self._guards_changed)
         self._not_again = NotDoneAgain(self._life)
         self._time = 0.0
         self._before: dict[str, set[int]] = {}
@@ -165,7 +166,6 @@ class NodeRerun:
         others, asks = self._world.performers(script, functions, self._keep)
         runner = Labelled(script, functions, self, script.spawn, others, asks, lambda: self._time)
         check: CheckObjects = lambda names, done: self._checks.append((names, done))  # noqa: E731
-        objects = self._world.objects(self._host, script.spawn, self._guards_changed)
         executor = RerunExecutor(
             net,
             functions,
@@ -175,7 +175,7 @@ class NodeRerun:
             check_objects=check,
             clock=lambda: self._time,
             record=lambda entry: self._life.compare(net.name, entry),
-            objects=objects,
+            objects=self._host.values,
             draw=lambda names: self._life.drawn(net.name, names),
         )
         executor.completions = {}

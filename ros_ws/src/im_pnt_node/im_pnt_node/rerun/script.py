@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeVar
 from im_core.errors import ImError
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net
 from im_pnt_node.rerun.entries import error_of
 from im_pnt_node.rerun.log import Key
@@ -239,10 +240,12 @@ class ScriptHost:
 
     Attributes:
         heard: The last message of each topic, with its type, as recorded so far.
+        values: The data objects as JSON data; the runner of the nets sets them.
         recorded: Nobody records what is run again.
     """
 
     recorded = False
+    values: Objects
 
     def __init__(
         self, name: str, script: Script, messages: Messages, executors: dict[str, Executor], nets: dict[str, Net]

@@ -94,6 +94,7 @@ class PntNode(ManagedNode):
     Attributes:
         log: What the nets can be run again from.
         objects: The data objects, for functions of nets; what these read and store is noted.
+        values: The same as JSON data, for expressions and functions of nets.
         dom: Client of the Data Object Manager.
         heartbeats: Tells who is alive.
         sources: What guards look at.
@@ -137,7 +138,7 @@ class PntNode(ManagedNode):
         nets = self.exchange.nets
         self._mission = MissionPublisher(self, self.log, made_by, lambda: list(nets.values()), self.sources.tell)
         self._validity = Validity(self, self.dom, nets, self._object_settled)
-        self._objects = DomObjects(self.objects, self.spawn, self._guards_changed)
+        self.values = DomObjects(self.objects, self.spawn, self._guards_changed)
         self._loop = NetLoop(self, self.exchange.nets, self._may_turn, self._commit, self._told)
         self.commands = self._observer.commands = Commands(
             self, self.exchange.nets, lambda: self._notes.changed(), self._command_ended
@@ -535,7 +536,7 @@ class PntNode(ManagedNode):
             check_objects=lambda names, done: self.spawn(self.sources.check(names, done)),
             record=None if journal is None else journal.recorder(net.name, self.log.items.append),
             strategies=self._book,
-            objects=self._objects,
+            objects=self.values,
         )
         if state is not None:
             restore_net(executor, state)
@@ -606,7 +607,7 @@ class PntNode(ManagedNode):
         """Make tokens and guards follow the objects: changes told by /dom while the node or /dom was dead are lost."""
         self.dom.forget_known()
         self.spawn(self._compare_store())
-        self._objects.stale()
+        self.values.stale()
         await self.sources.look()
         await self._validity.compare()
         self._guards_changed()
@@ -688,7 +689,7 @@ class PntNode(ManagedNode):
         """Take in the state of a changed data object."""
         self.log.add("object", name, valid)
         self.sources.object_changed(name, valid)
-        if self._objects.forget(name):
+        if self.values.forget(name):
             self._guards_changed()
         if not valid:
             self._validity.lost(name)

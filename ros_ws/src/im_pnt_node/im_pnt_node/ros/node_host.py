@@ -8,6 +8,7 @@ from rclpy.client import Client
 from im_core.ros.calls import ask_again, pause, run_in_thread
 from im_core.ros.servers import reason
 from im_pnt.execution.executor import Executor
+from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net
 from im_pnt_node.rerun.host import HostObjects
 from im_pnt_node.ros.messages import packed_message
@@ -27,6 +28,7 @@ class NodeHost:
         self._node, self._log = node, node.log
         self.name = node.get_fully_qualified_name()
         self.dom: HostObjects = node.objects
+        self.values: Objects = node.values
         self._clients: dict[str, Client] = {}
 
     @property

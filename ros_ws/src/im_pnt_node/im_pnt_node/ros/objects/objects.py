@@ -80,7 +80,7 @@ class DomObjects:
             self._latest[key] = found
         self._known()
 
-    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str) -> None:
+    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str = "") -> None:
         """Store an object.
 
         Raises:
