@@ -41,6 +41,7 @@ from im_pnt_node.distributed.packets import began_at, new_epoch
 from im_pnt_node.journal.journal import Journal
 from im_pnt_node.journal.log import Sync
 from im_pnt_node.journal.state import restore_net, taken_over
+from im_pnt_node.journal.strategies import StrategyStore
 from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 from im_pnt_node.ros.commands.control import ControlService
@@ -162,7 +163,7 @@ class PntNode(ManagedNode):
         requests = NotedRequests(self.exchange, self.log)
         self._runner = FunctionRunner(self.functions, requests, self.spawn, others, questions, apart=self._run_apart)
         self._journal: Journal | None = None
-        self._book = StrategyBook()
+        self._book: StrategyBook = StrategyBook()
         self._looked = False
         self._execute: ExecuteServer | None = None
         self.create_subscription(ObjectChange, "/dom/changes", self._object_changed, qos.LATCHED_EVENTS)
@@ -177,7 +178,7 @@ class PntNode(ManagedNode):
         Raises:
             ImError: A net file is wrong, a net is refused, or the journal is damaged.
         """
-        self._book = StrategyBook(results_dir() / f"strategies-{self.task_name}.json")
+        self._book = StrategyStore(results_dir() / f"strategies-{self.task_name}.json")
         if self._journal_dir:
             folder = Path(self._journal_dir) / self.task_name
             run = os.environ.get(RUN, "")
