@@ -232,9 +232,9 @@ transitions:
         assert done(dispatcher, dispatcher.load_net(parse_net(text.replace("NAME", name)))) is None
     numbers = {name: [] for name in ("one", "other")}
     for name, told in numbers.items():
-        dispatcher.spawn(dispatcher.command(name, started=told.append))
+        dispatcher.spawn(dispatcher.commands.run(name, started=told.append))
     wait_until(lambda: all(numbers.values()), 30.0)
-    dispatcher.spawn(dispatcher.command("confirm", {"command": numbers["other"][0]}))
+    dispatcher.spawn(dispatcher.commands.run("confirm", {"command": numbers["other"][0]}))
     wait_until(lambda: "other" not in states(dispatcher), 30.0)
     assert states(dispatcher).keys() == {"one"}
 
@@ -257,7 +257,7 @@ def test_a_command_of_a_net_that_goes_when_it_is_at_rest_waits_for_what_it_needs
         assert done(dispatcher, dispatcher.load_net(holder(name))) is None
     awake = Begun(dispatcher, dispatcher._run("going_idle", {}))
     wait_until(lambda: dispatcher.exchange.nets["going"].marking().get("awake"), "the command to begin")
-    in_loop(dispatcher, dispatcher.hold, 1, True)
+    in_loop(dispatcher, dispatcher.commands.hold, 1, True)
     dispatcher.exchange.nets["staying"].post(PauseSet(True))
     held = Begun(dispatcher, dispatcher._run("staying", {}))
     unload = Begun(dispatcher, dispatcher.unload_net("going", 60.0))
@@ -267,7 +267,7 @@ def test_a_command_of_a_net_that_goes_when_it_is_at_rest_waits_for_what_it_needs
     assert states(dispatcher) == {"going_idle": "paused", "staying": "running", "going": "waiting"}
     dispatcher.exchange.nets["staying"].post(PauseSet(False))
     assert [each.refused() for each in (held, command)] == [None, None]
-    in_loop(dispatcher, dispatcher.hold, 1, False)
+    in_loop(dispatcher, dispatcher.commands.hold, 1, False)
     assert [each.refused() for each in (awake, unload)] == [None, None]
     assert "going" not in dispatcher.exchange.nets
     assert "going" not in dispatcher.exchange.nets["cell"].written.transitions

@@ -120,7 +120,7 @@ def bench(lab, ros, tmp_path, wait_until):
             raise RuntimeError("a listener that breaks")
 
         async def work():
-            outcomes.append(await node.command(symbol, arguments, listener, numbers.append))
+            outcomes.append(await node.commands.run(symbol, arguments, listener, numbers.append))
 
         node.spawn(work())
         return SimpleNamespace(outcomes=outcomes, told=told, numbers=numbers)
@@ -157,7 +157,7 @@ def test_its_failure_and_what_it_wrote_before_are_those_of_its_command(bench, la
 def test_it_learns_that_it_is_cancelled(bench, lab, wait_until):
     weighing = bench.run("weigh", mass=1.5)
     wait_until(lab.begun.is_set, "the function to begin")
-    bench.node.cancel(weighing.numbers[0])
+    bench.node.commands.cancel(weighing.numbers[0])
     wait_until(lambda: weighing.outcomes, "its end")
     assert not weighing.outcomes[0].success
     wait_until(lambda: lab.stopped, "what is called when it is cancelled")

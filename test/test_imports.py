@@ -170,7 +170,7 @@ OPEN_FILES = {
     "im_bag/writer.py": "what it writes itself",
     "im_bringup/ros/interruptible.py": "standard output of the program",
     "im_pnt_node/journal/ended.py": "what it writes itself",
-    "im_pnt/execution/strategies.py": "a folder, to lock what it writes itself",
+    "im_pnt_node/journal/strategies.py": "a folder, to lock what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/process.py": "logs and standard input of children",
     "im_core/procfs.py": "/proc",

@@ -290,7 +290,7 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
     outcomes = []
 
     async def walk() -> None:
-        outcomes.extend([await node.command("walk", {"steps": steps}) for steps in (3, -1)])
+        outcomes.extend([await node.commands.run("walk", {"steps": steps}) for steps in (3, -1)])
 
     wait_until(lambda: texts, "the state of the net")
     node.spawn(walk())
@@ -379,7 +379,7 @@ def walker(ros, tmp_path, wait_until, request):
 def test_a_recording_may_begin_while_an_action_runs(walker, ros, wait_until):
     """What it leaves is taken as it was; what it has read is not given to the next one that asks for the same."""
     texts: list[str] = []
-    walker.spawn(walker.command("walk"))
+    walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
     ros(listening(texts))
     wait_until(lambda: texts, "the state of the net")
@@ -394,7 +394,7 @@ def test_a_recording_begins_with_the_state_also_where_others_are_told_before_it_
     ros(listening(first))
     wait_until(lambda: first, "the state of the net")
     second: list[str] = []
-    walker.spawn(walker.command("walk"))
+    walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
     ros(listening(second))
     wait_until(lambda: any('["node"' in text for text in second), "the state of the net")
@@ -412,7 +412,7 @@ def test_a_recording_may_end_anywhere(walker, ros, wait_until):
     ros(listening(texts))
     wait_until(lambda: texts, "the state of the net")
     looking.there.set()
-    walker.spawn(walker.command("walk"))
+    walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: '"rest"' in texts[-1], "the last events")
     cuts = [run_again(texts[:count]).firings for count in range(1, len(texts) + 1)]
     assert cuts == sorted(cuts)
@@ -422,7 +422,7 @@ def test_a_recording_may_end_anywhere(walker, ros, wait_until):
 @pytest.mark.parametrize("walker", [keeping], indirect=True)
 def test_what_a_function_had_read_and_kept_before_the_recording_is_in_it(walker, ros, wait_until):
     texts: list[str] = []
-    walker.spawn(walker.command("walk"))
+    walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: in_loop(walker, walker.exchange.nets["walker"].busy), "the action")
     ros(listening(texts))
     wait_until(lambda: texts, "the state of the net")
@@ -444,7 +444,7 @@ def test_a_net_that_had_not_fired_yet_may_be_operated_when_recording_begins(walk
     wait_until(lambda: not in_loop(walker, lambda: net.due), "the net to stand")
     ros(listening(texts))
     wait_until(lambda: texts, "the state of the net")
-    walker.spawn(walker.command("walk"))
+    walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: "command" in texts[-1], "the command")
     in_loop(walker, net.post, go_on)
     wait_until(lambda: '"rest"' in texts[-1], "the last events")

@@ -69,7 +69,7 @@ class Keeper(PntNode):
 
     def begin(self, symbol: str, name: str) -> None:
         async def work() -> None:
-            self.ended[symbol, name] = await self.command(symbol, {"name": name})
+            self.ended[symbol, name] = await self.commands.run(symbol, {"name": name})
 
         self.spawn(work())
 

@@ -99,7 +99,7 @@ class Server(PntNode):
             self.create_service(Trigger, "/front/attach", self._attach)
 
     async def _serve(self, request, response):
-        return self.answer(response, await self.command("serve"))
+        return self.answer(response, await self.commands.run("serve"))
 
     async def _attach(self, request, response):
         return self.answer(response, await self.commands.attach("serve"))
@@ -346,7 +346,7 @@ def test_a_journal_waits_for_the_disk_where_it_is_told_to(tmp_path, ros, monkeyp
     node = Server("front", tmp_path, journal_sync=sync)
     node.phase_configure()
     synced.clear()
-    journal = node._journal
+    journal = node._loop.journal
     journal.recorder("front")(ModeSet(Mode.SUPERVISED))
     journal.write()
     assert bool(synced) is waits
@@ -402,7 +402,7 @@ def test_a_command_that_fails_after_an_event_tells_the_event(ros, tmp_path, wait
             raise StateError("group 'left' is moving", code="moving")
 
     async def serve():
-        outcomes.append(await node.command("serve"))
+        outcomes.append(await node.commands.run("serve"))
 
     parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(tmp_path / "journal"))]
     files, functions = [tmp_path / "lone.yaml"], {"try": attempt}
@@ -440,7 +440,7 @@ def test_a_command_that_fails_after_its_node_was_started_again_says_so(ros, tmp_
 
     first = ros(lone())
     wait_until(lambda: first.ready, "the node")
-    first.spawn(first.command("serve"))
+    first.spawn(first.commands.run("serve"))
     wait_until(lambda: begun, "the action to begin")
     shutil.copytree(tmp_path / "journal", tmp_path / "kept")
     parameters[1] = Parameter("journal_dir", value=str(tmp_path / "kept"))
@@ -454,7 +454,7 @@ def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_
     wait_until(lambda: node.failed, "the node to refuse")
     assert re.search(r"value of the parameter journal_sync.*tape.*disk, os", node.failed)
     with pytest.raises(StateError, match=r"front has failed: .*journal_sync"):
-        asyncio.run(node.command("serve"))
+        asyncio.run(node.commands.run("serve"))
 
 
 if __name__ == "__main__":
@@ -480,7 +480,7 @@ def test_how_a_command_has_ended_is_known_after_the_death_of_its_node_and_in_the
     executor = first.exchange.nets["say"]
     while executor.pump():
         pass
-    first._commit()
+    first._loop.journal.commit()
     killed = tmp_path / "killed"
     for part in ("journal", "ended"):
         shutil.copytree(tmp_path / part, killed / part)  # as a kill leaves it
@@ -533,7 +533,7 @@ def test_a_net_that_cannot_be_written_down_does_not_come(tmp_path, ros, wait_unt
         except JournalError as error:
             refused.append(error.message)
 
-    monkeypatch.setattr(node._journal, "compact", full)
+    monkeypatch.setattr(node._loop.journal, "compact", full)
     node.spawn(load())
     wait_until(lambda: refused, "the refusal")
     assert node.exchange.nets == before
@@ -550,11 +550,11 @@ def test_a_net_whose_going_cannot_be_written_down_stays(tmp_path, ros, wait_unti
 
     async def unload():
         try:
-            await node.unload_net("say", 30.0)
+            await node.loader.unload("say", 30.0)
         except JournalError as error:
             refused.append(error.message)
 
-    monkeypatch.setattr(node._journal, "compact", full)
+    monkeypatch.setattr(node._loop.journal, "compact", full)
     node.spawn(unload())
     wait_until(lambda: refused, "the refusal")
     assert list(node.exchange.nets.items()) == before
@@ -575,7 +575,7 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     tmp_path, ros, wait_until, monkeypatch
 ):
     """What was asked for is done; that it would not outlive the process is said."""
-    monkeypatch.setattr("im_pnt_node.ros.node.ANSWER_S", 0.2)
+    monkeypatch.setattr("im_pnt_node.ros.commands.commands.ANSWER_S", 0.2)
     (tmp_path / "think.yaml").write_text(THINK)
     node = Server("think", tmp_path)
     client = ManagedNode("client", parameter_overrides=[Parameter("standalone", value=True)])
@@ -584,7 +584,7 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     in_loop(node, node.offer_commands)
     cancel = client.create_client(ControlCommand, "/think/control_command")
     operate = client.create_client(ControlNet, "/think/control_net")
-    node.spawn(node.command("think"))
+    node.spawn(node.commands.run("think"))
     wait_until((tmp_path / "begun").exists, "the action")
 
     def asked():
@@ -599,12 +599,12 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     done = ["pause", "cancel think (number 1)"]
     not_kept = "; it is done, but not on file: journal cannot be written: No space left on device"
     with monkeypatch.context() as patch:
-        patch.setattr(node._journal._log, "append", full)
+        patch.setattr(node._loop.journal._log, "append", full)
         answers = asked()
     assert all(answer.success for answer in answers)
     assert [answer.message for answer in answers] == [f"{each}{not_kept}" for each in done]
     assert in_loop(node, lambda: node.exchange.nets["think"].paused)
-    wait_until(lambda: not node._journal.unwritten, "the journal, which has room again")
+    wait_until(lambda: not node._loop.journal.unwritten, "the journal, which has room again")
     assert [answer.message for answer in asked()] == done
 
 
@@ -627,7 +627,7 @@ def test_that_a_request_is_given_up_is_on_file_at_once(tmp_path, ros, wait_until
     net, ended = node.exchange.nets["ask"], []
 
     async def ask():
-        ended.append(await node.command("ask"))
+        ended.append(await node.commands.run("ask"))
 
     def doubtful():
         return [each for each in net.activities if each.state is ActivityState.IN_DOUBT]
@@ -638,7 +638,7 @@ def test_that_a_request_is_given_up_is_on_file_at_once(tmp_path, ros, wait_until
     in_loop(node, lambda: net.post(Answered(doubtful()[0], failed)))
     wait_until(lambda: ended, "the command to end")
     wait_until(lambda: in_loop(node, lambda: not node.exchange.book.items()), "the request to be given up")
-    assert not in_loop(node, lambda: node._journal.unwritten)
+    assert not in_loop(node, lambda: node._loop.journal.unwritten)
 
 
 @pytest.mark.parametrize("fault", ["journal", "topic"])
@@ -664,11 +664,11 @@ def test_a_net_that_was_refused_keeps_nobody_waiting_for_the_objects_of_its_guar
             refused.append(error.message)
 
     async def say():
-        ended.append(await node.command("say", {"text": "here"}))
+        ended.append(await node.commands.run("say", {"text": "here"}))
 
     with monkeypatch.context() as patch:
         if fault == "journal":
-            patch.setattr(node._journal, "compact", full)
+            patch.setattr(node._loop.journal, "compact", full)
         node.spawn(load())
         wait_until(lambda: refused, "the refusal")
     node.spawn(say())
@@ -733,7 +733,7 @@ def test_a_net_that_goes_right_after_it_has_changed_takes_no_marking_of_another_
         node._publisher.changed("cry")  # what changes within 20 ms of that is told when they are over
         node.exchange.nets["say"].post(PauseSet(True))
         node._loop.turn()
-        await node.unload_net("cry", 30.0)
+        await node.loader.unload("cry", 30.0)
         told.append(True)
 
     node.spawn(work())

@@ -46,7 +46,7 @@ def test_a_request_that_is_built_later_leaves_at_once(tmp_path, ros, wait_until,
     wait_until(lambda: caller.heartbeats.incarnation("callee") is not None, "the other node")
 
     async def call():
-        ended.append(await caller.command("call"))
+        ended.append(await caller.commands.run("call"))
 
     for number in range(1, 4):
         in_loop(caller, call)

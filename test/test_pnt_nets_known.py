@@ -111,7 +111,7 @@ def test_who_comes_late_is_told_of_all_nets_and_of_none_that_has_long_gone(tmp_p
         for number in many:
             await asker.load_net(parse_net(IDLE.replace("NAME", f"n{number}")))
         for number in list(many)[:2]:
-            await asker.unload_net(f"n{number}")
+            await asker.loader.unload(f"n{number}")
         loaded.append(True)
 
     asker.spawn(load(range(MANY)))

@@ -72,14 +72,14 @@ def run(node: PntNode, how: str, seconds: float = 60.0, cancel_when: Callable[[]
     numbers = []
 
     async def work():
-        outcome.append(await node.command("serve", {"how": how}, started=numbers.append))
+        outcome.append(await node.commands.run("serve", {"how": how}, started=numbers.append))
         ended.set()
 
     node.executor.create_task(work())
     node.wake()
     if cancel_when is not None:
         until(lambda: numbers and cancel_when())
-        node.cancel(numbers[0])
+        node.commands.cancel(numbers[0])
     assert ended.wait(seconds), f"command serve({how}) did not end in {seconds} s"
     return outcome[0]
 

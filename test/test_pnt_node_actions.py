@@ -215,7 +215,7 @@ def run(node, symbol, cancel_after=None, after=None, **arguments):
     ended, outcome, numbers = threading.Event(), [], []
 
     async def work():
-        outcome.append(await node.command(symbol, arguments, started=numbers.append))
+        outcome.append(await node.commands.run(symbol, arguments, started=numbers.append))
         ended.set()
 
     node.executor.create_task(work())
@@ -226,7 +226,7 @@ def run(node, symbol, cancel_after=None, after=None, **arguments):
         while not numbers:
             clock.sleep(0.0001)
         clock.sleep(cancel_after)
-        node.cancel(numbers[0])
+        node.commands.cancel(numbers[0])
     assert ended.wait(60.0), f"command {symbol} did not end"
     return outcome[0]
 
@@ -268,7 +268,7 @@ def test_a_goal_that_its_server_has_forgotten_names_who_did(machine, monkeypatch
 
 def test_a_goal_of_which_nobody_can_tell_any_more_is_not_followed(machine, monkeypatch):
     """Its server has died, and owes no result: that would be kept for ever."""
-    goals, result = machine[0]._kinds[GoalAction], Future()
+    goals, result = machine[0]._runner._kinds[GoalAction], Future()
     activity = Doubtful(GoalAction("/hardware/move", "im_msgs/action/Move"))
 
     async def died(*_):
@@ -482,7 +482,7 @@ def begin(node, symbol, **arguments):
     numbers, outcomes = [], []
 
     async def work():
-        outcomes.append(await node.command(symbol, arguments, started=numbers.append))
+        outcomes.append(await node.commands.run(symbol, arguments, started=numbers.append))
 
     node.spawn(work())
     deadline = clock.monotonic() + 60.0
@@ -529,7 +529,7 @@ def begin_or_ended(node, symbol):
     outcomes = []
 
     async def work():
-        outcomes.append(await node.command(symbol))
+        outcomes.append(await node.commands.run(symbol))
 
     node.spawn(work())
     return None, outcomes
@@ -556,7 +556,7 @@ def test_a_message_that_does_not_come_fails_by_its_timeout(machine):
 def test_a_wait_is_cancelled(machine, wait_until):
     node, _, _, _ = machine
     number, outcomes = begin(node, "endless")
-    node.cancel(number)
+    node.commands.cancel(number)
     outcome = wait_until(lambda: outcomes, "the end")[0]
     assert (outcome.success, outcome.status.code) == (False, "cancelled")
 
@@ -609,7 +609,7 @@ def test_the_number_of_a_command_is_told_when_it_is_written_down(machine, client
         unfinished_commands.note(*note)
 
     monkeypatch.setattr(notes, "note", late)
-    monkeypatch.setattr(node._notes, "_run_dir", tmp_path)
+    monkeypatch.setattr(node.commands._notes, "_run_dir", tmp_path)
     found, told = [], threading.Event()
 
     def hear(message):
@@ -676,8 +676,8 @@ def test_a_pause_does_not_hold_up_a_command_that_is_being_cancelled(machine, cli
     number = steps[0].command_id
 
     def both():
-        node.cancel(number)
-        node.hold(number, True)
+        node.commands.cancel(number)
+        node.commands.hold(number, True)
 
     in_loop(node, both)
     assert completed(handle.get_result_async()).result.status.code == "cancelled"
@@ -739,7 +739,7 @@ def test_an_unknown_command_is_refused_by_name(machine):
 
     async def work():
         try:
-            await machine[0].command("mov")
+            await machine[0].commands.run("mov")
         except Exception as error:
             refused.append(str(error))
 

@@ -51,7 +51,7 @@ def go(walker):
     ended = threading.Event()
 
     async def work():
-        await walker.command("go")
+        await walker.commands.run("go")
         ended.set()
 
     walker.executor.create_task(work())
@@ -166,7 +166,7 @@ def test_a_net_that_was_unloaded_leaves_the_page_until_it_is_loaded_again(machin
 
     def unload():
         assert started.acquire(timeout=60.0)
-        walker.spawn(walker.unload_net("shown"))
+        walker.spawn(walker.loader.unload("shown"))
 
     threading.Thread(target=unload).start()
     heard = asyncio.run(watch(display.server.url, started, lambda told: any(c["kind"] == "gone" for c in told)))

@@ -112,7 +112,7 @@ class Walker(PntNode):
         outcomes = []
 
         async def work():
-            outcomes.append(await self.command(symbol))
+            outcomes.append(await self.commands.run(symbol))
 
         self.executor.create_task(work())
         self.wake()
@@ -234,7 +234,7 @@ def test_an_operator_is_told_what_outlives_the_node(machine, monkeypatch):
         raise JournalError("the journal cannot be written: No space left on device", file="journal")
 
     with monkeypatch.context() as patch:
-        patch.setattr(walker._journal._log, "append", full)
+        patch.setattr(walker._loop.journal._log, "append", full)
         answer = operator.control.call_async(ControlNet.Request(net="walker", request="pause"))
         operator.until(lambda: walker.exchange.nets["walker"].paused, "the pause")
         clock.sleep(0.3)

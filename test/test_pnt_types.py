@@ -87,7 +87,7 @@ def test_what_is_called_is_of_the_type_that_the_net_says_now(ringer, ros, wait_u
     ended = []
 
     async def work():
-        ended.append(await node.command("ring"))
+        ended.append(await node.commands.run("ring"))
 
     node.spawn(work())
     wait_until(lambda: ended, "the bell")

@@ -113,7 +113,7 @@ class Cast:
 
     def command(self, goal) -> None:
         async def work():
-            self.ended[goal] = await self.boss.command("go", {"goal": goal})
+            self.ended[goal] = await self.boss.commands.run("go", {"goal": goal})
 
         self.boss.spawn(work())
 
@@ -188,7 +188,7 @@ def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast,
         wait_until(lambda: node._looked and "keeper" in cast.planner._library._known, "the net to be described")
         node.spawn(node.dom.put("notes", String(), "keeper.there"))
         wait_until(lambda: in_loop(cast.dom, cast.dom.store.record, "notes").place, "the object")
-        node.spawn(node.unload_net("keeper"))
+        node.spawn(node.loader.unload("keeper"))
         wait_until(lambda: not in_loop(cast.dom, cast.dom.store.record, "notes").valid, "the object to be invalid")
         assert in_loop(cast.dom, cast.dom.store.record, "diary").valid
         wait_until(lambda: "keeper" not in cast.planner._library._known, "other nodes to reckon with it no more")
@@ -215,12 +215,12 @@ def test_a_token_stays_when_its_object_was_put_again_before_the_change_is_heard(
     settled = []
     with spin_in_thread(keeper):
         wait_until(lambda: keeper._looked, "the node to have looked at the objects")
-        settle = keeper._validity._settled
-        monkeypatch.setattr(keeper._validity, "_settled", lambda *what: (settle(*what), settled.append(what)))
+        settle = keeper._validity._settle
+        monkeypatch.setattr(keeper._validity, "_settle", lambda *what: (settle(*what), settled.append(what)))
         record = in_loop(cast.dom, cast.dom.store.invalidate, "notes", "test", 0)
         cast.put("notes")
         late = ObjectChange(object=to_info(record))
-        in_loop(keeper, keeper._object_changed, late)
+        in_loop(keeper, keeper._validity._hear, late)
         wait_until(lambda: ("notes", True) in settled, "the object to be looked at")
         wait_until(lambda: not keeper.exchange.nets["keeper"].due, "the net to be at rest")
         assert keeper.exchange.nets["keeper"].marking() == {"there": 1}

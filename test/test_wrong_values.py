@@ -24,10 +24,10 @@ from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
 from im_dispatcher.job import order_of
 from im_dispatcher.poses_file import load_poses
 from im_mcs.limits.configuration import load_config
-from im_pnt.execution.strategies import StrategyBook
 from im_pnt.netfile import load_net
 from im_pnt_analysis.simulation.replay import read_firing_sequence
 from im_pnt_analysis.timed.measurement import read_measurement
+from im_pnt_node.journal.strategies import StrategyStore
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
 
@@ -108,7 +108,7 @@ FILES = {
     "durations": ({"n.t": [0.5, 1.0]}, lambda path: read_measurement(str(path))),
     "firing sequence": ({"sequence": ["a", "b"], "repeat_from": 1, "nets": ["n"], "marking": {"p": 1}},
                         lambda path: read_firing_sequence(str(path))),
-    "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyBook),
+    "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyStore),
 }  # fmt: skip
 
 DECLARED = load_net(COMMAND.net).commands[SYMBOL].arguments

@@ -14,7 +14,7 @@ from typing import Annotated, TypeVar, Union, cast, get_args, get_origin
 
 import pydantic
 
-from im_core.errors import ConfigError, nearest
+from im_core.errors import ConfigError, nearest, quoted_text, shortened
 from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.yamltext import (
     Location,
@@ -24,9 +24,7 @@ from im_core.yamltext import (
     YamlError,
     as_data,
     find,
-    quoted_text,
     read_yaml,
-    shortened,
 )
 
 

@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 #: Of the names that exist: how long and how many may be to be compared with one that does not, and how many are listed.
 _LONGEST_NAME, _MOST_COMPARED, _MOST_NAMES = 60, 1000, 30
+SHOWN = 60
+"""Characters that an error quotes of a file: it may be answered to a process that may not read the file."""
 
 
 class ImError(Exception):
@@ -157,6 +159,16 @@ class NotFoundError(ImError):
 def printable(text: str) -> str:
     """Return a text fit for every log and message: zeros and characters outside UTF-8 are written out."""
     return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
+def quoted_text(text: str, most: int = SHOWN) -> str:
+    """Return the beginning of a text in quotes."""
+    return repr(shortened(text, most))
+
+
+def shortened(text: str, most: int = SHOWN) -> str:
+    """Return a text, or only the beginning followed by dots."""
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def require_text(text: str, what: str) -> str:

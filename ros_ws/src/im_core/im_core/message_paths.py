@@ -5,10 +5,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from im_core.errors import DataError
+from im_core.errors import DataError, quoted_text
 from im_core.files import is_below, make_folder, read_bytes, write_whole
 from im_core.names import results_dir, run_dir
-from im_core.yamltext import quoted_text
 
 #: Names more folders, separated by colons.
 MORE_FOLDERS = "IM_FOLDERS"

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 import yaml
 
+from im_core.errors import SHOWN, quoted_text, shortened
+
 MAX_DEPTH = 40
 MAX_VALUES = 500_000
 
@@ -27,8 +29,6 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 _STRING_TAGS = frozenset({None, "!", "tag:yaml.org,2002:str"})
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-SHOWN = 60
-"""Characters that an error quotes of a file: it may be answered to a process that may not read the file."""
 #: Texts that a reader of YAML takes for something else unless they are quoted: ours, one of YAML 1.1, that of rcl.
 _TAKEN = re.compile(r"[-+.\d].*|~|null|true|false|yes|no|on|off|y|n|inf|infinity|nan(\(.*\))?", re.IGNORECASE)
 
@@ -80,16 +80,6 @@ class Value:
         if self.kind is not Kind.SCALAR:
             return "a mapping" if self.kind is Kind.MAPPING else "a list"
         return "nothing" if self.is_null else quoted_text(self.text)
-
-
-def quoted_text(text: str, most: int = SHOWN) -> str:
-    """Return the beginning of a text in quotes."""
-    return repr(shortened(text, most))
-
-
-def shortened(text: str, most: int = SHOWN) -> str:
-    """Return a text, or only the beginning followed by dots."""
-    return text if len(text) <= most else f"{text[:most]}..."
 
 
 class Quotation:

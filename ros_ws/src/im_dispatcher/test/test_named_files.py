@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from im_core.errors import ImError
-from im_core.yamltext import SHOWN
+from im_core.errors import SHOWN, ImError
 from im_dispatcher.commands import load_named_net
 from im_dispatcher.poses_file import load_named_poses
 

@@ -4,7 +4,7 @@ A net is loaded (:func:`load_net`, :func:`parse_net`), its :class:`Functions` ar
 runs it, whose :class:`FunctionRunner` does its actions; an :class:`Observer` is told of firings.
 The package ``im_pnt_node`` joins nets with each other, keeps their journal, and makes ROS nodes of them.
 
-Knows ``im_core`` only: no ROS, no network; on disk only net files and learned counts. Inside, lower knows nothing of
+Knows ``im_core`` only: no ROS, no network; on disk only net files. Inside, lower knows nothing of
 higher: ``model``, ``expression``, then ``netfile`` and ``pnml``, then ``execution``.
 """
 

@@ -1,15 +1,11 @@
-import fcntl
-import json
 import math
-import os
 import random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_core.errors import ImError, StoreError
-from im_pnt.errors import NetError
+from im_core.errors import ImError
 from im_pnt.execution.conflicts import entropy, probabilities
 from im_pnt.execution.events import CommandCancelled
 from im_pnt.execution.strategies import StrategyBook
@@ -108,58 +104,3 @@ def test_cancelled_actions_teach_nothing():
     assert book.counts("n", taken, Strategy()) == (1.0, 1.0)
     process.end(process.held[0][1].transition)
     assert book.counts("n", process.recorder.firings[-2].transition, Strategy()) == (2.0, 1.0)
-
-
-def test_the_book_is_kept_from_run_to_run(tmp_path):
-    path = tmp_path / "strategies.json"
-    book = StrategyBook(path)
-    book.outcome("n", "t", Strategy(decay=0.5), True)
-    book.outcome("m", "t", Strategy(), False)
-    again = StrategyBook(path)
-    assert again.counts("n", "t", Strategy()) == (1.5, 0.5)
-    assert again.counts("m", "t", Strategy()) == (1.0, 2.0)
-    assert [file.name for file in tmp_path.iterdir()] == ["strategies.json"]
-
-
-def test_machines_that_learn_in_one_file_lose_nothing_of_each_other(tmp_path, monkeypatch):
-    path, strategy = tmp_path / "strategies.json", Strategy()
-    one, other = StrategyBook(path), StrategyBook(path)
-    for _ in range(5):
-        one.outcome("n", "t", strategy, True)
-    other.outcome("n", "u", strategy, False)
-    with monkeypatch.context() as full:
-        full.setattr("im_pnt.execution.strategies.write_whole", lambda *_: (_ for _ in ()).throw(OSError("full")))
-        with pytest.raises(OSError, match="full"):
-            other.outcome("n", "t", strategy, False)
-    one.outcome("n", "t", strategy, True)
-    other.outcome("n", "u", strategy, False)
-    for book in (other, StrategyBook(path)):
-        assert book.counts("n", "t", strategy) == (7.0, 2.0)
-        assert book.counts("n", "u", strategy) == (1.0, 3.0)
-    lock = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(lock, fcntl.LOCK_EX)
-    with pytest.raises(StoreError, match="another machine writes it"):
-        one.outcome("n", "u", strategy, True)
-    os.close(lock)
-    one.outcome("n", "u", strategy, True)
-    assert StrategyBook(path).counts("n", "u", strategy) == (3.0, 3.0)
-
-
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"strategies": []}', '{"strategies": {"n.t": 1}}',
-    '{"strategies": {"n.t": {"successes": -1, "failures": 0}}}', '{"strategies": {"n.t": {"successes": "1"}}}',
-    '{"strategies": {"n.t": {"successes": NaN, "failures": 0}}}', "[" * 10000])  # fmt: skip
-def test_a_file_that_is_none_is_named(tmp_path, content):
-    path = tmp_path / "strategies.json"
-    path.write_text(content)
-    with pytest.raises(NetError, match=r"strategies\.json"):
-        StrategyBook(path)
-    assert path.read_text() == content
-
-
-def test_a_book_that_cannot_be_saved_is_a_trouble_and_no_more(tmp_path):
-    book = StrategyBook(tmp_path / "missing" / "strategies.json")
-    process = Process([parse_net(NET)], {"left": hold, "right": hold}, strategies=book)
-    process.pump()
-    process.end(process.held[0][1].transition)
-    assert "cannot be saved" in process.recorder.troubles[0]
-    assert json.dumps(process.marking("n"))

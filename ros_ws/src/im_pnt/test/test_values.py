@@ -12,7 +12,8 @@ from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity, Command
 from im_pnt.execution.values import ObjectPendingError
-from im_pnt.expression.scope import NetScope, check_net, read_answers
+from im_pnt.expression.scope import NetScope, check_net
+from im_pnt.expression.template import read_answers
 from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, NoTypes, ValueType, field_type, list_of, message_type
 from im_pnt.model.action import ServiceAction, TopicAction, ValuesAction
 from im_pnt.model.net import Guard

@@ -124,7 +124,7 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
             case "unknown":
                 process.answers["move"] = Answer(Outcome.UNKNOWN)
             case "mode":
-                executor.post(ModeSet(Mode.STEP if executor.mode is Mode.AUTOMATIC else Mode.AUTOMATIC))
+                executor.post(ModeSet(Mode.STEP if executor.operator.mode is Mode.AUTOMATIC else Mode.AUTOMATIC))
             case "pause":
                 executor.post(PauseSet(not executor.paused))
         process.pump()

@@ -68,7 +68,7 @@ class Dispatcher(PntNode):
 
     def phase_configure(self) -> None:
         """Load the nets of the commands, and the net of the resources."""
-        self._library.begin_with(net_files(self._commands_named.split(",")))
+        self._library.files = net_files(self._commands_named.split(","))
         super().phase_configure()
 
     def completed(self, nets: list[Net]) -> list[Net]:
@@ -123,7 +123,7 @@ class Dispatcher(PntNode):
             await self.loader.verified_alone(net)
             changed, report = await self._cell_for(needs, beside=[net])
             around = partial(self._cell_changes, needs, changed, report)
-            return await self.load_beside(net, patience_s, [changed], around)
+            return await self.loader.load(net, patience_s, [changed], around)
 
     async def unload_net(self, name: str, patience_s: float = 0.0) -> None:
         """Take a net out of execution, and the commands out of the net of the cell, in one turn.
@@ -138,7 +138,7 @@ class Dispatcher(PntNode):
             self._line.require_same(needs)
             changed, report = await self._cell_for(needs, without=name)
             around = partial(self._cell_changes, needs, changed, report)
-            await self.unload_beside(name, patience_s, [changed], around)
+            await self.loader.unload(name, patience_s, [changed], around)
 
     def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
         """Return the needs of a command in the cell, and the commands in the way, if any."""
@@ -183,7 +183,7 @@ class Dispatcher(PntNode):
         self._know(needs)
         if self._is_other(net):
             with suppress(JournalError):  # the loop tries again, and says so; nothing leaves before
-                self.succeed(net, report)
+                self.loader.succeed(net, report)
 
     def _command_nets(self) -> list[Net]:
         return [each.written for name, each in self.exchange.nets.items() if name != cell.NAME]
@@ -212,7 +212,7 @@ class Dispatcher(PntNode):
             running = self.commands.running(symbol)
             if running is not None:
                 raise self._already_running(symbol, running)
-            return await self.command(symbol, arguments, listener, started, priority)
+            return await self.commands.run(symbol, arguments, listener, started, priority)
         declared = self._needs.declared(symbol)
         taken = declared.arguments.check(arguments, f"command {symbol}")
         claim = self._line.claim(Command(NO_NUMBER, symbol, taken))
@@ -225,7 +225,7 @@ class Dispatcher(PntNode):
             raise StateError(f"{reason(claim, keepers)}; ask again when it has ended", command=symbol)
         if len(self._line.waiting()) + len(self._line.coming()) >= MOST_WAITING:
             raise StateError(f"{MOST_WAITING} commands wait already; {symbol} is not taken", command=symbol)
-        return await self.command(symbol, taken, listener, started, declared.priority + priority)
+        return await self.commands.run(symbol, taken, listener, started, declared.priority + priority)
 
     def _already_running(self, symbol: str, running: Job) -> StateError:
         net = self._needs.declared_by(symbol) if symbol in self._needs else ""

@@ -14,7 +14,7 @@ from ament_index_python import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import serialize_message
 
 from im_core.bounded_json import read_json
-from im_core.errors import DataError, NotFoundError
+from im_core.errors import DataError, NotFoundError, shortened
 from im_core.files import MEBIBYTE, read_text
 from im_core.ros.interfaces import decoded, message_class
 
@@ -150,8 +150,7 @@ def _filled(message: Any, fields: Any, where: str) -> Any:
 
 
 def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    return shortened(repr(value), LONGEST_SHOWN)
 
 
 def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:

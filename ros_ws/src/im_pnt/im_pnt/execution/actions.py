@@ -1,7 +1,7 @@
 """Actions of a net: the runners, begin, cancellation, questions, and end."""
 
 import inspect
-from collections.abc import Awaitable, Callable, Container, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Protocol
 
 from im_core.clock import monotonic
@@ -14,7 +14,7 @@ from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
 from im_pnt.execution.journal_entries import Record, plain_dict
 from im_pnt.execution.timers import Timers
-from im_pnt.expression.scope import read_objects
+from im_pnt.expression.template import read_objects
 from im_pnt.model.action import Action, AwaitAction, FunctionAction, RequestAction, ValuesAction
 from im_pnt.model.net import Role
 
@@ -24,9 +24,8 @@ CheckObjects = Callable[[tuple[str, ...], Callable[[ImError | None], None]], Non
 class ActionOwner(Protocol):
     """Net in execution, as seen by the runners of the actions."""
 
-    @property
-    def activities(self) -> Container[Activity]:
-        """Running actions."""
+    def runs(self, activity: Activity) -> bool:
+        """Return whether an action has not ended."""
 
     @property
     def record(self) -> Record | None:
@@ -310,14 +309,10 @@ class FunctionRunner:
         try:
             if isinstance(action, FunctionAction):
                 function = self._functions.actions[action.function]
-                if self._apart is not None and self._is_apart(action):
-                    self.watch(owner, activity, self._apart(function, context))
-                    return
-                outcome = function(context)
-                if inspect.isawaitable(outcome):
-                    self.watch(owner, activity, outcome)
-                else:
-                    owner.ended(activity, None)
+                apart = self._apart if self._is_apart(action) else None
+                outcome = function(context) if apart is None else apart(function, context)
+                assert inspect.isawaitable(outcome), "every other function is called directly"
+                self.watch(owner, activity, outcome)
             elif isinstance(action, RequestAction):
                 outcome = self._functions.actions[action.build](context) if action.build else {}
                 if not inspect.isawaitable(outcome) and not read_objects(action.fields):
@@ -435,7 +430,7 @@ class FunctionRunner:
             arguments = dict(context.request_arguments)
         if owner.record is not None:
             arguments = plain_dict(arguments, f"the arguments of {action}")
-        if activity not in owner.activities:
+        if not owner.runs(activity):
             return
         owner.built(activity)
         before = len(activity.on_cancel)

@@ -55,7 +55,7 @@ class Inquiry:
 
     def watch(self, activity: Activity) -> None:
         """Bring an action in doubt at the deadline."""
-        if activity.deadline is not None and self._runs(activity) and activity.state is not ActivityState.IN_DOUBT:
+        if activity.deadline is not None and self._rule.runs(activity) and activity.state is not ActivityState.IN_DOUBT:
             activity.timer = self._timers.at(activity.deadline, lambda: self._strike(activity))
 
     def renew(self, activity: Activity) -> None:
@@ -69,7 +69,7 @@ class Inquiry:
 
     def doubt(self, activity: Activity, why: ImError) -> None:
         """Bring an action in doubt, and ask about the action once the node fires."""
-        if not self._runs(activity):
+        if not self._rule.runs(activity):
             return
         if activity.state is not ActivityState.IN_DOUBT:
             self._rule.move(activity, ActivityState.IN_DOUBT, why)
@@ -78,7 +78,7 @@ class Inquiry:
 
     def take_answer(self, activity: Activity, answer: Answer) -> None:
         """Take an answer; a late or second one changes nothing."""
-        if not self._runs(activity) or activity.state is not ActivityState.IN_DOUBT:
+        if not self._rule.runs(activity) or activity.state is not ActivityState.IN_DOUBT:
             return
         match answer.outcome:
             case Outcome.DONE:
@@ -110,7 +110,7 @@ class Inquiry:
         self._asker.when_released(activity, lambda: self._ask_now(activity))  # to ask may do it again
 
     def _ask_now(self, activity: Activity) -> None:
-        if not self._runs(activity):
+        if not self._rule.runs(activity):
             return
         silent = Answer(Outcome.UNKNOWN, asked=f"no answer came in {ANSWER_LIMIT_S:g} s")
         self._timers.cancel(activity.timer)
@@ -133,6 +133,3 @@ class Inquiry:
             asked=answer.asked,
             seconds=round(now - activity.began, 3),
         )
-
-    def _runs(self, activity: Activity) -> bool:
-        return self._rule.activities.get(activity.number) is activity

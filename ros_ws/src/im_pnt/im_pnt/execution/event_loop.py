@@ -188,7 +188,7 @@ class EventLoop:
         paused = [each for each in rule.activities.values() if rule.is_paused(each)] if rule.held else ()
         self._dispatch(self._inbox.popleft())
         for activity in paused:
-            if rule.activities.get(activity.number) is activity and not rule.is_paused(activity):
+            if rule.runs(activity) and not rule.is_paused(activity):
                 self.actions.release(activity)
         enabling = self.rule.enabling
         if enabling.stalled or enabling.crossed or not self.operator.free:
@@ -283,8 +283,7 @@ class EventLoop:
                 self.confirm(transition)
 
     def _is_doubtful(self, activity: Activity) -> bool:
-        runs = self.rule.activities.get(activity.number) is activity
-        return runs and activity.state is ActivityState.IN_DOUBT
+        return self.rule.runs(activity) and activity.state is ActivityState.IN_DOUBT
 
     def _cancel(self, jobs: list[Job], error: ImError, *, everything: bool = False) -> None:
         wanted = {job.number for job in jobs}
@@ -299,7 +298,7 @@ class EventLoop:
 
     def _ended(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
         rule, data = self.rule, None
-        runs = rule.activities.get(activity.number) is activity
+        runs = rule.runs(activity)
         if rule.record is not None:
             try:
                 results = plain_dict(results, f"the results of {activity.action}")

@@ -26,10 +26,10 @@ from im_pnt.execution.events import (
 )
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.functions import Functions
-from im_pnt.execution.jobs import Activities, Activity, Command, CommandResult, Job
+from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
 from im_pnt.execution.journal_entries import NetEntry, Record, plain
 from im_pnt.execution.notification import Nowhere, Observer, Outlet
-from im_pnt.execution.operator import Mode, Operator
+from im_pnt.execution.operator import Operator
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.timers import Timers
 from im_pnt.execution.values import Objects
@@ -151,14 +151,9 @@ class Executor:
         return self.rule.notifier.sequence
 
     @property
-    def activities(self) -> Activities:
+    def activities(self) -> Collection[Activity]:
         """Running actions, in the order of the beginnings."""
-        return Activities(self.rule.activities)
-
-    @property
-    def mode(self) -> Mode:
-        """How the net is operated."""
-        return self._loop.operator.mode
+        return self.rule.activities.values()
 
     @property
     def paused(self) -> bool:
@@ -211,6 +206,10 @@ class Executor:
         job = Job(command, command.arguments, on_closed=on_closed)
         self.post(CommandWritten(job))
         return job
+
+    def runs(self, activity: Activity) -> bool:
+        """Return whether an action has not ended."""
+        return self.rule.runs(activity)
 
     def ended(self, activity: Activity, error: ImError | None, results: dict[str, object] | None = None) -> None:
         """Report the confirmation or failure of an action."""

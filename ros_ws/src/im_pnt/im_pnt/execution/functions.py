@@ -14,8 +14,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage, object_name, scope_of
 from im_pnt.execution.values import NetValues
 from im_pnt.expression.errors import ExpressionError
-from im_pnt.expression.scope import read_objects
-from im_pnt.expression.template import OPENS
+from im_pnt.expression.template import OPENS, read_objects
 from im_pnt.model.net import Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
@@ -204,7 +203,7 @@ class ActionContext:
 
 
 class ApartContext(ActionContext):
-    """Context of a function in a separate thread: copies, made before the start.
+    """Context of a function in a separate thread, with a copy of the job, made before the start.
 
     Args:
         origin: What it would be told in the loop.
@@ -213,68 +212,34 @@ class ApartContext(ActionContext):
         post: Has something called in the loop.
     """
 
-    __slots__ = ("_before", "_command", "_copied", "_failures", "_origin", "_post")
+    __slots__ = ("_before", "_origin", "_post")
 
     def __init__(self, origin: ActionContext, lineage: Lineage, activity: Activity | None, post: Post) -> None:
-        super().__init__(origin.net, origin.transition, lineage, activity)
+        def progress(_: Lineage, text: str, fraction: float) -> None:
+            post(lambda: origin.progress(text, fraction))
+
+        if (job := lineage.job) is not None:
+            command = replace(job.command, arguments=deepcopy(job.command.arguments))
+            arguments, results, replies, memory = deepcopy((job.arguments, job.results, job.replies, job.memory))
+            job = replace(job, command=command, arguments=arguments, results=results, replies=replies, memory=memory)
+        shared = origin._shared
+        super().__init__(origin.net, origin.transition, Lineage(job, lineage.failure), activity, progress, shared)
         self._origin, self._post = origin, post
-        self._command = replace(origin.command, arguments=deepcopy(origin.command.arguments))
-        self._failures = origin.failure, origin.last_failure
-        self._copied = deepcopy((origin.request_arguments, origin.replies))
-        self._own = {"results": deepcopy(origin.result), "memory": deepcopy(origin.memory)}
-        self._before = deepcopy(self._own)
+        self._before = deepcopy((self.result, self.memory))
 
     @property
-    def command(self) -> Command:
-        """Command of the tape behind the action."""
-        return self._command
-
-    def object(self, name: str) -> str:
-        """Return the name in the DOM of a data object of the command."""
-        return self._origin.object(name)
-
-    @property
-    def failure(self) -> ImError | None:
-        """Failure on a token of an input place of the transition, if any."""
-        return self._failures[0]
-
-    @property
-    def last_failure(self) -> ImError | None:
-        """Last failure, at the start, of any action for the same command or request."""
-        return self._failures[1]
-
-    @property
-    def request_arguments(self) -> JsonObject:
-        """Arguments of the request in work, or of the command."""
-        return self._copied[0]
-
-    @property
-    def result(self) -> JsonObject:
-        """Result for the caller at the end; open for writing."""
-        return self._own["results"]
-
-    @property
-    def replies(self) -> dict[str, JsonObject]:
-        """Answers of actions ended before the start, by transition."""
-        return self._copied[1]
-
-    @property
-    def memory(self) -> JsonObject:
-        """Memory shared by the actions of a command or request."""
-        return self._own["memory"]
+    def cancelled(self) -> bool:
+        """Whether the command, the request or the very action was cancelled, also after the start."""
+        return self._origin.cancelled
 
     def on_cancel(self, callback: Callable[[], None]) -> None:
         """Call a function in the loop at the cancellation of the action; soon if already cancelled."""
         self._post(lambda: self._origin.on_cancel(callback))
 
-    def progress(self, text: str, fraction: float = -1.0) -> None:
-        """Report the progress of the command to the client."""
-        self._post(lambda: self._origin.progress(text, fraction))
-
     def leave(self) -> None:
         """Write the results of the function into the job; in the loop, after the end."""
-        for name, kept in (("results", self._origin.result), ("memory", self._origin.memory)):
-            before, now = self._before[name], self._own[name]
+        own = (self.result, self.memory)
+        for before, now, kept in zip(self._before, own, (self._origin.result, self._origin.memory), strict=True):
             for key in before.keys() - now.keys():
                 kept.pop(key, None)
             kept.update({key: value for key, value in now.items() if key not in before or before[key] != value})

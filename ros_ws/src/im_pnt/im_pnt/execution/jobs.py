@@ -3,7 +3,7 @@
 import enum
 import re
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -362,26 +362,6 @@ class Activity:
             except FOREIGN as error:  # foreign code must not keep the others from being told
                 raised.append(as_exception(error))
         return raised
-
-
-class Activities(Collection[Activity]):
-    """Running actions of a net, in the order of the beginnings, with a fast membership test.
-
-    Args:
-        by_number: The actions by their numbers.
-    """
-
-    def __init__(self, by_number: Mapping[int, Activity]) -> None:
-        self._by_number = by_number
-
-    def __contains__(self, activity: object) -> bool:
-        return isinstance(activity, Activity) and self._by_number.get(activity.number) is activity
-
-    def __iter__(self) -> Iterator[Activity]:
-        return iter(self._by_number.values())
-
-    def __len__(self) -> int:
-        return len(self._by_number)
 
 
 def as_failure(activity: Activity, error: BaseException) -> ImError:

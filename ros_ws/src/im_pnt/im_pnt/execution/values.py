@@ -6,8 +6,7 @@ from typing import Protocol
 from im_core.errors import ImError, StateError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import Lookup
-from im_pnt.expression.scope import Way, read_answers, read_objects
-from im_pnt.expression.template import filled
+from im_pnt.expression.template import Way, filled, read_answers, read_objects
 from im_pnt.model.net import Net
 
 Done = Callable[[ImError | None], None]

@@ -1,4 +1,4 @@
-"""Meanings of names at the transitions of a net, the needed fields of answers, and the check of all values.
+"""Meanings of names at the transitions of a net, and the check of all values when it is loaded.
 
 ``arguments`` are those of the command or request whose tokens a transition may take; which these are follows from the
 arcs. ``answers`` are what earlier actions of the same command were answered.
@@ -7,17 +7,20 @@ arcs. ``answers`` are what earlier actions of the same command were answered.
 from collections.abc import Iterator, Mapping
 from functools import partial
 
-from im_core.errors import ImError, nearest
+from im_core.errors import ImError, nearest, quoted_text
 from im_core.yamltext import Location
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
-from im_pnt.expression.inference import Meanings
-from im_pnt.expression.template import OPENS, PlacedError, check_value, nodes, references
+from im_pnt.expression.evaluation import as_text
+from im_pnt.expression.inference import Meanings, infer
+from im_pnt.expression.template import OPENS, pieces
 from im_pnt.expression.types import (
     ANY,
     BOOLEAN,
     NUMBER,
+    TEXT,
     MessageTypes,
+    ValueKind,
     ValueType,
     argument_type,
     message_type,
@@ -29,6 +32,19 @@ from im_pnt.model.resources import resource_places
 _FIELDS = {ServiceAction: ("service", "request"), GoalAction: ("goal", "goal"), TopicAction: ("topic", "message")}
 _SENT = {ServiceAction: "_Request", GoalAction: "_Goal", TopicAction: ""}
 _ANSWERED = {ServiceAction: "_Response", GoalAction: "_Result", AwaitAction: ""}
+
+
+class PlacedError(ExpressionError):
+    """Fault of a value, and the place.
+
+    Args:
+        location: Where, below the value that was looked at.
+        sentence: What.
+    """
+
+    def __init__(self, location: Location, sentence: str) -> None:
+        super().__init__(sentence)
+        self.location, self.sentence = location, sentence
 
 
 def check_net(net: Net, types: MessageTypes) -> None:
@@ -205,36 +221,73 @@ def _works(net: Net) -> dict[str, frozenset[str]]:
     return {name: frozenset(kinds) for name, kinds in works.items()}
 
 
-# What is read, and has to be kept or followed.
+def check_value(value: object, wanted: ValueType, meanings: Meanings, location: Location = ()) -> None:
+    """Check a value against a wanted type, field by field.
+
+    Args:
+        value: Plain data, with expressions in it.
+        wanted: The type.
+        meanings: What names mean.
+        location: Where the value stands.
+
+    Raises:
+        PlacedError: It does not fit; says where, and what is allowed.
+    """
+    if isinstance(value, str) and OPENS in value:
+        _check_text(value, wanted, meanings, location)
+    elif isinstance(value, dict):
+        _check_fields(value, wanted, meanings, location)
+    elif isinstance(value, list | tuple):
+        if wanted.kind not in (ValueKind.LIST, ValueKind.ANY):
+            raise PlacedError(location, f"a list is not {wanted}")
+        limit = wanted.longest if wanted.longest is not None else len(value)
+        if (wanted.length is not None and len(value) != wanted.length) or len(value) > limit:
+            raise PlacedError(location, f"a list of {len(value)} is not {wanted}")
+        for rank, each in enumerate(value):
+            check_value(each, wanted.element or ANY, meanings, (*location, rank))
+    elif not _is(value, wanted):
+        raise PlacedError(location, f"{_shown(value)} is not {wanted}")
 
 
-Way = tuple[str, ...]
-"""Names that lead to a field, through lists too."""
+def _check_text(text: str, wanted: ValueType, meanings: Meanings, location: Location) -> None:
+    try:
+        parts = pieces(text)
+        found = [TEXT if isinstance(part, str) else infer(part, meanings) for part in parts]
+    except ExpressionError as error:
+        raise PlacedError(location, str(error)) from error
+    kind = found[0] if len(found) == 1 else TEXT
+    if not kind.fits(wanted):
+        raise PlacedError(location, f"{quoted_text(text)} is {kind}, not {wanted}")
 
 
-def read_answers(net: Net) -> dict[str, tuple[Way, ...]]:
-    """Return the needed fields of answers, by transition: ways to fields, none within another."""
-    values: list[object] = []
-    for transition in net.transitions.values():
-        guard = transition.guard.name if transition.guard is not None else ""
-        until = getattr(transition.action, "until", None) or ""
-        values += [getattr(transition.action, "fields", {}), until, guard, transition.result, transition.store]
-    return _ways(values, "answers")
+def _check_fields(fields: dict[str, object], wanted: ValueType, meanings: Meanings, location: Location) -> None:
+    known = meanings.types.fields(wanted.message) if wanted.kind is ValueKind.MESSAGE else None
+    if wanted.kind not in (ValueKind.MESSAGE, ValueKind.ANY):
+        raise PlacedError(location, f"a mapping is not {wanted}")
+    for name, value in fields.items():
+        if known is not None and name not in known:
+            raise PlacedError((*location, name), f"{wanted.message} has no field '{name}'{nearest(name, known)}")
+        check_value(value, ANY if known is None else known[name], meanings, (*location, name))
 
 
-def read_objects(value: object) -> dict[str, tuple[Way, ...]]:
-    """Return the needed fields of data objects in expressions of a value, by object."""
-    return _ways(value, "data")
+def _is(value: object, wanted: ValueType) -> bool:
+    match wanted.kind:
+        case ValueKind.ANY:
+            return True
+        case ValueKind.BOOLEAN:
+            return isinstance(value, bool)
+        case ValueKind.INTEGER:
+            if isinstance(value, bool) or not isinstance(value, int):
+                return False
+            lowest, highest = wanted.lowest, wanted.highest
+            return (lowest is None or value >= lowest) and (highest is None or value <= highest)
+        case ValueKind.NUMBER:
+            return isinstance(value, int | float) and not isinstance(value, bool)
+        case ValueKind.TEXT:
+            return isinstance(value, str) and (wanted.longest is None or len(value) <= wanted.longest)
+        case _:
+            return False
 
 
-def _ways(value: object, root: str) -> dict[str, tuple[Way, ...]]:
-    ways: dict[str, set[Way]] = {}
-    for node in nodes(value):
-        for path in references(node):
-            if path[0] == root:
-                ways.setdefault(path[1], set()).add(path[2:])
-    return {name: tuple(sorted(way for way in found if not _covered(way, found))) for name, found in ways.items()}
-
-
-def _covered(way: Way, others: set[Way]) -> bool:
-    return any(way[:count] in others for count in range(len(way)))
+def _shown(value: object) -> str:
+    return "nothing" if value is None else quoted_text(as_text(value))

@@ -9,8 +9,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from im_core.errors import nearest
-from im_core.yamltext import quoted_text, shortened
+from im_core.errors import nearest, quoted_text, shortened
 from im_pnt.expression.errors import ExpressionError
 
 LONGEST = 500

@@ -3,29 +3,16 @@
 from collections.abc import Iterator
 from functools import lru_cache
 
-from im_core.errors import nearest
-from im_core.yamltext import Location, quoted_text
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import Lookup, as_text, evaluate
-from im_pnt.expression.inference import Meanings, infer
 from im_pnt.expression.syntax import Binary, Call, Field, Item, Listing, Name, Node, Unary, parse
-from im_pnt.expression.types import ANY, TEXT, ValueKind, ValueType
+from im_pnt.model.net import Net
 
 OPENS = "${"
 """Begins an expression."""
 
-
-class PlacedError(ExpressionError):
-    """Fault of a value, and the place.
-
-    Args:
-        location: Where, below the value that was looked at.
-        sentence: What.
-    """
-
-    def __init__(self, location: Location, sentence: str) -> None:
-        super().__init__(sentence)
-        self.location, self.sentence = location, sentence
+Way = tuple[str, ...]
+"""Names that lead to a field, through lists too."""
 
 
 @lru_cache(maxsize=4096)
@@ -118,73 +105,29 @@ def filled(value: object, lookup: Lookup) -> object:
     return parts[0] if len(parts) == 1 else "".join(map(as_text, parts))
 
 
-def check_value(value: object, wanted: ValueType, meanings: Meanings, location: Location = ()) -> None:
-    """Check a value against a wanted type, field by field.
-
-    Args:
-        value: Plain data, with expressions in it.
-        wanted: The type.
-        meanings: What names mean.
-        location: Where the value stands.
-
-    Raises:
-        PlacedError: It does not fit; says where, and what is allowed.
-    """
-    if isinstance(value, str) and OPENS in value:
-        _check_text(value, wanted, meanings, location)
-    elif isinstance(value, dict):
-        _check_fields(value, wanted, meanings, location)
-    elif isinstance(value, list | tuple):
-        if wanted.kind not in (ValueKind.LIST, ValueKind.ANY):
-            raise PlacedError(location, f"a list is not {wanted}")
-        limit = wanted.longest if wanted.longest is not None else len(value)
-        if (wanted.length is not None and len(value) != wanted.length) or len(value) > limit:
-            raise PlacedError(location, f"a list of {len(value)} is not {wanted}")
-        for rank, each in enumerate(value):
-            check_value(each, wanted.element or ANY, meanings, (*location, rank))
-    elif not _is(value, wanted):
-        raise PlacedError(location, f"{_shown(value)} is not {wanted}")
+def read_answers(net: Net) -> dict[str, tuple[Way, ...]]:
+    """Return the needed fields of answers, by transition: ways to fields, none within another."""
+    values: list[object] = []
+    for transition in net.transitions.values():
+        guard = transition.guard.name if transition.guard is not None else ""
+        until = getattr(transition.action, "until", None) or ""
+        values += [getattr(transition.action, "fields", {}), until, guard, transition.result, transition.store]
+    return _ways(values, "answers")
 
 
-def _check_text(text: str, wanted: ValueType, meanings: Meanings, location: Location) -> None:
-    try:
-        parts = pieces(text)
-        found = [TEXT if isinstance(part, str) else infer(part, meanings) for part in parts]
-    except ExpressionError as error:
-        raise PlacedError(location, str(error)) from error
-    kind = found[0] if len(found) == 1 else TEXT
-    if not kind.fits(wanted):
-        raise PlacedError(location, f"{quoted_text(text)} is {kind}, not {wanted}")
+def read_objects(value: object) -> dict[str, tuple[Way, ...]]:
+    """Return the needed fields of data objects in expressions of a value, by object."""
+    return _ways(value, "data")
 
 
-def _check_fields(fields: dict[str, object], wanted: ValueType, meanings: Meanings, location: Location) -> None:
-    known = meanings.types.fields(wanted.message) if wanted.kind is ValueKind.MESSAGE else None
-    if wanted.kind not in (ValueKind.MESSAGE, ValueKind.ANY):
-        raise PlacedError(location, f"a mapping is not {wanted}")
-    for name, value in fields.items():
-        if known is not None and name not in known:
-            raise PlacedError((*location, name), f"{wanted.message} has no field '{name}'{nearest(name, known)}")
-        check_value(value, ANY if known is None else known[name], meanings, (*location, name))
+def _ways(value: object, root: str) -> dict[str, tuple[Way, ...]]:
+    ways: dict[str, set[Way]] = {}
+    for node in nodes(value):
+        for path in references(node):
+            if path[0] == root:
+                ways.setdefault(path[1], set()).add(path[2:])
+    return {name: tuple(sorted(way for way in found if not _covered(way, found))) for name, found in ways.items()}
 
 
-def _is(value: object, wanted: ValueType) -> bool:
-    match wanted.kind:
-        case ValueKind.ANY:
-            return True
-        case ValueKind.BOOLEAN:
-            return isinstance(value, bool)
-        case ValueKind.INTEGER:
-            if isinstance(value, bool) or not isinstance(value, int):
-                return False
-            lowest, highest = wanted.lowest, wanted.highest
-            return (lowest is None or value >= lowest) and (highest is None or value <= highest)
-        case ValueKind.NUMBER:
-            return isinstance(value, int | float) and not isinstance(value, bool)
-        case ValueKind.TEXT:
-            return isinstance(value, str) and (wanted.longest is None or len(value) <= wanted.longest)
-        case _:
-            return False
-
-
-def _shown(value: object) -> str:
-    return "nothing" if value is None else quoted_text(as_text(value))
+def _covered(way: Way, others: set[Way]) -> bool:
+    return any(way[:count] in others for count in range(len(way)))

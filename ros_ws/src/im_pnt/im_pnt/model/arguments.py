@@ -5,8 +5,7 @@ import math
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from im_core.errors import ArgumentError, DataError, nearest, require_text
-from im_core.yamltext import quoted_text
+from im_core.errors import ArgumentError, DataError, nearest, quoted_text, require_text
 
 
 class ArgumentType(enum.StrEnum):

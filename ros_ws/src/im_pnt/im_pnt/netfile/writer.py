@@ -41,42 +41,34 @@ def describe(net: Net) -> dict[str, object]:
     """
     if any(transition.role is not Role.PLAIN for transition in net.transitions.values()):
         raise NetError(f"net {net.name} is expanded; what is written is the net that it was made from", net=net.name)
-    data: dict[str, object] = {"net": net.name}
-    if net.description:
-        data["description"] = net.description
-    data["places"] = {name: place_data(place) for name, place in net.places.items()}
-    if net.services:
-        data["services"] = {name: _service_data(service) for name, service in net.services.items()}
-    if net.commands:
-        data["commands"] = {symbol: _command_data(command) for symbol, command in net.commands.items()}
-    if net.assume:
-        data["assume"] = {name: _assumption_data(assumption) for name, assumption in net.assume.items()}
-    if net.at_once != 1:
-        data["at_once"] = net.at_once
-    if net.escalate is not None:
-        data["escalate"] = net.escalate
-    if net.rest is not None:
-        data["rest"] = list(net.rest)
-    data["transitions"] = {name: transition_data(t) for name, t in net.transitions.items()}
-    return data
+    return {
+        "net": net.name,
+        **_filled(description=net.description),
+        "places": {name: place_data(place) for name, place in net.places.items()},
+        **_filled(
+            services={name: _service_data(service) for name, service in net.services.items()},
+            commands={symbol: _command_data(command) for symbol, command in net.commands.items()},
+            assume={name: _assumption_data(assumption) for name, assumption in net.assume.items()},
+        ),
+        **_said(
+            at_once=None if net.at_once == 1 else net.at_once,
+            escalate=net.escalate,
+            rest=None if net.rest is None else list(net.rest),
+        ),
+        "transitions": {name: transition_data(t) for name, t in net.transitions.items()},
+    }
 
 
 def place_data(place: Place) -> dict[str, object]:
     """Return the written form of a place."""
-    data: dict[str, object] = {}
-    if place.tokens:
-        data["tokens"] = place.tokens
-    if place.capacity is not None:
-        data["capacity"] = place.capacity
-    if place.data_object is not None:
-        data["data_object"] = _object_data(place)
-    if place.on_invalid:
-        data["on_invalid"] = list(place.on_invalid)
-    if place.remote:
-        data["remote"] = True
-    if place.resource is not None:
-        data["resource"] = place.resource
-    return data
+    return _said(
+        tokens=place.tokens or None,
+        capacity=place.capacity,
+        data_object=None if place.data_object is None else _object_data(place),
+        on_invalid=list(place.on_invalid) or None,
+        remote=place.remote or None,
+        resource=place.resource,
+    )
 
 
 def _object_data(place: Place) -> object:
@@ -87,10 +79,9 @@ def _object_data(place: Place) -> object:
 
 
 def _service_data(service: Service) -> dict[str, object]:
-    data: dict[str, object] = {"entry": service.entry, "done": service.done, "failed": service.failed}
-    if service.arguments is not None:
-        data["arguments"] = schema_data(service.arguments)
-    return data | _acts_on_data(service.acts_on)
+    taken = None if service.arguments is None else schema_data(service.arguments)
+    ends = {"entry": service.entry, "done": service.done, "failed": service.failed}
+    return {**ends, **_said(arguments=taken), **_acts_on_data(service.acts_on)}
 
 
 def _acts_on_data(said: tuple[str, ...] | None) -> dict[str, object]:
@@ -98,13 +89,10 @@ def _acts_on_data(said: tuple[str, ...] | None) -> dict[str, object]:
 
 
 def _command_data(command: CommandDeclaration) -> dict[str, object]:
-    arguments = schema_data(command.arguments)
-    data = _filled(description=command.description, arguments=arguments, needs=list(command.needs))
-    if command.busy is not Busy.WAIT:
-        data["busy"] = command.busy.value
-    if command.priority:
-        data["priority"] = command.priority
-    return data
+    busy = "" if command.busy is Busy.WAIT else command.busy.value
+    arguments, needs = schema_data(command.arguments), list(command.needs)
+    said = {"description": command.description, "arguments": arguments, "needs": needs, "busy": busy}
+    return _filled(**said, priority=command.priority)
 
 
 def _assumption_data(assumption: Assumption) -> dict[str, object]:
@@ -132,44 +120,27 @@ def _argument_data(argument: Argument) -> dict[str, object]:
 
 def transition_data(transition: Transition) -> dict[str, object]:
     """Return the written form of a transition."""
-    t, data = transition, dict[str, object]()
-    if t.symbol is not None:
-        data["symbol"] = _symbol_data(t)
-    if t.inputs:
-        data["in"] = arcs_data(t.inputs)
-    if t.inhibitors:
-        data["inhibitors"] = arcs_data(t.inhibitors)
-    if t.resets:
-        data["resets"] = list(t.resets)
-    if t.guard is not None:
-        data["guard"] = str(t.guard)
-    if t.outputs or t.remote_outputs:
-        data["out"] = arcs_data({**t.outputs, **{str(place): weight for place, weight in t.remote_outputs.items()}})
-    if t.action is not None and not isinstance(t.action, ValuesAction):
-        kind, value = _action_data(t.action)
-        data[kind] = value
-    data |= _acts_on_data(t.acts_on) | _filled(result=dict(t.result), store=dict(t.store))
-    if t.timeout is not None:
-        data["timeout"] = t.timeout
-    if t.on_failure:
-        data["on_failure"] = arcs_data(t.on_failure)
-    if t.on_doubt:
-        data["on_doubt"] = arcs_data(t.on_doubt)
-    if t.retry_of is not None:
-        data["retry_of"] = t.retry_of
-    if t.emit:
-        data["emit"] = list(t.emit)
-    if t.delay is not None:
-        data["delay"] = _delay_data(t.delay)
-    if t.success != 1.0:
-        data["success"] = t.success
-    if t.weight != 1.0:
-        data["weight"] = t.weight
-    if t.strategy is not None:
-        data["strategy"] = _strategy_data(t.strategy)
-    if t.priority:
-        data["priority"] = t.priority
-    return data
+    t = transition
+    outputs = {**t.outputs, **{str(place): weight for place, weight in t.remote_outputs.items()}}
+    return {
+        **_said(symbol=None if t.symbol is None else _symbol_data(t)),
+        **_filled(**{"in": arcs_data(t.inputs)}, inhibitors=arcs_data(t.inhibitors), resets=list(t.resets)),
+        **_filled(guard=None if t.guard is None else str(t.guard), out=arcs_data(outputs)),
+        **_action_data(t.action),
+        **_acts_on_data(t.acts_on),
+        **_filled(result=dict(t.result), store=dict(t.store)),
+        **_said(timeout=t.timeout),
+        **_filled(on_failure=arcs_data(t.on_failure), on_doubt=arcs_data(t.on_doubt)),
+        **_said(
+            retry_of=t.retry_of,
+            emit=list(t.emit) or None,
+            delay=None if t.delay is None else _delay_data(t.delay),
+            success=None if t.success == 1.0 else t.success,
+            weight=None if t.weight == 1.0 else t.weight,
+            strategy=None if t.strategy is None else _strategy_data(t.strategy),
+            priority=t.priority or None,
+        ),
+    }
 
 
 def arcs_data(arcs: Arcs) -> list[str] | dict[str, int]:
@@ -177,27 +148,34 @@ def arcs_data(arcs: Arcs) -> list[str] | dict[str, int]:
     return list(arcs) if all(weight == 1 for weight in arcs.values()) else dict(arcs)
 
 
-def _action_data(action: Action) -> tuple[str, object]:
-    if isinstance(action, FunctionAction):
-        return "action", action.function
-    if isinstance(action, RequestAction):
-        to = str(RemotePlace(action.net, action.service))
-        more = _filled(arguments=dict(action.fields), build=action.build)
-        return "request", {"to": to, **more} if more else to
-    if isinstance(action, ValuesAction):
-        raise TypeError("what only returns and stores values is written as these")
+def _action_data(action: Action | None) -> dict[str, object]:
+    match action:
+        case None | ValuesAction():  # what only returns and stores values is written as these
+            return {}
+        case FunctionAction(function):
+            return {"action": function}
+        case RequestAction(net, service, arguments, build):
+            to = str(RemotePlace(net, service))
+            more = _filled(arguments=dict(arguments), build=build)
+            return {"request": {"to": to, **more} if more else to}
     data: dict[str, object] = {"name": action.name, "type": action.type}
     if isinstance(action, AwaitAction):
-        return "await", data | _filled(latched=action.latched, until=action.until, handle=action.handle)
+        return {"await": data | _filled(latched=action.latched, until=action.until, handle=action.handle)}
     if isinstance(action, TopicAction):
-        return "topic", data | _filled(message=dict(action.fields), build=action.build)
+        return {"topic": data | _filled(message=dict(action.fields), build=action.build)}
     kind, fields = ("service", "request") if isinstance(action, ServiceAction) else ("goal", "goal")
     rest = _filled(build=action.build, handle=action.handle, task=action.task)
-    return kind, data | ({fields: dict(action.fields)} if action.fields else {}) | rest
+    return {kind: data | ({fields: dict(action.fields)} if action.fields else {}) | rest}
 
 
 def _filled(**values: object) -> dict[str, object]:
+    """Return the values that are not empty."""
     return {name: value for name, value in values.items() if value}
+
+
+def _said(**values: object) -> dict[str, object]:
+    """Return the values that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _delay_data(delay: Delay) -> float | Mapping[str, object]:
@@ -205,11 +183,8 @@ def _delay_data(delay: Delay) -> float | Mapping[str, object]:
 
 
 def _symbol_data(transition: Transition) -> object:
-    said: dict[str, object] = {}
-    if transition.symbol_of is not None:
-        said["of"] = transition.symbol_of.value
-    if transition.symbol_expires is not None:
-        said["expires"] = transition.symbol_expires
+    of = None if transition.symbol_of is None else transition.symbol_of.value
+    said = _said(of=of, expires=transition.symbol_expires)
     return {"name": transition.symbol, **said} if said else transition.symbol
 
 

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from im_core.yamltext import Kind, Value, shortened
+from im_core.errors import quoted_text, shortened
+from im_core.yamltext import Kind, Value
 from im_pnt.errors import NetFileError
 from im_pnt.model.net import LARGEST
 
@@ -104,8 +105,8 @@ def label_integer(element: Element, label: str, default: int, minimum: int) -> i
     match = _WHOLE.fullmatch(text.removeprefix("Default,").strip())
     value = int(match.group(1)) if match else -1
     if not minimum <= value <= LARGEST:
-        shown = text if len(text) <= 60 else text[:60] + "..."
-        raise (element.first(label) or element).error(f"'{shown}' is not a whole number from {minimum} to {LARGEST}")
+        sentence = f"{quoted_text(text)} is not a whole number from {minimum} to {LARGEST}"
+        raise (element.first(label) or element).error(sentence)
     return value
 
 

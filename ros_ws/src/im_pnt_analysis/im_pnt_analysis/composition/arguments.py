@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from im_core.errors import DataError
 from im_pnt.errors import NetError
-from im_pnt.expression.scope import NetScope
-from im_pnt.expression.template import PlacedError, check_value, has_expressions
+from im_pnt.expression.scope import NetScope, PlacedError, check_value
+from im_pnt.expression.template import has_expressions
 from im_pnt.expression.types import NoTypes, argument_type
 from im_pnt.model.action import RequestAction
 from im_pnt.model.arguments import ArgumentSchema

@@ -73,7 +73,7 @@ class RequestBook:
 
     def given_up(self) -> list[tuple[str, Waiting]]:
         """Return the requests without a waiting transition (the time was over)."""
-        return [(name, w) for name, w in self._waiting.items() if w.activity not in w.executor.activities]
+        return [(name, w) for name, w in self._waiting.items() if not w.executor.runs(w.activity)]
 
     def items(self) -> list[tuple[str, Waiting]]:
         """Return all waiting requests."""

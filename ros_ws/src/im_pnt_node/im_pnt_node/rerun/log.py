@@ -14,12 +14,17 @@ Items are JSON lists::
 CDR is base64. A key is a list: ``["get", object]``, ``["answer", net, number of the action]`` and so on.
 """
 
+import inspect
 from base64 import b64encode
 from collections.abc import Awaitable, Callable, Sequence
 from typing import TypeVar
 
 from im_core.errors import ImError
 from im_pnt.errors import encode_error
+from im_pnt.execution.actions import Ask, Requests
+from im_pnt.execution.events import Answer
+from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.jobs import Activity
 from im_pnt_node.journal.log import encode_json
 
 ValueT = TypeVar("ValueT")
@@ -83,3 +88,42 @@ class MissionLog:
 def packed(kind: str, data: bytes) -> list[str]:
     """Return a message as JSON data: the type, and the CDR in base64."""
     return [kind, b64encode(data).decode()]
+
+
+class NotedRequests:
+    """Requests to other nets, noted on sending.
+
+    Args:
+        requests: Carries them.
+        log: Is told of each.
+    """
+
+    def __init__(self, requests: Requests, log: MissionLog) -> None:
+        self._requests, self._log = requests, log
+
+    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
+        """Send a request."""
+        self._log.sent(["request", activity.net, activity.number], [str(activity.action), arguments])
+        self._requests.send_request(activity, arguments)
+
+    def awaits_reply(self, activity: Activity) -> bool:
+        """Return whether a sent request still awaits the reply."""
+        return self._requests.awaits_reply(activity)
+
+
+def noted_answers(ask: Ask, log: MissionLog) -> Ask:
+    """Return a question about actions in doubt with noted answers."""
+
+    async def asked(activity: Activity, context: ActionContext) -> Answer:
+        async def work() -> Answer:
+            found = ask(activity, context)
+            return await found if inspect.isawaitable(found) else found
+
+        return await log.read(["asked", activity.net, activity.number], work(), told_answer)
+
+    return asked
+
+
+def told_answer(answer: Answer) -> list[object]:
+    """Return the outcome of an action as JSON data."""
+    return [answer.outcome.value, encode_error(answer.error), dict(answer.results), answer.asked]

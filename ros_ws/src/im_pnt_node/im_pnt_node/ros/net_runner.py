@@ -171,7 +171,7 @@ class RunNode(PntNode):
             for job in executor.jobs():
                 if job.is_command:
                     self._tell(f"cancels {job.symbol}; once more ends at once")
-                    self.cancel(job.command.id, "cancelled from the keyboard")
+                    self.commands.cancel(job.command.id, "cancelled from the keyboard")
         while any(executor.jobs() for executor in self.exchange.nets.values()):
             await pause(self, 0.05)
         if self._order is None:
@@ -189,7 +189,7 @@ class RunNode(PntNode):
                 for other in going_on:
                     given, asked = json.dumps(other.job.command.arguments), json.dumps(order.arguments)
                     self._tell(f"{order.symbol} of {given} goes on where the journal ends, and {asked} comes after it")
-                outcome = await self.command(order.symbol, order.arguments, self._step)
+                outcome = await self.commands.run(order.symbol, order.arguments, self._step)
         except ImError as error:
             self._tell(f"{order.symbol} was not begun: {error.message}")
             self.exit_code = BAD_INPUT

@@ -250,6 +250,10 @@ class FiringRule:
         """Check whether nothing is begun for a job; a cancelled job may always end."""
         return not job.cancelled and (-job.number in self.held or self._is_held_by_command(job))
 
+    def runs(self, activity: Activity) -> bool:
+        """Return whether an action has not ended."""
+        return self.activities.get(activity.number) is activity
+
     def is_paused(self, activity: Activity) -> bool:
         """Whether nothing is begun for the job of an action."""
         return activity.lineage.job is not None and self.is_held(activity.lineage.job)
@@ -566,7 +570,7 @@ class FiringRule:
             NetError: JSON cannot carry it; the job has what it had.
         """
         job = activity.lineage.job
-        if job is None or self.record is None or self.activities.get(activity.number) is not activity:
+        if job is None or self.record is None or not self.runs(activity):
             return
         data = changed_data(job)
         if data is not None:

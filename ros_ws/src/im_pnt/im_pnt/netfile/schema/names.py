@@ -2,7 +2,7 @@
 
 import re
 
-from im_core.yamltext import shortened
+from im_core.errors import shortened
 
 MAX_NAME = 200
 """Longest name [characters]."""

@@ -7,7 +7,8 @@ long form before it is checked; a scalar keeps how it is written, for it may sta
 import math
 
 from im_core.config import FieldError
-from im_core.yamltext import Value, control_character, plain_scalar, quoted_text
+from im_core.errors import quoted_text
+from im_core.yamltext import Value, control_character, plain_scalar
 
 
 class WrongKeyError(FieldError):

@@ -1,6 +1,7 @@
 """The commands of a node's nets: the waiting clients, the listeners, and the ends of the last ones."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,18 +10,25 @@ from diagnostic_msgs.msg import KeyValue
 from im_core.clock import stamp_name, wall
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
 from im_core.ros.coroutines import Promise
+from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.status import ok_status, to_status
-from im_core.unfinished_commands import OpenCommandNote
+from im_core.unfinished_commands import OpenCommandNote, noted, set_aside
 from im_msgs.msg import Status
-from im_pnt.errors import NetError
+from im_pnt.errors import JournalError, NetError
+from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import ADDRESS
 from im_pnt.execution.jobs import Command, CommandResult, Job
 from im_pnt.execution.journal_entries import plain_dict
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt_node.journal.ended import EndedCommand, EndedCommands
+from im_pnt_node.ros.commands.notes import CommandNotes
+from im_pnt_node.ros.execution.loop import NetLoop
+from im_pnt_node.ros.objects.scopes import CommandScopes
 
+ANSWER_S = 3.0
+"""How long who cancels, pauses or operates waits for a journal that cannot be written [s]."""
 MOST_EVENTS = 5
 """Events that are told with the failure of a command."""
 
@@ -78,8 +86,9 @@ class Commands:
     Args:
         node: The node.
         nets: Its nets by name; looked at anew for each command.
-        began: Called when one has begun, or was brought back.
-        ended: Called when one has ended.
+        loop: Has the nets go on, and writes their journal.
+        dom: Keeps the data objects of commands.
+        run_dir: Folder of the machine, where commands that have not ended are noted; None: nowhere.
 
     Attributes:
         lost: Why commands of a former life of the node are forgotten, a clause; empty if they are not.
@@ -87,13 +96,11 @@ class Commands:
     """
 
     def __init__(
-        self,
-        node: ManagedNode,
-        nets: Mapping[str, Executor],
-        began: Callable[[], None],
-        ended: Callable[[], None],
+        self, node: ManagedNode, nets: Mapping[str, Executor], loop: NetLoop, dom: DomClient, run_dir: Path | None
     ) -> None:
-        self._node, self._nets, self._told_began, self._told_ended = node, nets, began, ended
+        self._node, self._nets, self._loop, self._run_dir = node, nets, loop, run_dir
+        self._notes = CommandNotes(node, run_dir, self.noted)
+        self._scopes = CommandScopes(node, dom, self.scopes)
         self.lost = ""
         self.ended = EndedCommands()
         self._count = 0
@@ -154,33 +161,47 @@ class Commands:
                     job.on_closed = self._closing(number, job.command.symbol)
         entered = sum(executor.rule.ledger.count for executor in self._nets.values())
         self._count = max(self._count, entered, self.ended.largest(), *self._open)  # so that no number is given twice
-        self._told_began()
+        self._notes.changed()
 
-    def give_up(self, left: Iterable[tuple[OpenCommandNote, Path]]) -> None:
-        """End the commands of abandoned missions: a client still asking for one hears the end.
+    def restore(self, lost: str, *, sync: bool) -> None:
+        """Enter the commands of the journal; end those that are unknown to it, or of an abandoned mission.
 
-        Args:
-            left: The commands, each with the folder of what it has left.
-        """
-        for command, folder in left:
-            if command.number not in self.ended:
-                why = f"the machine was started anew before it had ended; what it has left is kept in {folder}"
-                result = CommandResult(False, ImError(why, code="set_aside"), {})
-                self.ended.add(_ended(command.number, command.symbol, result))
-
-    def end_forgotten(self, before: Iterable[OpenCommandNote], why: str) -> None:
-        """End the commands noted beside the journal as under way, but unknown to the journal.
+        A client still asking for one of these hears the end.
 
         Args:
-            before: The commands that were under way when the node ended.
-            why: What the journal lacks, a clause.
+            lost: Why what was journalled is forgotten, a clause; empty if it is not.
+            sync: Whether an end that is written down waits for the disk.
         """
+        self.lost, task = lost, self._node.task_name
+        before: list[OpenCommandNote] = []
+        if self._run_dir is not None:
+            before = [each for each in noted(self._run_dir) if each.task == task]
+            self.ended.keep_in(self._run_dir / "ended" / f"{task}.jsonl", sync=sync)
+            for command, folder in set_aside(self._run_dir):
+                if command.task == task and command.number not in self.ended:
+                    why = f"the machine was started anew before it had ended; what it has left is kept in {folder}"
+                    self._end_unfinished(command, ImError(why, code="set_aside"))
+        self.take_up()
+        lacks = lost or f"the journal of {task} does not know it: it is gone or an old copy, or has lost its end"
         for command in before:
             if command.number not in self._open and command.number not in self.ended:
-                words = f"{command.symbol} (number {command.number}) was under way when {command.task} ended: {why}"
-                result = CommandResult(False, ImError(words, code="forgotten"), {})
-                self.ended.add(_ended(command.number, command.symbol, result))
+                words = f"{command.symbol} (number {command.number}) was under way when {task} ended: {lacks}"
+                self._end_unfinished(command, ImError(words, code="forgotten"))
                 self._count = max(self._count, command.number)
+
+    def _end_unfinished(self, command: OpenCommandNote, error: ImError) -> None:
+        self.ended.add(_ended(command.number, command.symbol, CommandResult(False, error, {})))
+
+    def begin(self) -> None:
+        """Delete the data objects of commands of former incarnations, once ``/dom`` is there."""
+        self._node.spawn(self._scopes.begin())
+
+    def end(self) -> None:
+        """Note the commands under way for the next start, and cancel them: the node ends."""
+        self._notes.write_last()
+        error = ImError(f"{self._node.task_name} is shutting down", code="cancelled")
+        for executor in self._nets.values():
+            executor.post(CommandCancelled(None, error))
 
     def reader(self, symbol: str, arguments: Mapping[str, object] | None = None) -> Executor:
         """Return the net reading a symbol.
@@ -199,13 +220,40 @@ class Commands:
         at_work = (each for each in readers if any(job.command.id == meant for job in each.jobs()))
         return next(at_work, readers[0]) if meant is not None else readers[0]
 
-    def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
-        """Write a command to the tape of the net of the symbol; return the number.
+    async def run(
+        self,
+        symbol: str,
+        arguments: Mapping[str, object] | None = None,
+        listener: ProgressListener | None = None,
+        started: Callable[[int], None] | None = None,
+        priority: int = 0,
+    ) -> CommandOutcome:
+        """Write a command to the input tape and wait until the net emits ``<symbol>_done`` or ``<symbol>_failed``.
 
         Args:
-            symbol: Its symbol.
-            arguments: Its arguments.
+            symbol: Symbol of the command.
+            arguments: What actions find in ``ctx.command.arguments``.
+            listener: Is told of progress.
+            started: Is told the number of the command, by which it can be cancelled.
             priority: Larger goes first, where commands wait for the same.
+
+        Raises:
+            StateError: The node has failed, as with a net that is wrong.
+            NotFoundError: No net knows the symbol.
+            DataError: The arguments are not what the net declares.
+            JournalError: The journal cannot be written: the command would not even begin.
+        """
+        if self._node.failed:
+            raise StateError(f"{self._node.task_name} has failed: {self._node.failed}")
+        if self._loop.journal is not None:
+            self._loop.journal.require_writable()
+        number = self.write(symbol, arguments or {}, priority)
+        if started is not None:
+            started(number)
+        return await self.wait(number, listener)
+
+    def write(self, symbol: str, arguments: Mapping[str, object], priority: int = 0) -> int:
+        """Write a command to the tape of the net of the symbol; return the number.
 
         Raises:
             NotFoundError: No net knows the symbol.
@@ -219,8 +267,45 @@ class Commands:
         self._count = number
         self._open[number] = OpenCommand(job, executor)
         self._node.get_logger().info(f"command {number}: {symbol}")
-        self._told_began()
+        self._notes.changed()
         return number
+
+    def cancel(self, number: int, why: str = "cancelled by its client") -> None:
+        """Ask a command to end early, also a paused one; the nets decide how."""
+        error = ImError(why, code="cancelled", command_id=number)
+        for executor in self._nets.values():
+            executor.post(CommandCancelled(number, error))
+
+    def hold(self, number: int, held: bool) -> None:
+        """Begin nothing more for a command (running actions end), or let the command go on.
+
+        Raises:
+            StateError: It is to be held, and has ended.
+        """
+        scope = self.get(number).job.command.scope if held else ""
+        for executor in self._nets.values():
+            if held != (number in executor.rule.held):
+                executor.post(CommandHeld(number, held, scope))
+
+    async def written(self, longest_s: float = math.inf) -> None:
+        """Wait until a request is in the journal, and noted for the next start of the machine.
+
+        Args:
+            longest_s: Longest wait for a journal that cannot be written [s].
+
+        Raises:
+            JournalError: It cannot be written.
+        """
+        await self._loop.written(longest_s)
+        await self._notes.written()
+
+    async def on_file(self) -> str:
+        """Wait likewise, but briefly; return a remark for an answer: empty, or the reason for not being on file."""
+        try:
+            await self.written(ANSWER_S)
+        except JournalError as error:
+            return f"; it is done, but not on file: {error.message}"
+        return ""
 
     async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
         """Wait until a command has ended.
@@ -327,7 +412,11 @@ class Commands:
             for promise in self._waiting.pop(number, []):
                 if not promise.done():
                     promise.set_result(outcome)
-            self._told_ended()
+            for executor in self._nets.values():
+                for held in [each for each in executor.rule.held if each > 0 and each not in self._open]:
+                    executor.post(CommandHeld(held, False))  # one that was ended while it was paused
+            self._scopes.tidy()
+            self._notes.changed()
 
         return closed
 

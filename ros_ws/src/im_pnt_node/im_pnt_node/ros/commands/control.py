@@ -46,7 +46,7 @@ class ControlService:
         response.message = f"{request.request} {request.argument}".strip() + not_kept
         paused = ", paused" if executor.paused else ""
         marked = ", ".join(f"{place}={count}" for place, count in executor.marking().items())
-        response.state = f"{executor.mode}{paused}: {marked}"
+        response.state = f"{executor.operator.mode}{paused}: {marked}"
         return response
 
     def _net(self, name: str) -> Executor:
@@ -63,7 +63,7 @@ def _event(executor: Executor, request: str, argument: str) -> Event:
         StateError: Nothing waits for it.
     """
     match request:
-        case "step" if executor.mode is Mode.STEP:
+        case "step" if executor.operator.mode is Mode.STEP:
             if not executor.operator.may_step:
                 why = "it is paused" if executor.operator.paused else "nothing is enabled that waits for one"
                 raise StateError(f"net {executor.net.name} takes no step: {why}", net=executor.net.name)

@@ -5,9 +5,8 @@ what is under way, and ``/<node>/control_command`` cancels, pauses and resumes i
 """
 
 import json
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from copy import copy
-from typing import Any, Protocol
 
 from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
@@ -34,36 +33,8 @@ PRIORITIES = range(-10, 11)
 REQUESTS = ("cancel", "pause", "resume")
 
 
-class RunCommand(Protocol):
-    """Runner of a command to the end, as :meth:`im_pnt_node.ros.node.PntNode.command`."""
-
-    def __call__(
-        self,
-        symbol: str,
-        arguments: dict[str, object],
-        listener: ProgressListener | None = None,
-        started: Callable[[int], None] | None = None,
-        priority: int = 0,
-    ) -> Awaitable[CommandOutcome]:
-        """Run the command.
-
-        Raises:
-            ImError: It was not begun.
-        """
-        ...
-
-
-class CommandControl(Protocol):
-    """Controls of open commands."""
-
-    def cancel(self, command_id: int) -> None:
-        """Ask a command to end early."""
-
-    def hold(self, command_id: int, held: bool) -> None:
-        """Begin nothing more for a command, or let the command go on."""
-
-    def explained(self, command: OpenCommand) -> tuple[Sequence[str], str]:
-        """Return the resources of a command, and the resources still awaited."""
+RunCommand = Callable[[str, dict[str, object], ProgressListener, Callable[[int], None], int], Awaitable[CommandOutcome]]
+"""Runs a command to the end, as :meth:`.Commands.run`."""
 
 
 class ExecuteServer:
@@ -74,9 +45,7 @@ class ExecuteServer:
         nets: Its nets by name; looked at anew for each list.
         commands: Its commands.
         run: Runs a command.
-        control: Cancels and pauses commands.
-        written: Waits until the commands that are open outlive this process.
-        on_file: Waits until what was done to them does; returns what the answer says where it does not.
+        explained: Returns the resources of a command, and the resources still awaited.
     """
 
     def __init__(
@@ -85,12 +54,9 @@ class ExecuteServer:
         nets: Mapping[str, Executor],
         commands: Commands,
         run: RunCommand,
-        control: CommandControl,
-        written: Callable[[], Coroutine[Any, Any, None]],
-        on_file: Callable[[], Coroutine[Any, Any, str]],
+        explained: Callable[[OpenCommand], tuple[Sequence[str], str]],
     ) -> None:
-        self._node, self._nets, self._commands, self._run, self._control = node, nets, commands, run, control
-        self._written, self._on_file = written, on_file
+        self._node, self._nets, self._commands, self._run, self._explained = node, nets, commands, run, explained
         self._list = node.create_publisher(String, f"/{node.task_name}/commands", qos.LATCHED)
         self._server = GuardedActionServer(
             node,
@@ -119,7 +85,7 @@ class ExecuteServer:
 
     def _state(self, command: OpenCommand) -> CommandState:
         asked = command.job.command
-        needs, waits_for = self._control.explained(command)
+        needs, waits_for = self._explained(command)
         return CommandState(
             command_id=asked.id,
             symbol=asked.symbol,
@@ -138,11 +104,11 @@ class ExecuteServer:
             command = self._commands.get(request.command_id)
             match request.request:
                 case "cancel":
-                    self._control.cancel(request.command_id)
+                    self._commands.cancel(request.command_id)
                 case "pause" if not (command.held or command.job.cancelled):  # what is to end is not held up
-                    self._control.hold(request.command_id, True)
+                    self._commands.hold(request.command_id, True)
                 case "resume" if command.held:
-                    self._control.hold(request.command_id, False)
+                    self._commands.hold(request.command_id, False)
                 case "pause" | "resume" as asked:
                     raise StateError(f"{command.job.command.symbol} is {command.state}: there is nothing to {asked}")
                 case other:
@@ -150,7 +116,7 @@ class ExecuteServer:
         except ImError as error:
             response.success, response.message = False, error.message
             return response
-        not_kept = await self._on_file()
+        not_kept = await self._commands.on_file()
         response.success = True
         response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id}){not_kept}"
         return response
@@ -176,7 +142,7 @@ class ExecuteServer:
                 goal.publish_feedback(each)
 
         async def tell_when_written() -> None:
-            await self._written()
+            await self._commands.written()
             tell_all()
 
         def started(number: int) -> None:
@@ -191,10 +157,10 @@ class ExecuteServer:
             nonlocal alarm
             command = next((each for each in self._commands.open() if each.job.command.id in numbers), None)
             if goal.is_cancel_requested and numbers:
-                self._control.cancel(numbers[0])
+                self._commands.cancel(numbers[0])
                 return
             if command is not None:
-                waits_for = self._control.explained(command)[1]
+                waits_for = self._explained(command)[1]
                 if command.state != feedback.state or waits_for not in ("", feedback.message):  # no firing tells that
                     tell("", waits_for or command.text, -1.0)
             alarm = self._node.alarms.after(LOOK_S, look)

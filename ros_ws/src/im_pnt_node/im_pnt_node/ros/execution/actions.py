@@ -1,8 +1,9 @@
 """Actions of transitions on other tasks: service calls, publications, and the common part with goals."""
 
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine
-from typing import Any, Protocol
+from typing import Any, Generic, TypeVar
 
 from rclpy.client import Client
 from rclpy.publisher import Publisher
@@ -20,9 +21,9 @@ from im_core.startup import patience_s
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
-from im_pnt.model.action import Action, AwaitAction, GoalAction, ServiceAction, TopicAction
+from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt_node.rerun.log import MissionLog
-from im_pnt_node.ros.execution.endpoints import Endpoints
+from im_pnt_node.ros.execution.endpoints import EndpointGoesError, RosAction
 from im_pnt_node.ros.messages import fill, packed_message, plain_fields
 
 DISCOVERY_TIMEOUT_S = 20.0
@@ -33,24 +34,6 @@ LATE_ANSWER_S = 30.0
 LOOK_S, GONE_LOOKS = 0.5, 4
 """How often it is looked whether a node that sends no heartbeats is there [s]; so often in vain, and it is gone."""
 SERVICE_TIMEOUT_S = 30.0
-
-
-class RosAction(Protocol):
-    """Carries out the actions of one kind."""
-
-    def prepare(self, action: Action) -> None:
-        """Create the client of an action before the first use: discovery takes time.
-
-        Raises:
-            NotFoundError: No such type is installed.
-        """
-
-    def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
-        """Carry out an action, and return the kept part of the answer.
-
-        Raises:
-            ImError: It failed.
-        """
 
 
 class Surroundings:
@@ -190,28 +173,58 @@ class Surroundings:
         self.log.sent(sent_key(activity), packed_message(filled))
         return filled
 
-    async def handled(
-        self, action: ServiceAction | GoalAction | AwaitAction, context: ActionContext, answer: Any
-    ) -> dict[str, object]:
-        """Read an answer with the registered handler, and return the fields needed by the net."""
-        return await handled(self.functions, action, context, answer)
+
+EndpointT = TypeVar("EndpointT")
 
 
-class ServiceActions:
-    """Calls services; an answer with ``success`` false is a failure."""
+class RosActions(ABC, Generic[EndpointT]):
+    """Actions of one kind on other tasks, with their clients, publishers or subscriptions by name.
+
+    The middleware takes no second type of a name in one process: what was made for a net that has gone makes room. It
+    is gone when the executor has taken notice.
+
+    Args:
+        surroundings: Reaches other tasks.
+    """
 
     def __init__(self, surroundings: Surroundings) -> None:
         self._surroundings = surroundings
-        self._clients = Endpoints(self._make, lambda made: surroundings.node.destroy_client(made[0]))
+        self._made: dict[str, tuple[str, EndpointT]] = {}
 
-    def prepare(self, action: Action) -> None:
-        """Create the client of an action.
+    def prepare(self, action: RosAction) -> EndpointT:
+        """Return the endpoint of an action; create the endpoint before the first use: discovery takes time.
 
         Raises:
             NotFoundError: No such type is installed.
+            EndpointGoesError: It is of another type, and has been destroyed.
         """
-        assert isinstance(action, ServiceAction)
-        self._clients.of(action.name, action.type)
+        name = action.name
+        if name not in self._made:
+            self._made[name] = action.type, self._make(name, action.type)
+        kind, made = self._made[name]
+        if kind != action.type:
+            del self._made[name]
+            self._destroy(made)
+            raise EndpointGoesError(f"{name} was of type {kind} and is to be of type {action.type}", name=name)
+        return made
+
+    @abstractmethod
+    def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
+        """Carry out an action, and return the kept part of the answer.
+
+        Raises:
+            ImError: It failed.
+        """
+
+    @abstractmethod
+    def _make(self, name: str, type_name: str) -> EndpointT: ...
+
+    @abstractmethod
+    def _destroy(self, endpoint: EndpointT) -> None: ...
+
+
+class ServiceActions(RosActions[tuple[Client, float]]):
+    """Calls services; an answer with ``success`` false is a failure."""
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Call a service and handle the answer; return the kept part of the answer.
@@ -221,7 +234,7 @@ class ServiceActions:
         """
         action = activity.action
         assert isinstance(action, ServiceAction)
-        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
+        around, (client, made) = self._surroundings, self.prepare(action)
         request = await around.sent(activity, action, context, interface_class(action.type).Request())
         task = around.task(action)
         what = f"transition {activity.transition}"
@@ -238,28 +251,18 @@ class ServiceActions:
 
         response = await around.log.read(answer_key(activity), call(), packed_message)
         require_success(response, str(action))
-        return await around.handled(action, context, response)
+        return await handled(around.functions, action, context, response)
 
     def _make(self, name: str, type_name: str) -> tuple[Client, float]:
         """Return the client of a service, and the time of creation."""
         return self._surroundings.node.create_client(interface_class(type_name), name), monotonic()
 
+    def _destroy(self, endpoint: tuple[Client, float]) -> None:
+        self._surroundings.node.destroy_client(endpoint[0])
 
-class TopicActions:
+
+class TopicActions(RosActions[Publisher]):
     """Publisher of messages; an action has confirmed once the middleware has taken the message."""
-
-    def __init__(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
-        self._publishers = Endpoints(self._make, surroundings.node.destroy_publisher)
-
-    def prepare(self, action: Action) -> None:
-        """Create the publisher of an action.
-
-        Raises:
-            NotFoundError: No such type is installed.
-        """
-        assert isinstance(action, TopicAction)
-        self._publishers.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Publish one message, without an answer.
@@ -270,11 +273,14 @@ class TopicActions:
         action = activity.action
         assert isinstance(action, TopicAction)
         message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
-        self._publishers.of(action.name, action.type).publish(message)
+        self.prepare(action).publish(message)
         return {}
 
     def _make(self, name: str, type_name: str) -> Publisher:
         return self._surroundings.node.create_publisher(interface_class(type_name), name, qos.EVENTS)
+
+    def _destroy(self, endpoint: Publisher) -> None:
+        self._surroundings.node.destroy_publisher(endpoint)
 
 
 # What they are made of, and what is read from answers.

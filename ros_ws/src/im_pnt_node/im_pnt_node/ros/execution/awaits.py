@@ -20,33 +20,30 @@ from im_core.ros.node import ManagedNode
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
-from im_pnt.model.action import Action, AwaitAction
-from im_pnt_node.ros.execution.actions import Surroundings, answer_key
-from im_pnt_node.ros.execution.endpoints import Endpoints
+from im_pnt.model.action import AwaitAction
+from im_pnt_node.ros.execution.actions import RosActions, answer_key, handled
+from im_pnt_node.ros.execution.endpoints import RosAction
 from im_pnt_node.ros.messages import packed_message, plain_fields
 
 DEPTH = 100
 
 
-class AwaitActions:
-    """Waits for messages.
+class AwaitActions(RosActions[dict[bool, "_Listener"]]):
+    """Waits for messages: of a topic for new ones, and for latched ones where an action wants these too."""
 
-    Args:
-        surroundings: Reaches other tasks.
-    """
-
-    def __init__(self, surroundings: Surroundings) -> None:
-        self._surroundings = surroundings
-        self._topics = Endpoints(lambda name, kind: _Topic(surroundings.node, name, kind), _Topic.close)
-
-    def prepare(self, action: Action) -> None:
-        """Begin to listen.
+    def prepare(self, action: RosAction) -> dict[bool, "_Listener"]:
+        """Return the listeners to a topic by whether latched messages count; begin to listen before the first use.
 
         Raises:
             NotFoundError: No such type is installed.
+            EndpointGoesError: The topic is of another type, and is listened to no more.
         """
         assert isinstance(action, AwaitAction)
-        self._topics.of(action.name, action.type).listener(action.latched)
+        listeners = super().prepare(action)
+        if action.latched not in listeners:
+            kind = interface_class(action.type)
+            listeners[action.latched] = _Listener(self._surroundings.node, action.name, kind, action.latched)
+        return listeners
 
     def perform(self, activity: Activity, context: ActionContext) -> Coroutine[object, object, dict[str, object]]:
         """Take the next message from now on; every message counts, also one before the start of the coroutine.
@@ -56,7 +53,7 @@ class AwaitActions:
         """
         action = activity.action
         assert isinstance(action, AwaitAction)
-        listener = self._topics.of(action.name, action.type).listener(action.latched)
+        listener = self.prepare(action)[action.latched]
         promise = listener.next(partial(self._counts, action, context))
 
         def give_up() -> None:
@@ -77,36 +74,19 @@ class AwaitActions:
             return True
         return context.holds(action.until, plain_fields(message, context.answer_ways, str(action)))
 
+    def _make(self, name: str, type_name: str) -> dict[bool, "_Listener"]:
+        interface_class(type_name)  # there is no topic of a type that is not installed
+        return {}
+
+    def _destroy(self, endpoint: dict[bool, "_Listener"]) -> None:
+        for listener in endpoint.values():
+            listener.close()
+
     async def _take(
         self, promise: Promise, activity: Activity, action: AwaitAction, context: ActionContext
     ) -> dict[str, object]:
         message = await self._surroundings.log.read(answer_key(activity), promise, packed_message)
-        return await self._surroundings.handled(action, context, message)
-
-
-class _Topic:
-    """Subscribed topic: for new messages, or also for latched ones.
-
-    Args:
-        node: The node.
-        name: Name of the topic.
-        type_name: Its type.
-    """
-
-    def __init__(self, node: ManagedNode, name: str, type_name: str) -> None:
-        self._node, self._name, self._type = node, name, interface_class(type_name)
-        self._listeners: dict[bool, _Listener] = {}
-
-    def listener(self, latched: bool) -> "_Listener":
-        """Return the listener, also for an earlier message where the action wants one."""
-        if latched not in self._listeners:
-            self._listeners[latched] = _Listener(self._node, self._name, self._type, latched)
-        return self._listeners[latched]
-
-    def close(self) -> None:
-        """Stop listening."""
-        for listener in self._listeners.values():
-            listener.close()
+        return await handled(self._surroundings.functions, action, context, message)
 
 
 class _Listener:

@@ -5,7 +5,7 @@ journal brings back: a node that died asks the server about the goals that it ha
 """
 
 import uuid
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from typing import Any
 
 from action_msgs.msg import GoalStatus
@@ -23,16 +23,17 @@ from im_core.ros.servers import doubted
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
-from im_pnt.model.action import Action, GoalAction
+from im_pnt.model.action import GoalAction
 from im_pnt_node.ros.execution.actions import (
+    RosActions,
     Surroundings,
     answer_key,
     failure_of,
+    handled,
     require_success,
     require_wanted,
     time_left,
 )
-from im_pnt_node.ros.execution.endpoints import Endpoints
 from im_pnt_node.ros.messages import packed_message
 
 ACCEPT_TIMEOUT_S = 30.0
@@ -45,34 +46,19 @@ _NAMESPACE = uuid.UUID("6f0d9f4e-5f0c-4c7e-9a83-0c4ff1f1d0c1")
 _OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GOAL_TERMINATED)
 
 
-class GoalActions:
+class GoalActions(RosActions[tuple[ActionClient, float]]):
     """Client of goals: sends goals and waits for the results; a cancelled activity cancels the goal.
 
     Args:
         surroundings: Reaches other tasks.
-        spawn: Runs coroutines in the loop.
         life: Names the life of the process.
     """
 
-    def __init__(
-        self,
-        surroundings: Surroundings,
-        spawn: Callable[[Coroutine[object, object, None]], None],
-        life: Callable[[], str],
-    ) -> None:
-        self._surroundings, self._spawn, self._life = surroundings, spawn, life
-        self._clients = Endpoints(self._make, lambda made: made[0].destroy())
+    def __init__(self, surroundings: Surroundings, life: Callable[[], str]) -> None:
+        super().__init__(surroundings)
+        self._life = life
         self._results: dict[Activity, Any] = {}
         self._performed: set[Activity] = set()
-
-    def prepare(self, action: Action) -> None:
-        """Create the client of an action.
-
-        Raises:
-            NotFoundError: No such type is installed.
-        """
-        assert isinstance(action, GoalAction)
-        self._clients.of(action.name, action.type)
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Send a goal, wait for the result and handle the result; return the kept part.
@@ -89,7 +75,7 @@ class GoalActions:
             self._performed.discard(activity)
 
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
-        around, (client, made) = self._surroundings, self._clients.of(action.name, action.type)
+        around, (client, made) = self._surroundings, self.prepare(action)
         task = around.task(action)
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
 
@@ -117,7 +103,7 @@ class GoalActions:
             return answer
 
         answer = await around.log.read(answer_key(activity), reach(), packed_result)
-        return await around.handled(action, context, result_of(action, answer.status, answer.result))
+        return await handled(around.functions, action, context, result_of(action, answer.status, answer.result))
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
         """Ask the server for the outcome of a goal from a former incarnation of the process."""
@@ -125,7 +111,7 @@ class GoalActions:
         assert isinstance(action, GoalAction)
         if activity in self._performed:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
-        (client, made), task = self._clients.of(action.name, action.type), around.task(action)
+        (client, made), task = self.prepare(action), around.task(action)
         try:
             await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
             if activity not in self._results:
@@ -145,7 +131,7 @@ class GoalActions:
         if answer.status == GoalStatus.STATUS_UNKNOWN:
             return Answer(Outcome.UNKNOWN, asked=f"{action.name} does not know the goal")
         try:
-            kept = await around.handled(action, context, result_of(action, answer.status, answer.result))
+            kept = await handled(around.functions, action, context, result_of(action, answer.status, answer.result))
         except ImError as error:
             return Answer(Outcome.FAILED, error, asked=action.name)
         return Answer(Outcome.DONE, results=kept, asked=action.name)
@@ -153,7 +139,7 @@ class GoalActions:
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
         """Begin to wait for a result, and cancel the goal with the activity."""
         result = handle.get_result_async()
-        activity.when_cancelled(lambda: self._spawn(self._cancel(handle, result)))
+        activity.when_cancelled(lambda: self._surroundings.node.spawn(self._cancel(handle, result)))
         return result
 
     async def _cancel(self, handle: ClientGoalHandle, result: Any) -> None:
@@ -181,6 +167,9 @@ class GoalActions:
     def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
         """Return the client of an action, and the time of creation."""
         return GuardedActionClient(self._surroundings.node, interface_class(type_name), name), monotonic()
+
+    def _destroy(self, endpoint: tuple[ActionClient, float]) -> None:
+        endpoint[0].destroy()
 
 
 def packed_result(answer: Any) -> list[object]:

@@ -7,13 +7,17 @@ from collections.abc import Callable, Mapping
 from rclpy.exceptions import InvalidHandle
 
 from im_core.clock import monotonic
+from im_core.ros.calls import pause
 from im_core.ros.coroutines import SOON_S, Alarm
 from im_core.ros.node import ManagedNode
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import PauseSet
 from im_pnt.execution.executor import Executor
+from im_pnt_node.journal.journal import Journal
 
 RETRY_AFTER_S = 1.0
+WRITTEN_S = 0.1
+"""How often it is looked whether a journal that could not be written is [s]."""
 MOST_AT_A_STRETCH = 120_000
 """Firings after which a net that does not come to rest is paused: it would leave no time for anybody else."""
 
@@ -27,8 +31,11 @@ class NetLoop:
         node: The node.
         nets: Its nets by name; looked at anew at each turn.
         may_turn: Whether the nets may fire now.
-        commit: Writes the journal and lets messages leave.
+        flush: Lets messages leave.
         told: Called after a turn, when what is urgent has been done.
+
+    Attributes:
+        journal: Is written before messages leave; None: none is kept.
     """
 
     def __init__(
@@ -36,10 +43,11 @@ class NetLoop:
         node: ManagedNode,
         nets: Mapping[str, Executor],
         may_turn: Callable[[], bool],
-        commit: Callable[[], None],
+        flush: Callable[[], None],
         told: Callable[[], None],
     ) -> None:
-        self._node, self._nets, self._may_turn, self._commit, self._told = node, nets, may_turn, commit, told
+        self._node, self._nets, self._may_turn, self._flush, self._told = node, nets, may_turn, flush, told
+        self.journal: Journal | None = None
         self._thread: int | None = None
         self._turning = self._wakened = False
         self._wake_timer = node.create_timer(SOON_S, self._woken, clock=node.steady_clock)
@@ -83,6 +91,24 @@ class NetLoop:
             self._turning = False
         self._turn(everyone=False)
 
+    async def written(self, longest_s: float) -> None:
+        """Wait until all that was posted is taken, and in the journal.
+
+        Args:
+            longest_s: Longest wait for a journal that cannot be written [s].
+
+        Raises:
+            JournalError: It cannot be written.
+        """
+        while not self._may_turn():
+            await pause(self._node, WRITTEN_S)
+        self.turn()
+        deadline = monotonic() + longest_s
+        while self.journal is not None and self.journal.unwritten:  # the loop tries again
+            if monotonic() >= deadline:
+                self.journal.write()
+            await pause(self._node, WRITTEN_S)
+
     def _woken(self) -> None:
         self._wake_timer.cancel()
         self._wakened = False
@@ -101,7 +127,9 @@ class NetLoop:
             for executor in tuple(self._nets.values()):
                 if everyone or executor.due:
                     self.pump(executor)
-            self._commit()
+            if self.journal is not None:
+                self.journal.commit()
+            self._flush()
         except Exception as error:
             self._set_alarm(monotonic() + RETRY_AFTER_S)
             if not isinstance(error, JournalError):

@@ -6,7 +6,7 @@ from typing import Any
 from im_core.errors import ImError
 from im_core.ros.interfaces import interface_class
 from im_pnt.execution.values import Done, ObjectPendingError
-from im_pnt.expression.scope import Way
+from im_pnt.expression.template import Way
 from im_pnt_node.rerun.host import HostObjects
 from im_pnt_node.ros.messages import fill, plain_fields
 

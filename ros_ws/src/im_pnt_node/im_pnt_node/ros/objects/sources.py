@@ -7,12 +7,15 @@ from typing import Any
 from rclpy.qos import QoSProfile
 
 from im_core.errors import DataError, ImError, nearest
+from im_core.ros.calls import pause
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_pnt.errors import NetError
 from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.messages import packed_message
-from im_pnt_node.ros.objects.validity import valid_or_not
+
+AGAIN_S = 1.0
+"""After so long what ``/dom`` has not answered is asked for again [s]."""
 
 
 class Sources:
@@ -138,3 +141,13 @@ def _named(kind: str, sources: Iterable[str]) -> set[str]:
     """The names of the sources of a kind."""
     split = (source.partition(":") for source in sources)
     return {name for of, _, name in split if of == kind}
+
+
+async def valid_or_not(node: ManagedNode, dom: DomClient, name: str) -> bool:
+    """Whether an object is valid; asked until ``/dom`` can tell."""
+    while True:
+        try:
+            return await dom.is_valid(name)
+        except ImError as error:
+            node.get_logger().warning(f"whether data object {name} is valid is not known yet: {error.message}")
+            await pause(node, AGAIN_S)

@@ -1,6 +1,5 @@
 """Publish the events for a re-run (:mod:`im_pnt_node.rerun.log`) on ``/pnt/events``, while somebody subscribes."""
 
-import inspect
 import json
 import uuid
 from collections.abc import Callable, Iterable
@@ -13,12 +12,7 @@ from im_core.clock import monotonic
 from im_core.ros import qos
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
-from im_pnt.errors import encode_error
-from im_pnt.execution.actions import Ask, Requests
-from im_pnt.execution.events import Answer
 from im_pnt.execution.executor import Executor
-from im_pnt.execution.functions import ActionContext
-from im_pnt.execution.jobs import Activity
 from im_pnt.netfile import yaml_text
 from im_pnt_node.journal.log import encode_json
 from im_pnt_node.journal.state import net_state
@@ -96,55 +90,6 @@ class MissionPublisher:
     def _matched(self, _: object) -> None:
         self._anew = True
         self.publish()
-
-
-class NotedRequests:
-    """Requests to other nets, noted on sending.
-
-    Args:
-        requests: Carries them.
-        log: Is told of each.
-    """
-
-    def __init__(self, requests: Requests, log: MissionLog) -> None:
-        self._requests, self._log = requests, log
-
-    def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
-        """Send a request."""
-        self._log.sent(["request", activity.net, activity.number], [str(activity.action), arguments])
-        self._requests.send_request(activity, arguments)
-
-    def awaits_reply(self, activity: Activity) -> bool:
-        """Return whether a sent request still awaits the reply."""
-        return self._requests.awaits_reply(activity)
-
-
-class NotedAnswers:
-    """Noted answers to questions about actions in doubt.
-
-    Args:
-        log: Is told of each.
-    """
-
-    def __init__(self, log: MissionLog) -> None:
-        self._log = log
-
-    def __call__(self, ask: Ask) -> Ask:
-        """Return a function with the same question and noted answers."""
-
-        async def asked(activity: Activity, context: ActionContext) -> Answer:
-            async def work() -> Answer:
-                found = ask(activity, context)
-                return await found if inspect.isawaitable(found) else found
-
-            return await self._log.read(["asked", activity.net, activity.number], work(), told_answer)
-
-        return asked
-
-
-def told_answer(answer: Answer) -> list[object]:
-    """Return the outcome of an action as JSON data."""
-    return [answer.outcome.value, encode_error(answer.error), dict(answer.results), answer.asked]
 
 
 class NotedObjects:

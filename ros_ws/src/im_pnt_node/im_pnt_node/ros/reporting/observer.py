@@ -19,18 +19,19 @@ class NodeObserver(Observer):
         publisher: Publishes what they do.
 
     Attributes:
+        publisher: As given.
         commands: Tells clients; None: there are none yet.
     """
 
     def __init__(self, node: ManagedNode, publisher: PntPublisher) -> None:
-        self._node, self._publisher = node, publisher
+        self._node, self.publisher = node, publisher
         self.commands: Commands | None = None
         self._reminders = Reminders(node)
         self._lost_objects: set[str] = set()
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Note firings, and inform the clients of the commands."""
-        self._publisher.fired(firings)
+        self.publisher.fired(firings)
         if self.commands is not None:
             self.commands.fired(firings)
 
@@ -78,8 +79,8 @@ class NodeObserver(Observer):
         self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
     ) -> None:
         """Publish a choice among strategies."""
-        self._publisher.chose(net, probabilities, entropy, taken)
+        self.publisher.chose(net, probabilities, entropy, taken)
 
     def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
         """Has the marking shown anew."""
-        self._publisher.changed(net)
+        self.publisher.changed(net)

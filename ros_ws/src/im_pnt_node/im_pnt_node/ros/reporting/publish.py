@@ -105,7 +105,7 @@ class PntPublisher:
                 active=of(*ActivityState),
                 cancelling=of(ActivityState.CANCELLING),
                 in_doubt=of(ActivityState.IN_DOUBT),
-                mode=executor.mode,
+                mode=executor.operator.mode,
                 paused=executor.paused,
                 proposed=list(executor.proposed),
             )
