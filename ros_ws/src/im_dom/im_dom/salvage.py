@@ -155,6 +155,6 @@ def _compare(found: Salvage, listed: Listed) -> None:
             valid_again = record.version == change.version and record.valid and not change.valid
             lost = lost or record.version < change.version or valid_again
         if lost:
-            text = f"what transaction {change.number} made of its version {change.version} is lost"
+            text = f"the change of its version {change.version} by transaction {change.number} is lost"
             found.damaged[name] = Damage(change.version, text)
     found.number = max(found.number, listed.last)

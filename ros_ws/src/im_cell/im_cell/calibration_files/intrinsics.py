@@ -62,7 +62,7 @@ def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
     def check(matrix: Matrix) -> Matrix:
         if (matrix.rows, matrix.cols) not in shapes:
             allowed = " or ".join(f"{rows} x {columns}" for rows, columns in shapes)
-            raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be {allowed}")
+            raise ValueError(f"the matrix is {matrix.rows} x {matrix.cols}, it must be {allowed}")
         return matrix
 
     return pydantic.AfterValidator(check)
@@ -70,7 +70,7 @@ def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
 
 def _coefficients(matrix: Matrix, info: pydantic.ValidationInfo) -> Matrix:
     if 1 not in (matrix.rows, matrix.cols):
-        raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be one row or one column")
+        raise ValueError(f"the matrix is {matrix.rows} x {matrix.cols}, it must be one row or one column")
     if (model := info.data.get("distortion_model")) is not None:
         try:
             lens_of(model).all_of(matrix.data)

@@ -99,7 +99,7 @@ class Dispatch:
             number = request_id(message)
             if number in cancelled and message.get("request") not in _STOPS:
                 withdrawn.add(number)
-                fault = ImError("it was cancelled before it was begun", code="cancelled", group="")
+                fault = ImError("the request was cancelled before its start", code="cancelled", group="")
                 self._mcs.answers.reply(number, fault)
             elif _cancelled_goal(message) in withdrawn:
                 self._mcs.answers.reply(number, None)

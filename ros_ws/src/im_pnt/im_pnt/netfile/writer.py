@@ -40,7 +40,7 @@ def describe(net: Net) -> dict[str, object]:
         NetError: An expanded net, which no file can hold.
     """
     if any(transition.role is not Role.PLAIN for transition in net.transitions.values()):
-        raise NetError(f"net {net.name} is expanded; what is written is the net that it was made from", net=net.name)
+        raise NetError(f"net {net.name} is expanded; write the net before its expansion", net=net.name)
     data: dict[str, object] = {"net": net.name}
     if net.description:
         data["description"] = net.description
@@ -185,7 +185,7 @@ def _action_data(action: Action) -> tuple[str, object]:
         more = _filled(arguments=dict(action.fields), build=action.build)
         return "request", {"to": to, **more} if more else to
     if isinstance(action, ValuesAction):
-        raise TypeError("what only returns and stores values is written as these")
+        raise TypeError("an action that only returns and stores values has no key of its own")
     data: dict[str, object] = {"name": action.name, "type": action.type}
     if isinstance(action, AwaitAction):
         return "await", data | _filled(latched=action.latched, until=action.until, handle=action.handle)

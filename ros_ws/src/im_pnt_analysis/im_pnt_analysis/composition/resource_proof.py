@@ -179,7 +179,7 @@ class _Holding:
                 reach(tokens, way)
         while waiting:
             if len(seen) > MOST or thread_cpu() > self.deadline:
-                raise UndecidedError(f"where tokens go in net {self.net.name} takes more than {len(seen)} markings")
+                raise UndecidedError(f"net {self.net.name} has more than {len(seen)} markings to follow tokens in")
             state = waiting.popleft()
             here, way = dict(state), seen[state]
             if work.kind in self.foreign:

@@ -122,7 +122,7 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     if found.rivals:
         return None
     if not any(found.tangible):
-        raise NetError(f"nothing that command {symbol} does has a delay")
+        raise NetError(f"command {symbol} fires no transition with a delay; its duration needs one")
     _require_answer(found, symbol)
     links = chain(found, float)
     classes = recurrent_classes(found)
@@ -273,7 +273,7 @@ def expected_command(
         totals, method = exact
         half_width = 0.0
     if totals.duration <= 0.0:
-        raise NetError(f"command {symbol} is answered at once: nothing that it does has a delay")
+        raise NetError(f"command {symbol} is answered at once: it fires no transition with a delay")
     durations = sorted(played.durations)
     low, median, high = (durations[min(int(q * runs), runs - 1)] for q in _QUANTILES)
     return CommandDuration(

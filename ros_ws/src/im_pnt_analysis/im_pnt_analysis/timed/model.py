@@ -252,8 +252,8 @@ class _Builder:
         elif transition.role is Role.PLAIN and transition.delay is not None and transition.delay.mean > 0.0:
             if (meant := self.composition.ways.get(transition.name)) is not None:
                 raise NetError(
-                    f"transition {meant} waits for a time and empties places: what comes to these meanwhile does not "
-                    "begin its time anew, which cannot be told here; let another transition empty them"
+                    f"transition {meant} has a delay and resets places, which timed analysis cannot follow; give the "
+                    "resets to another transition, without delay"
                 )
             self.timer_of[index] = len(self.timers)
             self.timers.append(TimedActivity(transition.name, transition.delay, None, (((index,), 1.0),)))

@@ -46,8 +46,8 @@ def check_count(pieces: float, asked_s: float) -> None:
     """
     if not pieces <= MOST_PIECES:
         raise DataError(
-            f"what is asked for within {asked_s:.4g} s is beyond limits, and would be re-timed in {pieces:.7g} pieces; "
-            f"up to {MOST_PIECES} are allowed",
+            f"a stretch of {asked_s:.4g} s is beyond limits, and its re-timing needs {pieces:.7g} pieces; "
+            f"at most {MOST_PIECES} are allowed",
             value=pieces,
             limit=MOST_PIECES,
         )
@@ -100,8 +100,8 @@ def retime_stretch(
         if not np.isfinite(over).all():
             when = float(retimed.asked[int(np.argmin(np.isfinite(over)))])
             raise DataError(
-                f"what is asked for on the way to point {trajectory.point(when) + 1}, at {when:.9g} s, is too quick "
-                "to be re-timed; give it more time",
+                f"the trajectory is too fast to be re-timed on the way to point {trajectory.point(when) + 1}, "
+                f"at {when:.9g} s; give it more time",
                 time=when,
             )
         worst = float(over.max())
