@@ -90,7 +90,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
     agreements = camera_agreements(gated.fit.linearisation, gated.used, layout)
     chi2_per_dof = gated.fit.chi2 / max(1, _freedom(gated.fit, gated.used, layout))
-    faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)
+    faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)  # wrong data fit no lens either
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)

@@ -212,6 +212,7 @@ class DomNode(ManagedNode):
             return response
         deadline = clock.monotonic() + request.timeout
         while True:
+            # before the look: no change in between is missed
             changed = self._next_change(request.name) if request.timeout else None
             try:
                 await self._answer(response, get, changed=False)

@@ -188,6 +188,7 @@ class _Holding:
                 self._end(work, here, way)
             if work.is_request and self._answered_by_others(work.kind):
                 self._end(work, here, (*way, f"t_f.{work.kind}"))
+            # each once, in the same order in every run
             for t in {t.name: t for place in here for t in self.takers.get(place, ())}.values():
                 if not work.may_pass(t.guard):
                     continue

@@ -165,7 +165,7 @@ def summarise(
     counts: dict[str, int] = {}
     for name, count in zip(net.shown, player.firings, strict=True):
         counts[name] = counts.get(name, 0) + count
-    whole = len(marks) == _BATCHES + 2
+    whole = len(marks) == _BATCHES + 2  # else it ended early, and has no warm-up to leave out
     batches = [_between(a, b) for a, b in pairwise(marks)]
     batches = batches[1:] if whole else batches
     return Summary(

@@ -54,7 +54,7 @@ def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str,
                 transitions[name] = replace(transition, inputs=apart(transition.inputs))
             case Role.RETURN:
                 transitions[name] = transition
-                twin = f"{name}{_SUFFIX}"
+                twin = f"{name}{_SUFFIX}"  # the caller takes either reply: one transition for each
                 shown[twin] = name
                 inputs, outputs = apart(transition.inputs), apart(transition.outputs)
                 transitions[twin] = replace(transition, name=twin, inputs=inputs, outputs=outputs)
