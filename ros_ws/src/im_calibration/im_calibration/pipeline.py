@@ -55,6 +55,9 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         DegenerateDataError: There is no estimate at all: a camera with fewer than 7 spots, or positions on a line.
         InconsistentDataError: There is no estimate at all: spots that fit no camera, or noise stated so small that
             double precision cannot tell it from zero.
+
+    >>> [verdict.reason for verdict in calibrate(problem.taking(np.arange(8))).verdicts]
+    ['ceiling has 8 spots that agree, too few to check 14 parameters.']
     """
     far = _FAR_M * np.round(problem.positions.mean(axis=0) / _FAR_M)
     try:

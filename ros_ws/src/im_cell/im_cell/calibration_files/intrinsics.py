@@ -93,6 +93,11 @@ def implausible(K: Array, width: int, height: int) -> str:
         K: Camera matrix, shape (3, 3) [px].
         width: Width of its images [px].
         height: Height of its images [px].
+
+    >>> implausible(K, 640, 480)
+    ''
+    >>> implausible(K / 100.0, 640, 480)
+    'fx is 6 px, it must be within 32 and 64000, 0.05 to 100 image widths'
     """
     focal, beside = _FOCAL_WIDTHS, _CENTRE_BESIDE
     for name, value, low, high, why in (
@@ -177,6 +182,9 @@ def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None 
 
     Returns:
         Text of the file.
+
+    >>> camera_info_yaml("wall", camera).splitlines()[:3]
+    ['image_width: 640', 'image_height: 480', 'camera_name: wall']
     """
     rectified = rectified or monocular(model)
     content: dict[str, Any] = {

@@ -46,6 +46,9 @@ def simulate(
 
     Raises:
         NetError: The nets do not fit together, or no time passes any more.
+
+    >>> [(firing.time, firing.transition) for firing in simulate([oven], steps=4)]
+    [(0.0, 'load'), (4.0, 'bake'), (5.0, 'empty'), (5.0, 'load')]
     """
     player = Player(timed_net(nets, failures=failures), seed)
     player.until = run_limits(steps, until)
@@ -142,6 +145,9 @@ def summarise(
 
     Raises:
         NetError: The nets do not fit together, no time passes any more, or there is no limit at all.
+
+    >>> round(summarise([oven], until=1000.0).throughput["bake"].mean, 2)
+    0.2
     """
     if steps is None and until is None:
         raise NetError("a simulation needs a number of firings or a time to end at")

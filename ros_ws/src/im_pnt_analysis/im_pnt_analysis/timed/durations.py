@@ -260,6 +260,10 @@ def expected_command(
 
     Raises:
         NetError: Nobody reads the symbol or answers it, nothing takes time, or it may never be answered.
+
+    >>> expected = expected_command([oven], "bake")
+    >>> expected.mean, expected.half_width, expected.bottleneck.transition
+    (5.0, 0.0, 'bake')
     """
     if runs < 2:
         raise NetError(f"{runs} runs are too few for a spread; at least 2 are needed")

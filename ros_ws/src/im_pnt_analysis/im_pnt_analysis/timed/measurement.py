@@ -321,6 +321,9 @@ def compare(
         expected: What was computed.
         measured: Durations of each transition by ``net.transition`` [s].
         duration: Measured duration of the command [s].
+
+    >>> compare(expected_command([oven], "bake"), {"oven.bake": [4.5]}, duration=5.5).plausible
+    False
     """
     rows: list[ActionComparison] = []
     left = dict(measured)

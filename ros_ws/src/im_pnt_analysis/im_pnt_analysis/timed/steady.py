@@ -93,6 +93,10 @@ def steady_state(
     Raises:
         NetError: The nets do not fit together, a delay is of another kind, nothing takes time, immediate transitions
             go round for ever, or there are too many markings.
+
+    >>> averages = steady_state([oven])
+    >>> averages.throughput["bake"], averages.marked["full"]
+    (Fraction(1, 5), Fraction(4, 5))
     """
     begin = monotonic()
     if not seconds > 0.0:
