@@ -133,7 +133,7 @@ def file_of_protobuf(folder):
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (cut_copy, "lacks its end, as a copy that was broken off; copy it again, or remove metadata.yaml beside it"),
+        (cut_copy, "lacks its end, as a copy that was broken off; copy it again, or remove metadata.yaml"),
         (without_a_message, "has no message: the recording ended before the first was written"),
         (without_its_file, "Some database files are missing"),
         (without_metadata, "lacks metadata.yaml; name one of its files: bag.db3"),
@@ -221,7 +221,7 @@ def of_others(topic, kind, told_hash, definition):
     [
         (changed, "im_msgs/msg/Firing is defined there without 'duration': it was recorded with another version of"),
         (undefined, "there is no definition of im_msgs/msg/Firing in it, by which /pnt/firings could be read"),
-        (garbled, "its definition of im_msgs/msg/Firing, by which /pnt/firings is read, makes no sense"),
+        (garbled, "the definition of im_msgs/msg/Firing, the type of /pnt/firings, cannot be read"),
         (of_others, "topic '/pnt/firings' is their_msgs/msg/Firing, not im_msgs/msg/Firing"),
     ],
 )
@@ -409,7 +409,7 @@ def test_a_new_name_that_has_no_effect_is_refused(tmp_path, monkeypatch, capsys)
     bag = of_texts(tmp_path, "/chat", "/say/_service_event")
     for topic, options in (("/say/_service_event", []), ("/chat", ["--topics", "/say/_service_event"])):
         assert replayed(bag, monkeypatch, "--remap", f"{topic}:=/new", *options) == 2
-        assert f"--remap {topic}: that is not replayed; --topics names what is" in capsys.readouterr().err
+        assert f"--remap {topic} is not replayed; give it in --topics" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
         replayed(bag, monkeypatch, "--remap", "/chat:=/one", "/chat:=/two")
     assert "--remap gives /chat two names, /one and /two" in capsys.readouterr().err

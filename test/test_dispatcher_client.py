@@ -84,9 +84,9 @@ def ended(work):
 @pytest.mark.parametrize(
     ("opened", "why"),
     [
-        ([], "the dispatcher was away before it had written calibrate_camera down; run it again"),
-        ([(7, "home")], "the dispatcher was away before it had written calibrate_camera down; run it again"),
-        ([(7, "calibrate_camera"), (9, "calibrate_camera")], "which of the commands 7, 9 is this calibrate_camera is"),
+        ([], "the dispatcher stopped before it recorded command calibrate_camera; run the command again"),
+        ([(7, "home")], "the dispatcher stopped before it recorded command calibrate_camera; run the command again"),
+        ([(7, "calibrate_camera"), (9, "calibrate_camera")], "this calibrate_camera is one of the commands 7, 9"),
     ],
 )
 def test_what_another_command_has_found_is_not_the_answer_to_this_one(ros, wait_until, opened, why):
@@ -231,7 +231,7 @@ def test_a_machine_that_has_ended_is_not_waited_for(ros, monkeypatch):
     """Who had not found the dispatcher yet when the power went waited for a minute, and named nobody."""
     monkeypatch.setattr(dispatcher, "ALONE_S", 0.3)
     client, began = ros(CommandClient()), clock.monotonic()
-    with pytest.raises(LinkError, match="list_commands is not there: the machine has ended, its bootstrap is gone"):
+    with pytest.raises(LinkError, match="list_commands is missing: the machine has ended, its bootstrap is gone"):
         client.run(ExecuteCommand.Goal(symbol="calibrate_camera"), io.StringIO())
     assert clock.monotonic() - began < 0.5 * dispatcher.DISCOVERY_S
     monkeypatch.setattr(dispatcher.machine, "read", lambda: SimpleNamespace(alive=True, state="ready"))

@@ -27,7 +27,7 @@ def replayed(words, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["bags/a", "bags/b"], "bags/a and bags/b are two bags, and this takes one; run it once for each\n"),
+        (["bags/a", "bags/b"], "two bags are given, bags/a and bags/b; run the command once for each\n"),
         (["bags/a", "--loud"], "unrecognized arguments: --loud\n"),
     ],
 )

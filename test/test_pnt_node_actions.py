@@ -349,7 +349,7 @@ def test_a_service_that_does_not_answer_leaves_the_transition_in_doubt(machine, 
     node.create_subscription(Firing, "/pnt/firings", lambda f: phases.append((f.transition, f.phase)), qos.EVENTS)
     outcome = run(node, "slow", very=True)
     assert outcome.status.code == "in_doubt"
-    assert "nobody can tell what became of service /hardware/slow of transition slow of net worker: waited 0.3" in (
+    assert "the outcome of service /hardware/slow of transition slow of net worker is unknown: waited 0.3" in (
         outcome.status.message
     )
     wait_until(lambda: ("slow", Firing.FAILED) in phases, "the end of the transition")

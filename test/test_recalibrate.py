@@ -299,7 +299,7 @@ def test_the_mount_of_a_camera_is_where_it_was_at_the_exposures(tmp_path):
     assert mounted(bag, 12) == pytest.approx(here + 4.0)
     with pytest.raises(StateError, match=r"left_wrist moved between the exposures, by 4000\.0 mm and 0\.0 mrad"):
         mounted(bag, 11, 12)
-    with pytest.raises(StateError, match="it is not known where left_wrist was when its cameras were exposed"):
+    with pytest.raises(StateError, match="the pose of left_wrist during the exposure of its cameras is not known"):
         mounted(bag, 77)
 
 

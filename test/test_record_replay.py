@@ -261,7 +261,7 @@ def test_the_type_of_a_topic_is_that_of_its_publishers_and_another_is_said_once(
     publisher.publish(String(data="x"))
     wait_until(publisher.wait_for_all_acked, "the message to arrive")
     end(child, signal.SIGINT, wait_until)
-    told = "record: /a: what is of std_msgs/msg/String is recorded; it is also published as rosgraph_msgs/msg/Clock\n"
+    told = "record: /a: only std_msgs/msg/String is recorded, not rosgraph_msgs/msg/Clock, also published there\n"
     assert child.out.read_text().count(told) == 1
     with BagReader(tmp_path / "bag") as bag:
         assert (dict(bag.types), dict(bag.counts)) == ({"/a": "std_msgs/msg/String"}, {"/a": 1})

@@ -148,7 +148,7 @@ def test_a_moment_has_the_actions_that_run_and_the_firings_before_it(shown):
 @pytest.mark.parametrize(
     ("query", "sentence"),
     [
-        ("", "a moment is asked for by 'at', its time in seconds, or by 'firing', a number"),
+        ("", "give the moment as 'at', a time in seconds, or as 'firing', the number of a firing"),
         ("at=nan", "'nan' is no time in seconds"),
         ("at=soon", "'soon' is no time in seconds"),
         ("firing=-1", "'-1' is no number of a firing"),

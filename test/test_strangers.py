@@ -120,7 +120,7 @@ def doubles(ros):
 
 
 def test_a_failure_names_all_who_may_have_answered(doubles, wait_until):
-    expected = "who answered is unknown: 2 nodes serve /oven/heat: /impostor, /oven"
+    expected = "the answering node is unknown: 2 nodes serve /oven/heat: /impostor, /oven"
     wait_until(lambda: doubt(doubles, "/oven/heat") == expected, "both servers in the graph")
     assert reason(doubles, "", "/oven/heat") == f"the server of /oven/heat gave no reason; {expected}"
     error = doubted(doubles, StateError("no gas"), "/oven/heat")

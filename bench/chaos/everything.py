@@ -19,7 +19,7 @@ DEVIATIONS = 5.0
 #: Longest time after which a start that goes on is killed, too [s].
 LONGEST_START_S = 8.0
 #: What a command says that could not go on, or was not given when its machine died: a true reason has one of them.
-WORDS = ("begun anew", "doubt", "gone", "missing", "has died and come back", "no machine runs")
+WORDS = ("begun anew", "doubt", "gone", "missing", "died and was restarted", "no machine runs")
 
 
 def run(

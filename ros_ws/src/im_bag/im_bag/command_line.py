@@ -13,7 +13,7 @@ def parsed(parser: argparse.ArgumentParser, words: Sequence[str] | None = None) 
     """
     options, more = parser.parse_known_args(words)
     if more and getattr(options, "bag", None) is not None and not any(word.startswith("-") for word in more):
-        parser.error(f"{options.bag} and {more[0]} are two bags, and this takes one; run it once for each")
+        parser.error(f"two bags are given, {options.bag} and {more[0]}; run the command once for each")
     if more:
         parser.error(f"unrecognized arguments: {' '.join(more)}")
     return options

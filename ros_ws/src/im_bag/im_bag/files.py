@@ -56,7 +56,7 @@ def complete_bag(bag: Path) -> None:
     for path in files:
         if path.name in listed and _is_cut(path):
             text = "lacks its end, as a copy that was broken off; copy it again, or remove"
-            raise FileError(path, f"{text} {METADATA} beside it: what is whole of it is then taken as the bag")
+            raise FileError(path, f"{text} {METADATA}: the complete part of the file is then read")
     if not (new := [path for path in files if path.name not in listed]):
         return
     busy = [path for path in new if is_recorded(path)]
@@ -105,7 +105,7 @@ def _check_belonging(bag: Path, listed: Sequence[str], contents: Mapping[Path, C
     """
     if missing := [name for name in listed if not (bag / name).exists()]:
         text = f"lacks {', '.join(missing)}, which {METADATA} lists; put it back, or remove {METADATA}"
-        raise FileError(bag, f"{text}: what is there is then taken as the bag")
+        raise FileError(bag, f"{text}: the files in the folder are then read")
     new = sorted(
         (path for path, held in contents.items() if path.name not in listed and held.counts),
         key=lambda path: (contents[path].begin_ns, len(path.name), path.name),
@@ -116,7 +116,7 @@ def _check_belonging(bag: Path, listed: Sequence[str], contents: Mapping[Path, C
     for path in new:
         for other in taken:
             if _is_of_the_same_time(contents[path], contents[other]):
-                text = f"it is of the same time as {other.name}, as a copy or another bag is: move it away"
+                text = f"its time overlaps that of {other.name}, as in a copy or another bag: move it away"
                 raise FileError(path, f"does not belong to this bag; {text}")
         taken.append(path)
 
@@ -171,7 +171,7 @@ def _check_settled(path: Path, status: os.stat_result, size: int) -> None:
     if status.st_size != size:
         raise FileError(path, _RECORDED)
     if abs(clock.wall() - status.st_mtime) < _SETTLED_S:
-        text = f"lacks its end and was written less than {_SETTLED_S:g} s ago, perhaps by a recorder that goes on"
+        text = f"lacks its end and was written less than {_SETTLED_S:g} s ago, perhaps by a recorder that still runs"
         raise FileError(path, f"{text}; end the recording, or try again in {_SETTLED_S:g} s")
 
 

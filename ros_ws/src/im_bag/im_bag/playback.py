@@ -85,7 +85,7 @@ class Playback:
         begins: Callable[[int], None] | None = None,
     ) -> None:
         if not 0.0 <= start_s <= bag.duration_s:
-            raise DataError(f"the bag lasts {bag.duration_s:.3f} s: there is no {start_s:g} s in it", seconds=start_s)
+            raise DataError(f"start {start_s:g} s is not in the bag, 0 to {bag.duration_s:.3f} s", seconds=start_s)
         self._bag, self._topics, self._controls = bag, topics, controls
         self._rate, self._start_s, self._loop, self._begins = rate, start_s, loop, begins
 

@@ -185,7 +185,7 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
             defined = defined_types(connection.msgtype, connection.msgdef)
             store.register({name: spec for name, spec in defined.items() if name not in store.types})
         except TypesysError as error:
-            text = f"its definition of {connection.msgtype}, by which {connection.topic} is read, makes no sense"
+            text = f"the definition of {connection.msgtype}, the type of {connection.topic}, cannot be read"
             raise DataError(f"{bag}: {text}", type=connection.msgtype) from error
     return store
 

@@ -138,7 +138,7 @@ class WholeSqliteReader(Sqlite3Reader):
             except (OSError, sqlite3.Error) as error:
                 self._copy.cleanup()
                 names = " and ".join(log.name for log in logs)
-                raise ReaderError(f"What its recorder left in {names} cannot be taken up: {error}") from error
+                raise ReaderError(f"The bag cannot be completed from {names}, left by its recorder: {error}") from error
         super().open()
 
     def close(self) -> None:

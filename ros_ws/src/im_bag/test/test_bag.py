@@ -172,7 +172,9 @@ def test_a_copy_of_a_part_is_not_taken_as_another(tmp_path, described):
     if not described:
         (path / METADATA).unlink()
     files = {file: file.read_bytes() for file in path.iterdir()}
-    with pytest.raises(DataError, match=r"before-bag_1.mcap: does not belong to this bag; .* as bag_1.mcap"):
+    with pytest.raises(
+        DataError, match=r"before-bag_1.mcap: does not belong to this bag; its time overlaps that of bag_1.mcap"
+    ):
         BagReader(path)
     assert {file: file.read_bytes() for file in path.iterdir()} == files
     (path / "before-bag_1.mcap").unlink()

@@ -198,7 +198,7 @@ def test_a_file_of_another_recorder_is_left_alone_while_it_may_be_written(tmp_pa
     record(tmp_path / "bag", end=False, library="another")
     path = tmp_path / "bag" / "bag.mcap"
     before = path.read_bytes()
-    with pytest.raises(DataError, match="was written less than 5 s ago, perhaps by a recorder that goes on"):
+    with pytest.raises(DataError, match="was written less than 5 s ago, perhaps by a recorder that still runs"):
         open_bag(path)
     os.utime(path, (0, 0))
 
@@ -347,7 +347,9 @@ def test_a_log_that_cannot_be_taken_up_is_named(tmp_path, monkeypatch):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(shutil, "copyfile", full)
-    with pytest.raises(DataError, match=f"left in {file.name}-wal cannot be taken up: no space left on device"):
+    with pytest.raises(
+        DataError, match=f"completed from {file.name}-wal, left by its recorder: no space left on device"
+    ):
         open_bag(bag)
 
 

@@ -181,5 +181,5 @@ def test_pause_step_and_seek_reach_the_silence_at_the_end_of_a_loop(early_bag, t
 
 
 def test_a_start_beyond_the_end_is_refused(bag, time):
-    with pytest.raises(DataError, match=r"the bag lasts 19.000 s: there is no 30 s in it"):
+    with pytest.raises(DataError, match=r"start 30 s is not in the bag, 0 to 19.000 s"):
         played(bag, time, start_s=30.0)

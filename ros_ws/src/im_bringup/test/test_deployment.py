@@ -114,7 +114,10 @@ def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
             {"localhost": {"a": {"one": "{}"}, "b": {"one": "{}"}}},
             "task 'one' is in process 'a' of host 'localhost' and",
         ),
-        ({"localhost": {f"p{n}": {f"t{n}": "{}"} for n in range(101)}}, "there are 101 tasks; 100 are allowed"),
+        (
+            {"localhost": {f"p{n}": {f"t{n}": "{}"} for n in range(101)}},
+            "the deployment has 101 tasks; at most 100 are allowed",
+        ),
         ({"localhost": {"a" * 65: {"one": "{}"}}}, "String should have at most 64 characters"),
         ({"localhost": {"a": {}}}, "process 'a' of host 'localhost' has no task"),
         (
@@ -126,8 +129,11 @@ def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
         ({"localhost": {"a": {"one": '{x: "${clock-factor}"}'}}}, "refers to '${clock-factor}'; known are"),
         ({"localhost": {"a": {"one": '{x: "run ${seed"}'}}}, "refers to '${seed'; known are"),
         ({"localhost": {"a": {"one": '{x: "${}"}'}}}, "refers to '${}'; known are"),
-        ({"localhost": {"verification": {"one": "{}"}}}, "process 'verification' of host 'localhost' has the name of"),
-        ({"localhost": {"bootstrap": {"one": "{}"}}}, "process 'bootstrap' of host 'localhost' has the name of one of"),
+        (
+            {"localhost": {"verification": {"one": "{}"}}},
+            "process 'verification' of host 'localhost': this name is reserved",
+        ),
+        ({"localhost": {"bootstrap": {"one": "{}"}}}, "process 'bootstrap' of host 'localhost': this name is reserved"),
         ({"localhost": {"a": {"bootstrap": "{}"}}}, "task 'bootstrap' has the node /bootstrap, which is the machine's"),
     ],
 )
@@ -184,10 +190,12 @@ def test_a_comma_in_a_command_or_in_the_folder_of_its_file_is_refused_in_words(t
     path = tmp_path / "a,b" / "d.yaml"
     path.parent.mkdir()
     path.write_text("commands:\n  - move\n  - nets/\n" + machine({"localhost": {"a": {"one": "{}"}}}))
-    with pytest.raises(ConfigError, match=r"d\.yaml:3: commands\[1\]: .*/a,b/nets: it has a comma, at which the Disp"):
+    with pytest.raises(ConfigError, match=r"d\.yaml:3: commands\[1\]: .*/a,b/nets: a comma is not allowed in the name"):
         deployment.load(path)
     path.write_text(path.read_text().replace("nets/", "open,close"))
-    with pytest.raises(ConfigError, match=r"d\.yaml:3: commands\[1\]: 'open,close': it has a comma, at which the Disp"):
+    with pytest.raises(
+        ConfigError, match=r"d\.yaml:3: commands\[1\]: 'open,close': a comma is not allowed in the name"
+    ):
         deployment.load(path)
 
 
@@ -211,7 +219,7 @@ def test_what_a_start_was_given_reaches_other_hosts_as_it_is():
     [
         ("{", DataError, "the options of the start"),
         ("[1]", DataError, "the options of the start"),
-        ('{"seed": 3}', DataError, "are not the options of a start"),
+        ('{"seed": 3}', DataError, "the options of the start are {\"seed\": 3}; needed are "),
         (deployment.options_text(parsed(machine({"localhost": {"a": {"one": "{}"}}}))).replace("3", "-3"), ConfigError,
          "seed: -3"),
     ],

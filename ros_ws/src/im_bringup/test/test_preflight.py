@@ -93,7 +93,7 @@ def test_no_folder_for_temporary_files(monkeypatch):
         raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
-    with pytest.raises(ImError, match=r"^no folder for temporary files can be written; nothing was started$"):
+    with pytest.raises(ImError, match=r"^no folder for temporary files is writable; nothing was started$"):
         preflight.check_host()
 
 

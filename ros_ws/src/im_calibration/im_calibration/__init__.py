@@ -3,6 +3,22 @@
 A library: no ROS, no vision services; of our packages it knows `im_core`, `im_bag` and `im_cell`. The story is told in
 :mod:`im_calibration.pipeline`: problem, estimation, judgement; then reporting, and :mod:`im_calibration.design` for
 what to measure next.
+
+A ceiling camera from simulated spots; the examples of the names below go on with these variables:
+
+    >>> import numpy as np
+    >>> from im_calibration import *
+    >>> from im_cell.camera_model import CameraModel
+    >>> K = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
+    >>> true = CameraModel(640, 480, K, np.zeros(5), np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 3.0]))
+    >>> places = np.random.default_rng(1).uniform((-0.7, -0.5, 0.6), (0.7, 0.5, 1.6), (40, 3))
+    >>> still = np.tile(np.eye(3), (40, 1, 1))
+    >>> noise = np.random.default_rng(2).normal(0.0, 0.1, (1, 40, 2))
+    >>> spots, of_spots = true.project(places) + noise, np.tile(1e-2 * np.eye(2), (1, 40, 1, 1))
+    >>> problem = CalibrationProblem(("ceiling",), ((640, 480),), places, 1e-8 * still, still, spots, of_spots)
+    >>> calibration = calibrate(problem)
+    >>> calibration.success, f"{calibration.cameras[0].model.position[2]:.1f} m high"
+    (True, '3.0 m high')
 """
 
 from im_calibration.design import Candidates, NextPose, load_candidates, next_best_poses

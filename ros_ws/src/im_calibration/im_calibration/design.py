@@ -83,6 +83,12 @@ def next_best_poses(
 
     Raises:
         DataError: There are fewer candidates that a camera sees, or their arrays do not fit the problem.
+
+    >>> two, of_two = np.tile(np.eye(3), (2, 1, 1)), np.tile(1e-2 * np.eye(2), (1, 2, 1, 1))
+    >>> corner_or_middle = np.array([[0.9, 0.7, 0.6], [0.0, 0.0, 1.1]])
+    >>> candidates = Candidates(("corner", "middle"), corner_or_middle, 1e-8 * two, two, of_two)
+    >>> [pose.name for pose in next_best_poses(calibration, problem, candidates)]
+    ['corner']
     """
     layout, unknowns = ParameterLayout.of(problem), unknowns_of(calibration, len(candidates.names))
     predicted = _predicted(problem, candidates, unknowns)

@@ -56,6 +56,9 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
         DegenerateDataError: There is no estimate at all: a camera with fewer than 7 spots, or positions on a line.
         InconsistentDataError: There is no estimate at all: spots that fit no camera, or noise stated so small that
             double precision cannot tell it from zero.
+
+    >>> [verdict.reason for verdict in calibrate(problem.taking(np.arange(8))).verdicts]
+    ['ceiling has 8 spots that agree, too few to check 14 parameters.']
     """
     far = _FAR_M * np.round(problem.positions.mean(axis=0) / _FAR_M)
     try:
@@ -91,7 +94,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
     agreements = camera_agreements(gated.fit.linearisation, gated.used, layout)
     chi2_per_dof = gated.fit.chi2 / max(1, _freedom(gated.fit, gated.used, layout))
-    faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)
+    faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)  # wrong data fit no lens either
     restore = np.argsort(order)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)

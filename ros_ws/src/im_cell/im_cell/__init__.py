@@ -8,4 +8,18 @@
 - :mod:`im_cell.calibration_files`, :mod:`im_cell.calibration_error`, :mod:`im_cell.workspace`: calibrations as files,
   and how wrong one is over the workspace;
 - :mod:`im_cell.link`: the ends of the link to the simulated testbed.
+
+The cell as drawn, and a camera 3 m above the floor; the examples of the modules go on with these variables:
+
+    >>> import numpy as np
+    >>> from im_cell.camera_model import CameraModel
+    >>> from im_cell.robot import load_cell
+    >>> cell = load_cell()
+    >>> len(cell.joints), cell.joint_names[:3], cell.light_names
+    (18, ('left_track', 'left_rotation', 'left_tilt'), ('left_led', 'right_led'))
+    >>> K = np.array([[600.0, 0.0, 319.5], [0.0, 600.0, 239.5], [0.0, 0.0, 1.0]])
+    >>> down, height = np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 3.0])
+    >>> camera = CameraModel(640, 480, K, np.zeros(5), R_cam_base=down, t_cam_base=height)
+    >>> camera.project([0.1, 0.0, 1.0]).tolist()
+    [349.5, 239.5]
 """

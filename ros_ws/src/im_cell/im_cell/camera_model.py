@@ -34,6 +34,14 @@ class CameraModel:
         R_cam_base: Rotation world -> camera, shape (3, 3) [-].
         t_cam_base: Origin of the world in the camera frame, shape (3,) [m].
         distortion_model: Name of the lens model.
+
+    >>> camera.position.tolist(), camera.ray([319.5, 239.5]).tolist()
+    ([0.0, 0.0, 3.0], [0.0, 0.0, -1.0])
+    >>> camera.contains(camera.project([[0.1, 0.0, 1.0], [5.0, 0.0, 1.0]])).tolist()
+    [True, False]
+    >>> CameraModel(640, 480, K, D=np.zeros(4))
+    Traceback (most recent call last):
+    im_core.errors.DataError: D of a camera has shape (4,), it must be (5,).
     """
 
     width: int

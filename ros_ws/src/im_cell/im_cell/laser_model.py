@@ -29,6 +29,10 @@ class LaserModel:
         gap: Distance of the mirrors [m].
         gain: True angle of each mirror by the one it reports, shape (2,) [-].
         offset: Angle of mirror 1 when it reports zero [rad]; that of mirror 2 is a turn of the whole scanner.
+
+    >>> laser = LaserModel(rotation=down, position=height, gap=0.01)
+    >>> laser.angles_to([0.0, -1.0, 2.0]).round(3).tolist()  # half the angle of the beam, 45 deg
+    [0.0, 0.393]
     """
 
     rotation: Array

@@ -44,6 +44,9 @@ class Workspace:
 
         Returns:
             Points, shape (counts[0] * counts[1] * counts[2], 3) [m].
+
+        >>> Workspace().grid((2, 1, 1)).tolist()
+        [[-0.5, 0.0, 1.1], [0.5, 0.0, 1.1]]
         """
         axes = [a + (b - a) * (np.arange(n) + 0.5) / n for a, b, n in zip(self.low, self.high, counts, strict=True)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -38,7 +38,7 @@ def read_json(kind: type[T], text: str, what: str) -> T:
         check_keys(text)
         value: T = _reader(cast(Hashable, kind)).validate_json(text, strict=True)
     except JsonError as error:
-        raise DataError(f"{what} makes no sense: {error.sentence}", what=what) from error
+        raise DataError(f"{what} cannot be read: {error.sentence}", what=what) from error
     except pydantic.ValidationError as error:
         raise _refused(error, what) from error
     return value
@@ -74,7 +74,7 @@ def _refused(error: pydantic.ValidationError, what: str) -> DataError:
         words = f"{place}: {words}"
         if first["type"] not in ("missing", "extra_forbidden"):
             words += f", not {first['input']!r:.60}"
-    return DataError(f"{what} makes no sense: {words}", what=what, field=place)
+    return DataError(f"{what} cannot be read: {words}", what=what, field=place)
 
 
 @lru_cache(maxsize=100)

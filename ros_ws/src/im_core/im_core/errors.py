@@ -198,7 +198,7 @@ FOREIGN = (Exception, SystemExit)
 
 def as_exception(error: BaseException) -> Exception:
     """Convert an error raised by user code to an exception fit to be raised at the waiting caller."""
-    return error if isinstance(error, Exception) else RuntimeError(f"it has called sys.exit: {error}")
+    return error if isinstance(error, Exception) else RuntimeError(f"the function called sys.exit: {error}")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

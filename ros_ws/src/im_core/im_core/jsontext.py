@@ -56,7 +56,7 @@ def decode_json(text: str) -> object:
     """
     # every value but the first follows a comma or a bracket; counted before the objects are made, which are larger
     if text.count(",") + text.count("[") + text.count("{") >= MAX_VALUES:
-        raise JsonError(f"more than {MAX_VALUES} values; there may not be as many")
+        raise JsonError(f"more than {MAX_VALUES} values, the most allowed")
     try:
         data: object = json.loads(
             text, parse_int=_integer, parse_float=_float, parse_constant=_no_number, object_pairs_hook=_object

@@ -37,7 +37,7 @@ def run_dir() -> Path:
         if tightened := make_private(folder, "set another IM_RUN_DIR"):
             print(tightened, file=sys.stderr)
     except LinkError as error:
-        raise StoreError(error.message, file=str(folder), reason="not this user's alone") from None
+        raise StoreError(error.message, file=str(folder), reason="open to other users") from None
     except OSError as error:
         raise StoreError.of("looked at", folder, error) from error
     return folder

@@ -66,8 +66,8 @@ def require_current(reference: str, what: str) -> None:
     before = _imported.get(module)
     if before is not None and _stamp(import_module(module)) != before:
         raise ConfigError(
-            f"{what} '{reference}': the file of module {module} was changed since this process has imported it; "
-            "what it is now is used after a restart",
+            f"{what} '{reference}': the file of module {module} was changed after this process imported "
+            "it; restart the process to use the changed file",
             what=what,
             reference=reference,
         )

@@ -346,7 +346,7 @@ class _Composer:
         around.children.append(value)
         around.size += size
         if around.size > MAX_VALUES:
-            raise self._error(around.event, f"more than {MAX_VALUES} values; a file may not have as many")
+            raise self._error(around.event, f"more than {MAX_VALUES} values, the most allowed in a file")
 
     def _error(self, event: yaml.Event, sentence: str) -> YamlError:
         return YamlError(Value(Kind.SCALAR, self._file, *_position(event)), sentence)

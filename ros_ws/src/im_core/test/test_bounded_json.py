@@ -31,15 +31,15 @@ def test_what_fits_is_read():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("[]", "the lights makes no sense: Input should be an object"),
-        ("", "the lights makes no sense: Invalid JSON"),
+        ("[]", "the lights cannot be read: Input should be an object"),
+        ("", "the lights cannot be read: Invalid JSON"),
         ('{"left_led": 3}', "left_led: Input should be a valid boolean"),
         ('{"left_led": ' + "[" * 100_000, "recursion limit"),
         ('{"\ud800": true}', "unable to parse raw data as a unicode string"),
         (" " * (LARGEST + 1), f"{LARGEST + 1} characters; {LARGEST} are read"),
-        ("NaN", "makes no sense"),
+        ("NaN", "cannot be read"),
         ('{"left_led": ' + "9" * 5000 + "}", "number out of range"),
-        ('{"left_led": true, "left_led": false}', "the lights makes no sense: the key 'left_led' is there twice"),
+        ('{"left_led": true, "left_led": false}', "the lights cannot be read: the key 'left_led' is there twice"),
     ],
 )
 def test_what_does_not_fit_is_refused(text, words):

@@ -201,7 +201,7 @@ def _fault(path: Path, listed: Listed | None) -> _Fault:
         DataError: It cannot be opened.
     """
     if not path.exists() or not path.stat().st_size:
-        return _Fault("is missing, of which there is a list of transactions") if listed else _Fault()
+        return _Fault("is missing, but its list of transactions exists") if listed else _Fault()
     told = listed.file if listed else None
     if told is not None and (fault := _difference(told, path)):
         return _Fault(f"is damaged ({fault})", file=True)
@@ -251,7 +251,7 @@ def _fault_within(db: sqlite3.Connection, listed: Listed | None, checked: bool) 
             return _Fault(f"is damaged (a request to append to {request[0]} has a wrong checksum)", file=True)
     (number,) = db.execute("SELECT number FROM last").fetchone()
     if listed is None:
-        return _Fault("lacks its list of transactions: the last may be missing") if number else _Fault()
+        return _Fault("has no list of transactions: its last transaction may be lost") if number else _Fault()
     if listed.last > number:
         return _Fault(f"has lost its transactions {number + 1} to {listed.last}: its write-ahead log is damaged")
     return _Fault(listed.fault and f"is damaged ({listed.fault})")

@@ -70,5 +70,5 @@ class DamagedObjectError(ImError):
     default_code = "damaged"
 
     def __init__(self, store: str, name: str, damage: str) -> None:
-        what = f"data object '{name}'" if name else "what was there before"
+        what = f"data object '{name}'" if name else "an object stored earlier"
         super().__init__(f"{what} cannot be read: in the object store {store} {damage}", store=store, object=name)

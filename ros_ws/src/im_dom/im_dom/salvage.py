@@ -86,7 +86,7 @@ def _mend_first_page(copy: Path) -> None:
 
 def _read(db: sqlite3.Connection, found: Salvage) -> None:
     """Read all rows listed in a table or an index."""
-    rows, keys = _Scan(db, _ROWS), _Scan(db, _KEYS)
+    rows, keys = _Scan(db, _ROWS), _Scan(db, _KEYS)  # table and index name the same rows; damage seldom hits both
     known = {rowid: (name, version) for name, version, rowid in keys.rows}
     lost: dict[str, int] = {}
     for rowid in sorted({row for (row,) in rows.rows} | known.keys()):
@@ -109,7 +109,7 @@ def _read(db: sqlite3.Connection, found: Salvage) -> None:
     for name, version in lost.items():
         if name not in newest or version > newest[name].version:
             found.damaged[name] = Damage(version, f"the bytes of its version {version} are damaged")
-    if not (rows.whole or keys.whole):
+    if not (rows.whole or keys.whole):  # either alone names every row
         found.damaged[""] = Damage(0, _NAMELESS)
     for name, version, text in _Scan(db, "SELECT name, version, why FROM damaged NOT INDEXED ORDER BY rowid {0}").rows:
         if isinstance(name, str) and isinstance(version, int) and isinstance(text, str):
@@ -155,6 +155,6 @@ def _compare(found: Salvage, listed: Listed) -> None:
             valid_again = record.version == change.version and record.valid and not change.valid
             lost = lost or record.version < change.version or valid_again
         if lost:
-            text = f"what transaction {change.number} made of its version {change.version} is lost"
+            text = f"the change of its version {change.version} by transaction {change.number} is lost"
             found.damaged[name] = Damage(change.version, text)
     found.number = max(found.number, listed.last)

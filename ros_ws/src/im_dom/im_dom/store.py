@@ -308,7 +308,7 @@ class ObjectStore:
         if damage is not None and version in (0, damage.version):
             raise DamagedObjectError(self._path, name, damage.text)
         if not versions and (unnamed := self._damaged.get("")):
-            raise DamagedObjectError(self._path, name, f"nothing is known of it any more: {unnamed.text}")
+            raise DamagedObjectError(self._path, name, f"a record without a name is damaged: {unnamed.text}")
         if not versions:
             raise NotFoundError(kind="data object", name=name, known=[record.name for record in self.records()])
         for record in versions:

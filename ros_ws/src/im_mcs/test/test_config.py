@@ -38,17 +38,17 @@ def test_presets_partition_all_joints(config, cell):
         (
             "joints: [left_track,",
             "joints: [left_trak,",
-            r"mcs.yaml:\d+: presets.2x9.left.joints\[0\]: 'left_trak', which is no joint slot",
+            r"mcs.yaml:\d+: presets.2x9.left.joints\[0\]: 'left_trak' is not a joint slot",
         ),
         (
             "joints: [left_track, left_rotation",
             "joints: [left_track, left_track",
-            r"mcs.yaml:\d+: presets.2x9.left.joints\[1\]: 'left_track', which group 'left' has already",
+            r"mcs.yaml:\d+: presets.2x9.left.joints\[1\]: 'left_track' is already in group 'left'",
         ),
         (
             "joints: [left_track, left_rotation",
             "joints: [right_track, left_rotation",
-            r"mcs.yaml:\d+: presets.2x9.right.joints\[0\]: 'right_track', which group 'left' has already",
+            r"mcs.yaml:\d+: presets.2x9.right.joints\[0\]: 'right_track' is already in group 'left'",
         ),
         ("period_s: 0.0045", "periods: 0.0045", "servo.period_s"),
         (
@@ -74,7 +74,7 @@ def test_a_wrist_that_is_no_frame_is_refused(config, model):
     presets = {**config.presets, "3x6": {"left": left}}
     with pytest.raises(ConfigError, match=r"presets.3x6.left.wrist: there is no frame 'left_wirst'"):
         Kinematics(config.model_copy(update={"presets": presets}), model)
-    with pytest.raises(ValueError, match="a preset without groups"):
+    with pytest.raises(ValueError, match="the preset has no groups; at least 1 is needed"):
         McsConfig.model_validate({**config.model_dump(), "presets": {**config.model_dump()["presets"], "none": {}}})
 
 

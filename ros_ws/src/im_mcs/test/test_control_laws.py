@@ -104,8 +104,16 @@ def test_a_model_error_that_makes_no_sense_is_refused(error):
 @pytest.mark.parametrize(
     ("law", "changes", "message"),
     [
-        (IMPEDANCE, {"stiffness": {"track": 1.0}}, "'stiffness.rotation': left_rotation needs one > 0, not none"),
-        (IMPEDANCE, {"stiffness": {"track": -1.0}}, "'stiffness.track': left_track needs one > 0, not -1"),
+        (
+            IMPEDANCE,
+            {"stiffness": {"track": 1.0}},
+            "'stiffness.rotation': the stiffness of left_rotation is none, it must be > 0",
+        ),
+        (
+            IMPEDANCE,
+            {"stiffness": {"track": -1.0}},
+            "'stiffness.track': the stiffness of left_track is -1, it must be > 0",
+        ),
         (IMPEDANCE, {"damping": 0.0}, "'damping'"),
         (COMPUTED_TORQUE, {"feedforward": {"friction": 2.0}}, "'feedforward.friction'"),
         (COMPUTED_TORQUE, {"bandwith": 2.0, "damping": -1.0}, "'damping': -1.0: .*; parameter 'bandwith': 2.0: .*mean"),

@@ -161,7 +161,7 @@ def heard_together(bench, *requests):
 def test_what_is_cancelled_already_when_it_is_heard_is_not_begun(bench, target):
     """Whoever asked for it has been told that it failed."""
     power, cancel = heard_together(bench, ("reserve", {"group": "left", "owner": "me"}), ("cancel", {"goal": 101}))
-    refused(power, "it was cancelled before it was begun")
+    refused(power, "the request was cancelled before its start")
     assert cancel["success"]
     assert bench.mcs.manager.state.value == "cold"
     bench.to_motion("left")

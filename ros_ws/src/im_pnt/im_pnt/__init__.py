@@ -6,6 +6,30 @@ The package ``im_pnt_node`` joins nets with each other, keeps their journal, and
 
 Knows ``im_core`` only: no ROS, no network; on disk only net files. Inside, lower knows nothing of
 higher: ``model``, ``expression``, then ``netfile`` and ``pnml``, then ``execution``.
+
+A net from the file to a finished command; the examples of the names below go on with its variables:
+
+    >>> import asyncio
+    >>> from im_pnt import *
+    >>> from im_pnt.execution.jobs import Command
+    >>> from im_pnt.execution.notification import Nowhere
+    >>> net = parse_net('''
+    ... net: oven
+    ... places: {cold: 1, hot: , burnt: }
+    ... escalate: burnt
+    ... transitions:
+    ...   bake: {symbol: bake, in: [cold], out: [hot], action: heat}
+    ...   empty: {in: [hot], out: [cold], emit: bake_done}
+    ...   clean: {in: [burnt], out: [cold], emit: bake_failed}
+    ... ''')
+    >>> functions = Functions({"heat": lambda ctx: ctx.result.update(degrees=220)})
+    >>> runner = FunctionRunner(functions, requests=None, spawn=asyncio.run)  # the net asks no other
+    >>> executor = Executor(net, functions, runner, outlet=Nowhere())
+    >>> job = executor.command(Command(1, "bake"))
+    >>> executor.pump()  # nothing more can fire
+    False
+    >>> job.closed, job.results, executor.marking()
+    (True, {'degrees': 220}, {'cold': 1})
 """
 
 from typing import TYPE_CHECKING

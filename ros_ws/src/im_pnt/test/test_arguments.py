@@ -105,7 +105,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(given, sentence):
         ("type: boolean", "type: boolean, length: 1", "dry.length: is for lists and texts; .* type boolean"),
         ("length: 3", "length: -3", r"poses.length: \[-3, -3\] is no length"),
         ("length: 3", "length: [1, 2, 3]", r"\[1, 2, 3\] is no length: a number >= 0, or \[least, most\], is needed"),
-        ("length: 3", "length: [3, 2]", r"\[3, 2\] goes from 3 to less, 2"),
+        ("length: 3", "length: [3, 2]", r"\[3, 2\]: most 2 is less than least 3"),
         ("length: 3, default: [0, 0, 0]", "length: 3, default: [0]", "argument poses has 1 elements, not 3"),
         ("default: 3", "default: .inf", "tries.default: '.inf' is not a finite number"),
         ("camera: {type", "9camera: {type", "services.measure.arguments.9camera: '9camera' is not a name"),

@@ -71,7 +71,7 @@ def test_the_answer_decides(answer, place):
     process.wait(1.0)
     assert process.marking("n") == {place: 1}
     if answer.outcome is Outcome.UNKNOWN:
-        assert "nobody can tell what became of function f of transition t" in process.recorder.firings[-1].message
+        assert "the outcome of function f of transition t of net n is unknown" in process.recorder.firings[-1].message
         assert "the gripper" in process.recorder.firings[-1].message
 
 

@@ -106,7 +106,7 @@ def test_every_key_is_read():
         ("mean: 0.5", "mean: 0", "mean 0 is not > 0"),
         ("mean: 0.5", "mean: 0.5, rate: 2", "needs either rate .1/s. or mean .s."),
         ("exponential: {mean", "exponentail: {mean", r"no distribution 'exponentail' \(did you mean 'exponential'"),
-        ("{exponential: {mean: 0.5}}", "{uniform: {low: 2, high: 1}}", "goes from 2.0 to less, 1.0"),
+        ("{exponential: {mean: 0.5}}", "{uniform: {low: 2, high: 1}}", "high 1.0 is less than low 2.0"),
         ("{exponential: {mean: 0.5}}", "{gamma: {shape: 2}}", "delay.gamma: 'scale' is missing"),
         ("{exponential: {mean: 0.5}}", "{lognormal: {mu: 9000, sigma: 1}}", "has no finite mean"),
         ("delay: 2.5", "delay: -1", "'-1' is not a number >= 0"),

@@ -169,9 +169,7 @@ def test_arguments_are_those_of_whom_a_transition_works_for():
     assert scope.works_for(net.transitions["tell"]) == {"pick"}
     assert scope.works_for(net.transitions["note"]) == {"pick", "drop"}
     assert scope.meanings(net.transitions["note"]).arguments("width") == NUMBER
-    with pytest.raises(
-        NetFileError, match=r"arguments.group: drop, for which this may work, has no such argument \(kn"
-    ):
+    with pytest.raises(NetFileError, match=r"arguments.group: drop, served here, has no such argument \(kn"):
         parse_net(text.replace("${answers.look.spots}", "${arguments.group}"))
 
 
@@ -179,7 +177,7 @@ def test_arguments_are_those_of_whom_a_transition_works_for():
     ("find", "replace", "complaint"),
     [
         ("arguments.width / 2", "arguments.wdth / 2", r"net:24:24: transitions.look.service.request.width: arguments"
-         r".wdth: pick, for which this may work, has no such argument \(did you mean 'width'\?\)"),
+         r".wdth: pick, served here, has no such argument \(did you mean 'width'\?\)"),
         ("arguments.width / 2", "arguments.width /", "net:24:24: .*a value is missing at its end"),
         ("arguments.width / 2}", "arguments.width / 2", r"net:24:24: .* has no closing '\}'"),
         ("arguments.width / 2", "arguments.group", r"'\$\{arguments.group\}' is a text, not a number"),
@@ -229,9 +227,7 @@ def test_a_command_of_nobody_has_no_arguments():
         "net: n\nplaces: {p: 1, q: }\ntransitions:\n  t: {in: p, out: q, result: {x: '${arguments.y}'}, on_failure: q}"
     )
     for value in ("arguments.y", "answers.t.y"):
-        with pytest.raises(
-            NetFileError, match=f"{value[:-2]}.*: no command or request is in work here; its tokens are"
-        ):
+        with pytest.raises(NetFileError, match=f"{value[:-2]}.*: the tokens of this transition belong to no command"):
             parse_net(text.replace("arguments.y", value))
 
 

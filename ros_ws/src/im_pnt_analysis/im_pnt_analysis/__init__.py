@@ -5,6 +5,22 @@ For whoever writes nets or decides whether to load them. Knows ``im_core`` and t
 as one, closed by their environment), ``search`` and ``symbolic`` (markings, listed or in decision diagrams),
 ``verify`` (may they run: ``verify.verdict.verify``), ``timed`` (stochastic nets), ``recorded`` (nets out of bags),
 ``simulation``, and the command ``pnt`` in ``cli``.
+
+A net and its verdict; the examples of the names below go on with its variables:
+
+    >>> from im_pnt import parse_net
+    >>> from im_pnt_analysis import *
+    >>> oven = parse_net('''
+    ... net: oven
+    ... places: {cold: 1, full: , hot: }
+    ... transitions:
+    ...   load: {symbol: bake, in: [cold], out: [full]}
+    ...   bake: {in: [full], out: [hot], delay: 4.0}
+    ...   empty: {in: [hot], out: [cold], delay: 1.0, emit: bake_done}
+    ... ''')
+    >>> report = verify_to_load([oven])
+    >>> report.ok, report.states, report.place_bounds
+    (True, 3, {'cold': 1, 'full': 1, 'hot': 1})
 """
 
 from typing import TYPE_CHECKING

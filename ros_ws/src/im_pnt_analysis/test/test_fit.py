@@ -205,8 +205,8 @@ def test_the_fitted_net_predicts_the_runs_of_another_bag(bags, tmp_path, capsys)
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--write"], "--write needs the files that it is to change: --nets FILE..."),
-        (["--against", "x"], "--command SYMBOL is missing"),
+        (["--write"], "--write needs net files to change: give --nets FILE..."),
+        (["--against", "x"], "--against needs a command to compare with: give --command SYMBOL"),
         (["--command", "nothing"], "no net in the bags reads the symbol nothing"),
         (["--nets", "{other}"], "its net other has not fired in the bags; nets there: job_net"),
         (["--nets", "{newer}"], "the bags are of another version of net job_net: it has no check"),

@@ -281,7 +281,7 @@ def test_time_is_told_of_actions_that_empty_and_refused_of_waits_that_do():
     assert [timer.name for timer in timed.timers] == ["scan"]
     times = [firing.time for firing in simulate([net], seed=random.Random(1).randrange(9), steps=60)]
     assert times[-1] > 10.0
-    with pytest.raises(NetError, match="transition good waits for a time and empties places"):
+    with pytest.raises(NetError, match="transition good has a delay and resets places"):
         timed_net([parse_net(COUNTER.replace("resets: [missed, free]", "resets: [missed, free], delay: 3"))])
 
 

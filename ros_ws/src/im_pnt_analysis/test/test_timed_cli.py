@@ -127,7 +127,7 @@ def test_simulate_replays(queue, tmp_path, capsys):
         (["time", "{queue}", "-o", "/nowhere/x.svg"], "cannot write '/nowhere/x.svg'"),
         (["time", "{queue}", "--timeout", "nan"], "nan is not a time for the search"),
         (["time", "{queue}", "--measured", "/nowhere"], "cannot read measured times from '/nowhere'"),
-        (["time", "{queue}", "--fit"], "--fit needs times"),
+        (["time", "{queue}", "--fit"], "--fit needs measured times: give --measured FILE"),
         (["time", "{job}", "--command", "job", "--approximate"], "--approximate has no effect with --command"),
         (["time", "{job}", "--command", "job", "--timeout", "0"], "--timeout has no effect with --command"),
         (["time", "{queue}", "--runs", "10"], "--runs has no effect without --command"),
@@ -164,8 +164,8 @@ def test_times_of_other_nets_are_not_taken(queue, job, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "it holds no firings"),
-        ("3", "neither a list nor an object"),
+        ("", "the file has no firings"),
+        ("3", "a JSON list or object is needed"),
         ('{"a.b": [1, -2]}', "'a.b' must be a list of times"),
         ('{"a.b": 3}', "'a.b' must be a list of times"),
         ("[3]", "entry 1 is not an object"),

@@ -184,7 +184,7 @@ def test_nobody_cancels():
     ("parts", "symbol", "message"),
     [
         ((action("work", "begin", "end", constant(1.0)),), "jop", r"reads the symbol 'jop' \(did you mean 'job'\?\)"),
-        ((action("work", "begin", "end", None),), "job", "nothing that command job does has a delay"),
+        ((action("work", "begin", "end", None),), "job", "command job fires no transition with a delay"),
         ((action("work", "begin", "nowhere", constant(1.0)),), "job", "comes to a stop .*nowhere=1"),
         (
             (t("late", "gate", "idle", exponential(1.0)), t("seize", "idle", "gate", priority=1)),

@@ -48,8 +48,8 @@ class FaultPanel:
         if fault == "stall":
             if not active or not 0.0 < duration <= LONGEST_STALL_S:
                 raise DataError(
-                    f"a stall of {duration} s (active: {active}) cannot be: it is active, lasts up to"
-                    f" {LONGEST_STALL_S:g} s and ends by itself",
+                    f"a stall of {duration} s (active: {active}) is not possible; it must be active, above 0 s and"
+                    f" up to {LONGEST_STALL_S:g} s long",
                     duration=duration,
                 )
             self._link.stall(duration)

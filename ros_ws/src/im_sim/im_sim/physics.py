@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = NumberParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
     parser.add_argument("--instance", required=True, help="name of the machine on this host")
     parser.add_argument("--config", type=Path, help="parameters of the cell (default: the shipped ones)")
-    parser.add_argument("--period", type=float, default=0.0, help="of a tick [s]; 0: the cell's")
+    parser.add_argument("--period", type=float, default=0.0, help="period of a tick [s]; 0: the cell's")
     parser.add_argument("--factor", type=float, default=1.0, help="clock factor; 0: as fast as time is asked for")
     parser.add_argument("--seed", type=int, default=0, help="seed of the encoder noise")
     options = parser.parse_args(arguments)

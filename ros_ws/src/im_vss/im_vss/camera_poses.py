@@ -67,7 +67,7 @@ def at_rest(frame: str, poses: Sequence[Pose]) -> Pose:
         StateError: There is none, or they are not the same.
     """
     if not poses:
-        raise StateError(f"it is not known where {frame} was when its cameras were exposed", frame=frame)
+        raise StateError(f"the pose of {frame} during the exposure of its cameras is not known", frame=frame)
     rotation, origin = poses[-1]
     shift = max(float(np.linalg.norm(there - origin)) for _, there in poses)
     turns = scipy.spatial.transform.Rotation.from_matrix([rotation.T @ turned for turned, _ in poses])

@@ -115,7 +115,7 @@ def test_a_mount_is_known_by_any_of_the_exposures_or_refused(held):
     for _ in range(2):
         snap(0.3)
     assert calibrated(1000, 2000) == pytest.approx(0.3)
-    with pytest.raises(StateError, match="it is not known where left_wrist was when its cameras were exposed"):
+    with pytest.raises(StateError, match="the pose of left_wrist during the exposure of its cameras is not known"):
         calibrated(1000)
 
 
@@ -123,10 +123,10 @@ def test_a_testbed_whose_time_begins_again_and_the_oldest_exposures_are_forgotte
     arm = Arm()
     mounts = Mounts(arm.now)
     mounts.note(WRIST, range(MOST_EXPOSURES + 1))
-    with pytest.raises(StateError, match="it is not known"):
+    with pytest.raises(StateError, match="exposure of its cameras is not known"):
         mounts.at(WRIST, [0])
     mounts.at(WRIST, [1])
     arm.unknown = {1}
     mounts.note(WRIST, [1])
-    with pytest.raises(StateError, match="it is not known"):
+    with pytest.raises(StateError, match="exposure of its cameras is not known"):
         mounts.at(WRIST, [1])

@@ -214,8 +214,8 @@ class BagRecorder:
         others = {publisher.topic_type for publisher in publishers} - {recorded.type_name}
         if others and not recorded.has_other_types:
             recorded.has_other_types = True
-            told = f"of {recorded.type_name} is recorded; it is also published as {', '.join(sorted(others))}"
-            complain(f"record: {topic}: what is {told}")
+            told = f"only {recorded.type_name} is recorded, not {', '.join(sorted(others))}, also published there"
+            complain(f"record: {topic}: {told}")
         before = recorded.delivery
         now = weaker(before, delivery_of(_of_type(recorded.type_name, publishers)))
         if (now.reliable, now.latched) != (before.reliable, before.latched):
@@ -282,7 +282,7 @@ def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="record", description="Record topics into a bag (MCAP) until Ctrl-C.")
     parser.add_argument("-o", "--output", type=Path, help="folder of the bag (default: bags/<date>-<time>)")
-    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all)")
+    parser.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="topics to record (default: all)")
     arguments = parser.parse_args()
     for topic in arguments.topics:
         try:

@@ -214,7 +214,7 @@ def extract(bag: BagReader, topics: Sequence[str], folder: Path) -> int:
         StoreError: The disk is full.
     """
     if not topics and MISSION_TOPICS[0] not in bag.types:
-        raise DataError(f"there is nothing on {MISSION_TOPICS[0]} in the bag, from which nets could be run again")
+        raise DataError(f"the bag has no messages on {MISSION_TOPICS[0]}; nets cannot be run again without them")
     chosen = chosen_topics(bag.types, topics or [topic for topic in MISSION_TOPICS if topic in bag.types])
     for topic in chosen:
         bag.check_type(topic)
@@ -263,13 +263,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("bag", type=Path, help="folder of the bag, or a file of it")
     parser.add_argument("--rate", type=float, default=1.0, help="speed; 2 plays twice as fast (default: 1)")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s] (default: 0)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="time to begin at [s] (default: 0)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument("--clock", action="store_true", help="publish the time of the bag on /clock")
-    parser.add_argument("--remap", nargs="+", default=[], metavar="/OLD:=/NEW", help="other names for topics")
+    parser.add_argument("--remap", nargs="+", default=[], metavar="/OLD:=/NEW", help="publish topics under other names")
     parser.add_argument(
-        "--topics", nargs="+", default=[], metavar="TOPIC", help="only these (default: all but control)"
+        "--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all but control)"
     )
     parser.add_argument(
         "--extract",
@@ -313,10 +313,10 @@ def main() -> int:
                 if not (arguments.clock and topic == _CLOCK)
             ]
             if unused := sorted(names.keys() - set(wanted)):
-                raise DataError(f"--remap {unused[0]}: that is not replayed; --topics names what is", topic=unused[0])
+                raise DataError(f"--remap {unused[0]} is not replayed; give it in --topics", topic=unused[0])
             topics = known_topics(bag, wanted, names, bool(arguments.topics))
             if not any(bag.counts[topic] for topic in topics):
-                raise DataError(f"there is nothing in {arguments.bag} that could be replayed")
+                raise DataError(f"{arguments.bag} has no messages to replay")
             node = GuardedNode("replay")
             undo.callback(node.destroy_node)
             replay = Replay(node, bag, topics, names)

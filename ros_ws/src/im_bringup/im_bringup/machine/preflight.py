@@ -111,7 +111,7 @@ def _temporary() -> Path:
     try:
         return Path(tempfile.gettempdir())
     except FileNotFoundError as error:
-        raise StoreError("no folder for temporary files can be written", file="/tmp", reason=str(error)) from error
+        raise StoreError("no folder for temporary files is writable", file="/tmp", reason=str(error)) from error
 
 
 def _check_writable(find: Callable[[], Path]) -> Path:

@@ -51,17 +51,17 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
-    parser.add_argument("--period", type=float, help="of servo and testbed in s, e.g. 0.001")
-    parser.add_argument("--seed", type=int, help="seed of all that is drawn at random")
+    parser.add_argument("--period", type=float, help="period of servo and testbed [s], e.g. 0.001")
+    parser.add_argument("--seed", type=int, help="seed of all random numbers")
     parser.add_argument("--port", type=int, help="TCP port of the display (a web page); the next free one if in use")
     parser.add_argument(
-        "--control", action="store_true", default=None, help="let the display operate nets; else it only shows them"
+        "--control", action="store_true", default=None, help="let the display operate nets (default: only show them)"
     )
     parser.add_argument(
         "--unproved",
         action="store_true",
         default=None,
-        help="start even where it cannot be decided in time whether the nets may run together; never if they may not",
+        help="start even if the verification of the nets ends without a verdict; refused nets never start",
     )
     parser.add_argument(
         "--calibration",
@@ -74,21 +74,21 @@ def parser() -> argparse.ArgumentParser:
     unfinished.add_argument(
         "--resume",
         action="store_true",
-        help="go on at once with all commands that had not ended, also with those that were paused (default: they come "
-        "back paused; im run --resume NUMBER goes on with one); not after an emergency stop",
+        help="resume all unfinished commands at once, paused ones too, but not after an emergency stop (default: they "
+        "come back paused; im run --resume NUMBER resumes one)",
     )
     unfinished.add_argument(
         "--fresh",
         action="store_true",
-        help="begin a new mission even where commands of the one before have not ended, or its machine died; that is "
-        "kept in .run/im<domain>/missions",
+        help="begin a new mission even if the last one died or left unfinished commands; the last one is kept in "
+        ".run/im<domain>/missions",
     )
     parser.add_argument(
         "--timeout",
         type=seconds,
         default=os.environ.get(START_TIMEOUT) or f"{START_TIMEOUT_S:g}",
-        help="longest wait in s, of the command and of the machine's parts for each other (default: %(default)s, which "
-        f"the environment variable {START_TIMEOUT} sets)",
+        help="longest wait of the command, and of the machine's parts for each other [s] (default: %(default)s, or the "
+        f"environment variable {START_TIMEOUT})",
     )
     return parser
 

@@ -51,7 +51,7 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="im dom",
-        description="Looks at the data objects of the running machine, and changes them. FIELDS are JSON.",
+        description="Show or change the data objects of the running machine. FIELDS are JSON.",
         epilog="Example: im dom append notes '{\"data\": [1.0, 2.0]}'. Exit codes: 0 done, 1 refused, 2 bad usage, "
         "3 the machine does not run, 130 interrupted.",
     )

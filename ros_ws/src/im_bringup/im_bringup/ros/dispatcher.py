@@ -100,11 +100,11 @@ class DispatcherClient(InterruptibleNode):
         deadline = clock.monotonic() + BEGINS_S
         while not (new := _begun(self.listed(), before.last, symbol)):
             if self._incarnation != before.incarnation or clock.monotonic() > deadline:
-                raise StateError(f"the dispatcher was away before it had written {symbol} down; run it again")
+                raise StateError(f"the dispatcher stopped before it recorded command {symbol}; run the command again")
             self.pause(1.0)
         if len(new) > 1:
-            which = f"the dispatcher was away, and which of the commands {', '.join(map(str, new))} is this {symbol}"
-            raise StateError(f"{which} is not known; im run lists those under way, and attaches to one by its number")
+            which = f"the dispatcher was restarted; this {symbol} is one of the commands {', '.join(map(str, new))}"
+            raise StateError(f"{which}: im run lists those under way, and attaches to one by its number")
         return new[0]
 
     def _can_list(self) -> bool:
@@ -157,7 +157,7 @@ class DispatcherClient(InterruptibleNode):
             if not (why := _why_lost(0.0)):
                 there = now
             elif now - there > ALONE_S:
-                raise LinkError(f"{what} is not there{why}")
+                raise LinkError(f"{what} is missing{why}")
             return False
 
         super()._until(ready_yet, what, seconds)

@@ -187,11 +187,11 @@ def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser(
         prog="im run",
-        description="Runs a command of the machine, or lists them. im run NAME --help tells the arguments of one.",
+        description="Run a command of the machine, or list the commands. im run NAME --help shows its arguments.",
         epilog="Ctrl-C cancels the command. Exit codes: 0 done, 1 failed or refused, 2 bad usage, 3 the machine does "
         "not run, 130 interrupted.",
     )
-    parser.add_argument("name", nargs="?", metavar="NAME", help="the command; none: list what there is")
+    parser.add_argument("name", nargs="?", metavar="NAME", help="command to run (default: list all)")
     one = parser.add_mutually_exclusive_group()
     one.add_argument("--attach", type=_command_number, metavar="NUMBER", help="wait for a command that is under way")
     for request in CONTROLS:

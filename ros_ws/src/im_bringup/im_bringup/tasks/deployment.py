@@ -34,7 +34,7 @@ _WRITTEN = re.compile(r"\$\{[^}]*\}?")
 #: Processes of the machine itself, by the names of their logs, and its node.
 _OWN_PROCESSES = ("bootstrap", "verification")
 _OWN_NODE = "/bootstrap"
-_NO_COMMA = "it has a comma, at which the Dispatcher, who is told all commands in one text, would cut it"
+_NO_COMMA = "a comma is not allowed in the name of a command: it separates the commands"
 
 
 def _without_comma(command: str) -> str:
@@ -144,7 +144,7 @@ class Deployment(Model):
     def _check_tasks(self) -> Self:
         count = sum(len(tasks) for processes in self.hosts.values() for tasks in processes.values())
         if count > MOST_TASKS:
-            raise ValueError(f"there are {count} tasks; {MOST_TASKS} are allowed")
+            raise ValueError(f"the deployment has {count} tasks; at most {MOST_TASKS} are allowed")
         names: dict[str, str] = {}
         nodes: dict[str, str] = {}
         for host, processes in self.hosts.items():
@@ -153,7 +153,7 @@ class Deployment(Model):
                 if not tasks:
                     raise FieldError(here, f"{place} has no task")
                 if process in _OWN_PROCESSES:
-                    raise FieldError(here, f"{place} has the name of one of the machine itself")
+                    raise FieldError(here, f"{place}: this name is reserved for the machine; choose another")
                 for name, task in tasks.items():
                     if sentence := _misplaced(name, task, place, names, nodes) or self._unknown_reference(name, task):
                         raise FieldError((*here, name), sentence)
@@ -276,7 +276,7 @@ def with_options_text(deployment: Deployment, text: str) -> Deployment:
     """
     told = read_json(dict[str, Any], text, "the options of the start")
     if told.keys() != _EVERYWHERE.keys():
-        raise DataError(f"{text[:200]} are not the options of a start: {', '.join(_EVERYWHERE)}")
+        raise DataError(f"the options of the start are {text[:200]}; needed are {', '.join(_EVERYWHERE)}")
     return deployment.with_values(**told)  # it checks them
 
 

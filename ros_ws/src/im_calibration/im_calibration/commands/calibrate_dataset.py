@@ -60,18 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "calibrate_dataset", "Calibrate the cameras of each trial of a data set of wrist-LED observations.", _EPILOG
     )
     parser.add_argument("input", type=Path, metavar="IN.json", help="data set")
-    parser.add_argument("output", type=Path, metavar="OUT.json", help="where the answers go, whole or not at all")
+    parser.add_argument("output", type=Path, metavar="OUT.json", help="answers to write; nothing is written on failure")
     parser.add_argument(
         "--noise",
         choices=("stated", "estimated"),
         default="stated",
-        help="estimated: take the stated noise of image and robot for right up to a factor each, and estimate the "
-        "factors; what is null in IN.json always is (%(default)s)",
+        help="estimated: scale the stated noise of image and robot by one factor each, and estimate the factors; noise "
+        "that is null in IN.json is always estimated (%(default)s)",
     )
     parser.add_argument(
         "--lens-model",
         choices=tuple(LENSES),
-        help="of all cameras, instead of distortion_model in IN.json, which is plumb_bob where it is not given",
+        help="lens model of all cameras (default: distortion_model in IN.json, else plumb_bob)",
     )
     options = parser.parse_args(arguments)
     return command.run(

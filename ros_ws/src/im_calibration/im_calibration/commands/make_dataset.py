@@ -69,13 +69,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.parser("make_dataset", "Make a data set of what cameras saw of points at known places.", _EPILOG)
     formats = parser.add_subparsers(dest="format", required=True, metavar="{text,opencv,bag}")
     for name in _READERS:
-        files = formats.add_parser(name, description=f"A data set from {name} files.")
-        files.add_argument("cameras", nargs="+", type=_named, metavar="CAMERA=FILE", help="a name and its file")
-        files.add_argument("--unit", choices=sorted(_UNITS), default="m", help="of the positions (%(default)s)")
+        files = formats.add_parser(name, description=f"Make a data set from {name} files.")
+        files.add_argument("cameras", nargs="+", type=_named, metavar="CAMERA=FILE", help="camera and its file")
+        files.add_argument("--unit", choices=sorted(_UNITS), default="m", help="unit of the positions (%(default)s)")
         _add_common(files, "--unit")
     bag = formats.add_parser(
         "bag",
-        description="A data set from a bag.",
+        description="Make a data set from a bag.",
         epilog=_BAG_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -85,26 +85,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _add_common(parser: argparse.ArgumentParser, unit: str) -> None:
-    parser.add_argument("output", type=Path, metavar="OUT.json", help="the data set, whole or not at all")
-    parser.add_argument("--image-size", type=_size, metavar="WIDTHxHEIGHT", help="of the images [px]")
-    parser.add_argument("--sigma-px", type=_positive, help="noise of each image coordinate [px]; without: not known")
+    parser.add_argument("output", type=Path, metavar="OUT.json", help="data set to write; on failure nothing")
+    parser.add_argument("--image-size", type=_size, metavar="WIDTHxHEIGHT", help="size of the images [px]")
+    parser.add_argument("--sigma-px", type=_positive, help="noise of each image coordinate [px] (default: unknown)")
     parser.add_argument(
-        "--sigma-position", type=_not_negative, help=f"noise of each coordinate [{unit}]; 0: exact; without: not known"
+        "--sigma-position", type=_not_negative, help=f"noise of each coordinate [{unit}]; 0: exact (default: unknown)"
     )
 
 
 def _add_bag(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("bag", type=Path, metavar="BAG", help="its folder, or its one file")
+    parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its one file")
     a_topic: Any = {"nargs": "+", "type": _named, "metavar": "CAMERA=TOPIC"}
-    parser.add_argument("--spots", required=True, help="names and where their spots are", **a_topic)
-    parser.add_argument("--poses", required=True, metavar="TOPIC", help="where the tool is, or the light")
-    parser.add_argument("--frames", nargs=2, metavar=("BASE", "TOOL"), help="of transforms on --poses")
-    parser.add_argument(
-        "--camera-info", default=[], help="where the camera infos are, if not beside the spots", **a_topic
-    )
-    parser.add_argument("--led-offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="in the tool [m]")
-    parser.add_argument("--led-offset-sd", type=_positive, help="how well it is known, each axis [m]; without: exact")
-    parser.add_argument("--tolerance", type=_positive, default=0.02, help="of stamps [s] (%(default)s)")
+    parser.add_argument("--spots", required=True, help="camera and the topic of its spots", **a_topic)
+    parser.add_argument("--poses", required=True, metavar="TOPIC", help="poses of the tool, or of the light")
+    parser.add_argument("--frames", nargs=2, metavar=("BASE", "TOOL"), help="frames of transforms on --poses")
+    parser.add_argument("--camera-info", default=[], help="camera infos (default: beside the spots)", **a_topic)
+    parser.add_argument("--led-offset", nargs=3, type=float, metavar=("X", "Y", "Z"), help="LED in the tool frame [m]")
+    parser.add_argument("--led-offset-sd", type=_positive, help="its deviation, each axis [m] (default: exact)")
+    parser.add_argument("--tolerance", type=_positive, default=0.02, help="largest gap of stamps [s] (%(default)s)")
 
 
 def _convert(options: argparse.Namespace) -> None:

@@ -183,13 +183,13 @@ def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayo
             chosen[agreement.cameras(int(pose)), pose] = True
         recurring = recurring or chosen.tobytes() in history or len(history) >= _ROUNDS
         if recurring:
-            chosen &= used
+            chosen &= used  # a spot may only leave: the iteration ends
         enough = _enough(chosen, problem, layout)
         if not enough:  # what is used contradicts itself so much that nothing agrees with it: the worst has to go
             chosen = _without_worst(used, _own_distances(prediction))
             enough = _enough(chosen, problem, layout) and chosen.sum() >= _LEAST_SHARE * detected.sum()
         if np.array_equal(chosen, used) or not enough:
-            if fit.steps == _STEPS:
+            if fit.steps == _STEPS:  # steps were few, for speed: now to the end
                 fit = maximise_likelihood(unknowns, problem, layout, used)
             return Gated(fit, used, np.where(detected, _own_distances(prediction), np.nan), scale)
         history.add(used.tobytes())

@@ -71,6 +71,7 @@ def maximise_likelihood(
         weights: Array = np.asarray(np.linalg.inv(line.covariances), dtype=np.float64)
         information, gradient = _normal_equations(line, weights, unknowns, layout)
         diagonal = np.diag(information)
+        # of pixels, radians and metres: one damping is to fit all
         scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
         scaled = information * scale[:, None] * scale[None, :]
         improved = False
@@ -78,7 +79,7 @@ def maximise_likelihood(
             step = scale * np.linalg.solve(scaled + damping * np.eye(layout.size), scale * gradient)
             candidate = unknowns.moved(step, layout, _displacements(line, weights, step, problem))
             candidate_chi2 = cost(candidate)
-            improved = np.isfinite(candidate_chi2) and candidate_chi2 <= chi2 * (1.0 + 1e-12)
+            improved = np.isfinite(candidate_chi2) and candidate_chi2 <= chi2 * (1.0 + 1e-12)  # rounding is no rise
             if not improved:
                 damping = max(damping, 1e-6) * 10.0
         if not improved:

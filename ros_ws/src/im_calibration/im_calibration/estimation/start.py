@@ -106,7 +106,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     tolerance = _pixel_tolerance(problem, c, points, pixels, 1.0 - known)
     lens = problem.lenses[c]
     if extent[2] < FLAT * extent[0]:
-        found = planar_start(points, pixels, (width, height), tolerance)
+        found = planar_start(points, pixels, (width, height), tolerance)  # linear equations of a plane are singular
     elif lens is EQUIDISTANT:
         found = fisheye_start(points, pixels, (width, height), tolerance)
     else:
@@ -121,7 +121,7 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     if found is None:
         raise InconsistentDataError(f"No camera explains where {name} saw the LED.", camera=name)
     camera = PinholeStart(*found)
-    return camera if lens is EQUIDISTANT else _centred(camera, (width, height))
+    return camera if lens is EQUIDISTANT else _centred(camera, (width, height))  # a long lens hides its principal point
 
 
 def _centred(camera: PinholeStart, image_size: tuple[int, int]) -> PinholeStart:
@@ -265,9 +265,9 @@ def affine_start(
     """
     linear, centre, image = _affine_camera(points, pixels, tolerance)
     u, values, vt = np.linalg.svd(linear, full_matrices=False)
-    if values[1] < 1e-9:
+    if values[1] < 1e-9:  # seen edge-on: one direction of the image has no extent
         return None
-    rows = u @ vt
+    rows = u @ vt  # the closest two rows of a rotation
     rotation = np.vstack((rows, np.cross(rows[0], rows[1])))
     middle = (np.array(image_size) - 1.0) / 2.0
     best, found = np.inf, None
@@ -278,6 +278,7 @@ def affine_start(
         ahead = in_camera[:, 2] > 0.1 * depth
         predicted = focal * in_camera[:, :2] / np.where(ahead, in_camera[:, 2], 1.0)[:, None] + middle
         squared = np.where(ahead, ((predicted - pixels) ** 2).sum(axis=1), np.inf)
+        # bounded for each spot, so that outliers do not choose the focal length
         cost = float((1.0 - 1.0 / (1.0 + squared / tolerance**2)).sum())
         if cost < best:
             best, found = cost, (np.array([focal, focal, *middle]), rotation, translation)

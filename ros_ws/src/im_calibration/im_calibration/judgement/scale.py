@@ -96,6 +96,7 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
     true, own = np.array(lengths.lengths)[order][used], lengths.standard_deviations[order][used]
     ratio = true / measured
     spread = np.diag(own**2 + ratio**2 * noise) + ratio[:, None] * (by_cameras @ cameras @ by_cameras.T) * ratio
+    # lengths share the errors of the cameras: the whole matrix weighs
     weights = np.linalg.inv(spread / np.outer(measured, measured))
     precision = float(weights.sum())
     error = float(weights.sum(axis=0) @ (ratio - 1.0)) / precision

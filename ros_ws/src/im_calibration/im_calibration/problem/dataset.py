@@ -296,6 +296,9 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
 
     Args:
         problem: The observations.
+
+    >>> list(dataset_of(problem))[:4]
+    ['schema', 'camera_names', 'pose_names', 'image_size']
     """
     sizes, models = [list(size) for size in problem.image_sizes], problem.lens_models
     content: dict[str, Any] = {

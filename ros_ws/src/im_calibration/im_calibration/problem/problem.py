@@ -98,6 +98,9 @@ class CalibrationProblem:
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
         lens_models: Name of each camera's lens model, see :data:`im_cell.lens.LENSES`; empty: all `plumb_bob`.
         noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
+
+    >>> problem.lens_models, problem.pose_names[:3], problem.fewest_spots.tolist(), int(problem.detected.sum())
+    (('plumb_bob',), ('0', '1', '2'), [7], 40)
     """
 
     camera_names: tuple[str, ...]

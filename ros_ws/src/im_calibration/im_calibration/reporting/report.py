@@ -141,6 +141,9 @@ def summary(report: Mapping[str, Any]) -> str:
 
     Args:
         report: As made by :func:`report_of`.
+
+    >>> summary(report_of(calibration, problem)).splitlines()[5].split(" (")[0]
+    'poses used          40 of 40'
     """
     lines = ["Camera calibration", "==================", "", report["message"], ""]
     lines += [
@@ -264,6 +267,9 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
     Returns:
         Cameras, offsets and flags of the format, and what is known about them: message, verdicts with advice,
         outliers, covariance of all parameters, checks, and the errors to expect.
+
+    >>> answer(problem.taking(np.arange(6)))["flags"]
+    ['UNOBSERVABLE']
     """
     try:
         result = calibrate(problem)

@@ -24,17 +24,17 @@ def covariance_of(rows: Rows, size: int) -> Rows:
         ValueError: They are not.
     """
     if len(rows) != size or any(len(row) != size for row in rows):
-        raise ValueError(f"it must have {size} rows of {size} numbers")
+        raise ValueError(f"{size} rows of {size} numbers are needed")
     S = np.array(rows)
     if np.any(np.diag(S) <= 0.0):
-        raise ValueError("a variance on its diagonal is not > 0")
+        raise ValueError("variances on the diagonal must be > 0")
     spread = np.sqrt(np.diag(S))
     with np.errstate(all="ignore"):
         correlation = S / spread / spread[:, None]
     bounded = np.abs(correlation).max() <= 1.0 + _TOLERANCE
     symmetric = bounded and np.allclose(correlation, correlation.T, rtol=0.0, atol=_TOLERANCE)
     if not symmetric or np.linalg.eigvalsh(correlation).min() < -_TOLERANCE:
-        raise ValueError("it is not symmetric and positive")
+        raise ValueError("not symmetric and positive")
     return rows
 
 

@@ -114,7 +114,11 @@ def read_extrinsics(path: Path) -> ExtrinsicsFile:
 
 
 def frame_of(camera: str) -> str:
-    """Name of a camera's optical frame."""
+    """Name of a camera's optical frame.
+
+    >>> frame_of("wall")
+    'wall_optical_frame'
+    """
     return f"{camera}{FRAME_END}"
 
 

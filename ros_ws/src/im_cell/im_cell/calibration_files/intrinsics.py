@@ -62,7 +62,7 @@ def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
     def check(matrix: Matrix) -> Matrix:
         if (matrix.rows, matrix.cols) not in shapes:
             allowed = " or ".join(f"{rows} x {columns}" for rows, columns in shapes)
-            raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be {allowed}")
+            raise ValueError(f"the matrix is {matrix.rows} x {matrix.cols}, it must be {allowed}")
         return matrix
 
     return pydantic.AfterValidator(check)
@@ -70,7 +70,7 @@ def _of_shape(*shapes: tuple[int, int]) -> pydantic.AfterValidator:
 
 def _coefficients(matrix: Matrix, info: pydantic.ValidationInfo) -> Matrix:
     if 1 not in (matrix.rows, matrix.cols):
-        raise ValueError(f"it is {matrix.rows} x {matrix.cols}, it must be one row or one column")
+        raise ValueError(f"the matrix is {matrix.rows} x {matrix.cols}, it must be one row or one column")
     if (model := info.data.get("distortion_model")) is not None:
         try:
             lens_of(model).all_of(matrix.data)
@@ -93,6 +93,11 @@ def implausible(K: Array, width: int, height: int) -> str:
         K: Camera matrix, shape (3, 3) [px].
         width: Width of its images [px].
         height: Height of its images [px].
+
+    >>> implausible(K, 640, 480)
+    ''
+    >>> implausible(K / 100.0, 640, 480)
+    'fx is 6 px, it must be within 32 and 64000, 0.05 to 100 image widths'
     """
     focal, beside = _FOCAL_WIDTHS, _CENTRE_BESIDE
     for name, value, low, high, why in (
@@ -177,6 +182,9 @@ def camera_info_yaml(name: str, model: CameraModel, rectified: Rectified | None 
 
     Returns:
         Text of the file.
+
+    >>> camera_info_yaml("wall", camera).splitlines()[:3]
+    ['image_width: 640', 'image_height: 480', 'camera_name: wall']
     """
     rectified = rectified or monocular(model)
     content: dict[str, Any] = {

@@ -36,7 +36,7 @@ def _rotation(rows: tuple[Row, Row, Row]) -> tuple[Row, Row, Row]:
     with np.errstate(all="ignore"):
         off = np.abs(R @ R.T - np.eye(3)).max()
         if not off <= _TOLERANCE or np.linalg.det(R) < 0.0:
-            raise ValueError(f"it is no rotation matrix: R R' is off the identity by {off:.3g}, det R must be 1")
+            raise ValueError(f"the matrix is no rotation: R R' is off the identity by {off:.3g}, det R must be 1")
     return rows
 
 

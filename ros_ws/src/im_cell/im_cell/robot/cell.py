@@ -37,7 +37,13 @@ _SHORTEST_S = 1e-4
 
 
 class Cell(Model):
-    """Everything known about the cell before calibration."""
+    """Everything known about the cell before calibration.
+
+    >>> cell.home[:3].tolist(), cell.per_joint("limits.torque")[:3].tolist()
+    ([-0.6, 0.0, 0.0], [1500.0, 600.0, 900.0])
+    >>> cell.at_period(0.009).substeps == 2 * cell.substeps
+    True
+    """
 
     period: Annotated[float, Field(ge=_SHORTEST_S)]
     substeps: Annotated[int, Field(ge=1, le=64)]
@@ -169,5 +175,9 @@ def load_cell(path: Path | str | None = None) -> Cell:
 
     Raises:
         ConfigError: The file is missing or wrong; the message names file, line and value.
+
+    >>> load_cell("nowhere.yaml")
+    Traceback (most recent call last):
+    im_core.errors.ConfigError: nowhere.yaml: cannot be read: No such file or directory
     """
     return load_model(Path(path) if path else package_file("im_cell", "robot/cell.yaml"), Cell)

@@ -268,7 +268,7 @@ def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
     forward = np.array(target) - np.array(position)
     distance, length = np.linalg.norm(forward), np.linalg.norm(up)
     if distance < _SAME_M or length < _SAME_M:
-        raise ValueError(f"the target {target} is where it is, or up, {up}, has no direction")
+        raise ValueError(f"target {target} and position {position} must differ [m], and up {up} must not be zero")
     forward /= distance
     right = np.cross(forward, np.array(up) / length)
     if (across := np.linalg.norm(right)) < _PARALLEL:

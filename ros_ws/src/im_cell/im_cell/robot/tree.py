@@ -115,7 +115,11 @@ def links_of(name: str, cart: Cart, arm: ArmModel) -> Iterator[LinkInertia]:
 
 
 def far_end(row: DhLink) -> tuple[Vector, Vector]:
-    """Pose of the DH frame in the URDF link's frame, as xyz [m] and rpy [rad]."""
+    """Pose of the DH frame in the URDF link's frame, as xyz [m] and rpy [rad].
+
+    >>> far_end(cell.arm_models["puma_560"].links[1])
+    ((0.4318, 0.0, 0.0), (0.0, 0.0, 0.0))
+    """
     return (row.a, 0.0, row.d), (row.alpha, 0.0, 0.0)
 
 

@@ -171,7 +171,7 @@ async def run_in_thread(
     name = getattr(function, "__name__", "worker")
     if len(left := _left_behind.setdefault(node, set())) >= MOST_LEFT_BEHIND:
         known = ", ".join(sorted({thread.name for thread in left}))
-        raise StateError(f"{name} is not begun: {len(left)} others have not come back in their time ({known})")
+        raise StateError(f"{name} is not started: {len(left)} earlier calls still run after their timeout ({known})")
     ended = Future()
 
     def run() -> None:

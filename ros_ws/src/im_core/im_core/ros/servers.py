@@ -31,7 +31,7 @@ def doubt(node: Node, name: str) -> str:
     servers = servers_of(node, name)
     if len(set(servers)) < 2:
         return ""
-    return f"who answered is unknown: {len(servers)} nodes serve {name}: {few(servers)}"
+    return f"the answering node is unknown: {len(servers)} nodes serve {name}: {few(servers)}"
 
 
 def reason(node: Node, words: str, name: str) -> str:

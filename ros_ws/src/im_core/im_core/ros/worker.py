@@ -68,7 +68,7 @@ class Worker:
             Exception: What the function raised.
         """
         if self._work.qsize() >= MOST_WAITING:
-            raise StateError(f"{self._name}: {MOST_WAITING} requests wait already; ask again")
+            raise StateError(f"{self._name}: {MOST_WAITING} requests wait already, as many as allowed; ask again later")
         ended = self._node.promise()
         self._work.put((function, ended, late))
         self._asked.append((clock.monotonic() + self._timeout_s, ended))

@@ -176,7 +176,7 @@ class DomNode(ManagedNode):
                     self._tell(to_info(record))
                 return
             except ImError as error:
-                self.get_logger().error(f"objects of places that net {net} does not have any more: {error.message}")
+                self.get_logger().error(f"objects of removed places of net {net} stay: {error.message}")
                 await pause(self, ABANDON_AGAIN_S)
 
     def _get(
@@ -212,6 +212,7 @@ class DomNode(ManagedNode):
             return response
         deadline = clock.monotonic() + request.timeout
         while True:
+            # before the look: no change in between is missed
             changed = self._next_change(request.name) if request.timeout else None
             try:
                 await self._answer(response, get, changed=False)
@@ -329,7 +330,7 @@ def _told(request: PutObject.Request | AppendObject.Request) -> bytes:
     if not request.json:
         return bytes(request.data)
     if request.data:
-        raise DataError(f"data object '{request.name}' is given as data and as JSON; one of both", object=request.name)
+        raise DataError(f"data object '{request.name}' is given as data and JSON; give one", object=request.name)
     return from_json(request.name, request.type, request.json)
 
 

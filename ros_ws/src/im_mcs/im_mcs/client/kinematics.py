@@ -149,7 +149,7 @@ class Kinematics:
     def _wrist(self, group: str) -> str:
         wrist = self._group(group).wrist
         if wrist is None:
-            raise StateError(f"group '{group}' has no wrist whose pose could be meant", group=group)
+            raise StateError(f"group '{group}' has no wrist; poses are those of a wrist", group=group)
         return wrist
 
     def _group(self, name: str) -> Group:

@@ -14,7 +14,7 @@ class FrictionParameters(ConfigModel):
 
     friction: float = pydantic.Field(default=0.0, ge=0, le=1)
     stiction: float = pydantic.Field(
-        default=0.0, ge=0, lt=1, description="of dry friction, towards the setpoint at rest"
+        default=0.0, ge=0, lt=1, description="share of dry friction that is fed forward at rest, towards the setpoint"
     )
     friction_speed: float = pydantic.Field(
         default=0.001, gt=0, description="wanted velocity above which Coulomb friction is full [rad/s or m/s]"

@@ -87,7 +87,7 @@ def load_controller(name: str, setup: ControllerSetup) -> Controller:
     factory = plugins.load(name, None, "controller")
     try:
         if not callable(factory):
-            raise TypeError("it is no class")
+            raise TypeError("a class is needed, not a value")
         return GuardedLaw(name, factory(setup))
     except ConfigError as error:
         refused = ConfigError(f"controller '{name}': {error.message}", controller=name)

@@ -14,7 +14,7 @@ from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
 class ImpedanceParameters(ConfigModel):
     """Springs and dampers."""
 
-    stiffness: dict[str, float] = pydantic.Field(description="[Nm/rad or N/m] by joint, without the side's prefix")
+    stiffness: dict[str, float] = pydantic.Field(description="by joint without prefix of the side [Nm/rad or N/m]")
     damping: float = pydantic.Field(gt=0, description="1: critical, with the joint's own inertia")
     derivative_bandwidth_rad_s: float = pydantic.Field(gt=0)
     feedforward: FrictionParameters = pydantic.Field(default_factory=FrictionParameters)
@@ -64,5 +64,5 @@ def _stiffness(parameters: ImpedanceParameters, joint: str) -> float:
     value = parameters.stiffness.get(kind)
     if value is None or value <= 0.0:
         given, where = "none" if value is None else f"{value:g}", f"stiffness.{kind}"
-        raise ConfigError(f"parameter '{where}': {joint} needs one > 0, not {given}", parameter=where)
+        raise ConfigError(f"parameter '{where}': the stiffness of {joint} is {given}, it must be > 0", parameter=where)
     return value

@@ -14,14 +14,14 @@ from im_mcs.limits.slots import Slot, Testbed, check_slots
 class Settle(Model):
     """When a group counts as at rest."""
 
-    tolerance: float = Field(gt=0, description="mean error of each joint [rad or m]")
+    tolerance: float = Field(gt=0, description="largest mean error of each joint at rest [rad or m]")
     still_tolerance: float = Field(
-        gt=0, description="the same for an arm that stands still after half of timeout_s, held by friction [rad or m]"
+        gt=0, description="largest mean error of an arm held by friction after half of timeout_s [rad or m]"
     )
-    window_ticks: int = Field(ge=4, description="readings averaged to judge it [ticks]")
+    window_ticks: int = Field(ge=4, description="readings in the mean error [ticks]")
     timeout_s: float = Field(
         gt=0,
-        description="testbed time after which a motion counts as not settled, and jaws that come no further stand [s]",
+        description="testbed time until an unsettled motion fails, and blocked jaws count as at rest [s]",
     )
 
 
@@ -33,11 +33,11 @@ class Servo(Model):
     priority: int = Field(ge=1, le=99, description="SCHED_FIFO priority, where permitted")
     max_overruns: int = Field(ge=1, description="missed deadlines in a row that stop every motion")
     velocity_bandwidth_rad_s: float = Field(gt=0)
-    brake_lead_ticks: int = Field(ge=1, description="torque is present this long before brakes release, and after")
-    answer_timeout_s: float = Field(gt=0, description="power and brakes must obey within this testbed time [s]")
+    brake_lead_ticks: int = Field(ge=1, description="ticks of torque before brakes release, and after they close")
+    answer_timeout_s: float = Field(gt=0, description="testbed time within which power and brakes must obey [s]")
     rest_window_ticks: int = Field(ge=4, description="readings averaged at rest")
     owner_patience_s: float = Field(
-        ge=0, le=10, description="at clock factor 0 time stands this long for an owner who was answered, wall time [s]"
+        ge=0, le=10, description="at clock factor 0: wall time of a wait for the next request of an owner [s]"
     )
     settle: Settle
 
@@ -64,14 +64,12 @@ class LimitShares(Model):
 class Safety(Model):
     """Bounds of the watches."""
 
-    driver_age_s: float = Field(gt=0, description="age of a reading that is a protective stop, testbed time [s]")
-    driver_age_estop_s: float = Field(gt=0, description="age that is an e-stop [s]")
-    brake_s: float = Field(
-        gt=0, description="a brake that was obeying contradicts its command this long: an e-stop [s]"
-    )
-    owner_silence_s: float = Field(gt=0, description="time with a processor, without a sign of life of /mcs [s]")
-    servo_silence_s: float = Field(gt=0, description="time with a processor, without a sign of life of the servo [s]")
-    testbed_silence_s: float = Field(gt=0, description="time with a processor, without a tick that must come [s]")
+    driver_age_s: float = Field(gt=0, description="age of a reading that causes a protective stop, testbed time [s]")
+    driver_age_estop_s: float = Field(gt=0, description="age of a reading that causes an emergency stop [s]")
+    brake_s: float = Field(gt=0, description="contradiction of a brake that causes an emergency stop [s]")
+    owner_silence_s: float = Field(gt=0, description="longest silence of /mcs, in time with a processor [s]")
+    servo_silence_s: float = Field(gt=0, description="longest silence of the servo, in time with a processor [s]")
+    testbed_silence_s: float = Field(gt=0, description="longest wait for a tick, in time with a processor [s]")
     jerk_factor: float = Field(ge=1, description="jerk of a setpoint that is cut, as a multiple of the limit")
     record_s: float = Field(gt=0, le=60, description="time before an abort that is kept as evidence [s]")
 
@@ -92,7 +90,7 @@ class Control(Model):
 class Switching(Model):
     """Control laws for a switch at run time, beside the first one of a group."""
 
-    handover_s: float = Field(gt=0, le=10, description="the torque of the law before fades over this time [s]")
+    handover_s: float = Field(gt=0, le=10, description="time over which the torque of the previous law fades [s]")
     laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
 
 
@@ -101,7 +99,7 @@ class LawProcesses(Model):
 
     laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
     patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")
-    max_late: int = Field(default=5, ge=1, description="late answers in a row that are an error of the law")
+    max_late: int = Field(default=5, ge=1, description="late answers in a row that count as an error of the law")
 
 
 class PayloadLimits(Model):
@@ -118,7 +116,7 @@ class Line(Model):
         gt=0, lt=1, description="smallest singular value of the arm's Jacobian on a line, lengths divided by its reach"
     )
     deviation_m: float = Field(gt=0, description="largest distance of the commanded path from the line [m]")
-    rotation_lever_m: float = Field(gt=0, description="way that a rotation of one radian counts as [m]")
+    rotation_lever_m: float = Field(gt=0, description="distance equivalent to a rotation of one radian [m]")
 
 
 class Planning(Model):
@@ -126,10 +124,10 @@ class Planning(Model):
 
     synchrony: Synchrony = Synchrony.PHASE
     beyond_limits: BeyondLimits = Field(
-        default=BeyondLimits.RETIME, description="of trajectories: retime them along their path, or refuse them"
+        default=BeyondLimits.RETIME, description="retime trajectories beyond limits along their path, or refuse them"
     )
-    max_points: int = Field(ge=1, description="points of one path")
-    max_trajectory_points: int = Field(ge=1, description="points of one trajectory with times")
+    max_points: int = Field(ge=1, description="most points of one path")
+    max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
     line: Line
 
 
@@ -142,9 +140,9 @@ class Protective(Model):
 class Collision(Model):
     """Distances between bodies, from the loosest to the tightest."""
 
-    slow_down_m: float = Field(gt=0, description="motions towards a body slow down from here on [m]")
-    clearance_m: float = Field(ge=0, description="smallest distance that a path may have, checked beforehand [m]")
-    stop_m: float = Field(gt=0, description="protective stop if braking now would end closer than this [m]")
+    slow_down_m: float = Field(gt=0, description="distance from a body at which motions begin to slow down [m]")
+    clearance_m: float = Field(ge=0, description="smallest allowed distance of a planned path from a body [m]")
+    stop_m: float = Field(gt=0, description="distance after braking below which a protective stop begins [m]")
     slowest: float = Field(gt=0, lt=1, description="share of full speed that is left at stop_m")
     reaction_ticks: int = Field(ge=0, description="servo ticks until a motion begins to brake")
 
@@ -172,7 +170,7 @@ class McsConfig(Model):
     law_processes: LawProcesses = Field(default_factory=LawProcesses)
     payload: PayloadLimits
     model_error: float = Field(
-        default=0.0, gt=-1, le=10, description="share by which masses and inertias of the controller's model are wrong"
+        default=0.0, gt=-1, le=10, description="relative error of masses and inertias in the controller's model"
     )
     planning: Planning
     protective: Protective
@@ -259,15 +257,15 @@ class McsConfig(Model):
         joints = {slot.name for slot in self.joint_slots}
         for preset, groups in self.presets.items():
             if not groups:
-                raise FieldError(("presets", preset), "a preset without groups")
+                raise FieldError(("presets", preset), "the preset has no groups; at least 1 is needed")
             moved_by: dict[str, str] = {}
             for group, description in groups.items():
                 for rank, joint in enumerate(description.joints):
                     where = ("presets", preset, group, "joints", rank)
                     if joint not in joints:
-                        raise FieldError(where, f"'{joint}', which is no joint slot")
+                        raise FieldError(where, f"'{joint}' is not a joint slot")
                     if joint in moved_by:
-                        raise FieldError(where, f"'{joint}', which group '{moved_by[joint]}' has already")
+                        raise FieldError(where, f"'{joint}' is already in group '{moved_by[joint]}'")
                     moved_by[joint] = group
 
 

@@ -38,7 +38,7 @@ class Testbed(Model):
     __test__ = False  # not a test class, whatever pytest thinks of the name
 
     drivers: dict[str, Driver] = Field(min_length=1)
-    clock: str = Field(description="the driver whose ticks are the servo's")
+    clock: str = Field(description="driver with the ticks of the servo")
 
     @model_validator(mode="after")
     def _clock_exists(self) -> Self:

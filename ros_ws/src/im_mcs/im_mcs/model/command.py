@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--group", default="left_arm", help="which joints (default: %(default)s)")
+    parser.add_argument("--group", default="left_arm", help="group of joints (default: %(default)s)")
     parser.add_argument("--preset", help="preset of mcs.yaml whose group is meant (default: the one in force first)")
     parser.add_argument(
         "--q", metavar="LIST", help=f"positions in the group's order [rad, m], e.g. '{_EXAMPLE}' (default: home)"

@@ -69,15 +69,15 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--group", help="that carries the light (default: the first that carries none of the cameras)")
+    parser.add_argument("--group", help="group with the light (default: the first without a camera)")
     parser.add_argument("--count", type=at_least(1), default=40, help="number of poses (%(default)s)")
-    parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="that see the light")
+    parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="cameras in use")
     parser.add_argument(
         "--tilt", type=_tilt, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
     )
     parser.add_argument("--lower", nargs=3, type=finite_number, help="corner of the volume [m]")
     parser.add_argument("--upper", nargs=3, type=finite_number, help="opposite corner [m]")
-    parser.add_argument("--seed", type=at_least(0), default=1, help="of the candidates (%(default)s)")
+    parser.add_argument("--seed", type=at_least(0), default=1, help="seed of the candidates (%(default)s)")
     parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
     parser.add_argument("--output", type=Path, help="file to write (default: standard output)")
     return parser

@@ -211,7 +211,7 @@ class Sender(ServoRequest):
 
 NOBODY = Sender()
 """Who asks without saying who he is."""
-By = Annotated[Sender, Field(description="who asks: client and names")]
+By = Annotated[Sender, Field(description="client that asks, and its names")]
 
 
 class ReserveRequest(ServoRequest):

@@ -306,7 +306,7 @@ class McsAccess:
         next_state(self.state, event, cause=self.keeper.stop_cause)
         await self.transition(event, client)
         if event is Event.POWER_OFF and self.state in POWERED:
-            raise StateError("power stays on: a group of somebody else needs it", state=self.state.value)
+            raise StateError("power stays on: a group of another client needs it", state=self.state.value)
 
     async def _configure(self, _: str) -> None:
         next_state(self.state, Event.CONFIGURE)

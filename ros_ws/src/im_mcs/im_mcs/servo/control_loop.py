@@ -145,7 +145,7 @@ class ControlLoop:
     ) -> list[SafetyFinding]:
         velocity = wanted[1]
         if self.torque_streams:
-            velocity = velocity.copy()
+            velocity = velocity.copy()  # driven by torques, a group has no setpoint: its readings count
             for group in self.engaged:
                 if self.torque_streams.torque(group.name) is not None:
                     velocity[group.index] = v[group.index]

@@ -108,7 +108,7 @@ class Mcs:
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
         self._dispatch = Dispatch(self)
-        if latch is not None and (cause := latch.read()):
+        if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
 
     @property

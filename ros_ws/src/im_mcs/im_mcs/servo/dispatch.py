@@ -99,7 +99,7 @@ class Dispatch:
             number = request_id(message)
             if number in cancelled and message.get("request") not in _STOPS:
                 withdrawn.add(number)
-                fault = ImError("it was cancelled before it was begun", code="cancelled", group="")
+                fault = ImError("the request was cancelled before its start", code="cancelled", group="")
                 self._mcs.answers.reply(number, fault)
             elif _cancelled_goal(message) in withdrawn:
                 self._mcs.answers.reply(number, None)
@@ -147,7 +147,7 @@ class Dispatch:
             case ResetRequest():
                 manager.reset(partial(mcs.answers.reply, number))
                 return True
-        manager.check(event, getattr(request, "group", ""))
+        manager.check(event, getattr(request, "group", ""))  # those above are checked where they are carried out
         match request:
             case MoveRequest():
                 manager.reservations.require_driver(request.group, request.sender)
@@ -164,6 +164,7 @@ class Dispatch:
             case PauseRequest():
                 self._pause(self._named(event, request.group))
             case ResumeRequest():
+                # all or none: a refusal comes before any group moves
                 groups = self._named(event, request.group, request.sender)
                 for group in groups:
                     manager.reservations.require_driver(group.name, request.sender)

@@ -207,7 +207,7 @@ class ControlledGroup:
         opened = current is not None and current.stream is not None and current.goal.fault is None
         if not opened:
             self._require_free(Policy.REFUSE)
-        q, v = check_stream(self.context, request)
+        q, v = check_stream(self.context, request)  # all refusals come before the first change
         lease = StreamLease(request.owner, request.lease_s, self.planner.period_s)
         if not opened:
             limits, index, planner = self.context.limits, self.context.index, self.planner

@@ -105,13 +105,14 @@ class RestMonitor:
             self._settle()
             return
         if self.phase is RestPhase.SETTLING:
+            # friction may hold an arm beside its setpoint for good
             late = 2 * self.settling_ticks > self._timeout_ticks
             tolerance = self._still_tolerance if late else self._tolerance
             if target is not None and (np.abs(self.last_error) > tolerance).any():
                 return
             self.phase = RestPhase.MEASURING
             self.since_tick = tick
-            self._readings = deque(maxlen=self._rest_window)
+            self._readings = deque(maxlen=self._rest_window)  # readings of the settling do not count
             return
         self.phase = RestPhase.AT_REST
         self.q = mean

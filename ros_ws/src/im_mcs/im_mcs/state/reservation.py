@@ -180,7 +180,7 @@ class Reservations:
         if not (reservation := self._held[group]).serves(sender):
             owner, given = reservation.owner, ", ".join(f"'{name}'" for name in sender.names)
             raise StateError(
-                f"group '{group}' is driven by its owner '{owner}' only, not by {given or 'who does not say its name'};"
+                f"group '{group}' is driven by its owner '{owner}' only, not by {given or 'a client without a name'};"
                 " an operator may take it over (/mcs/take_over)",
                 group=group,
                 owner=owner,

@@ -111,8 +111,8 @@ def test_what_would_be_retimed_without_end_is_refused(make_rig, monkeypatch):
     goal, _, _ = prepared(rig, wave(rig, 60.0))
     fault = rig.results[goal][0]
     assert fault.code == "data"
-    assert "what is asked for within 59.9 s is beyond limits, and would be re-timed in 10" in fault.message
-    assert fault.message.endswith("up to 10000 are allowed")
+    assert "a stretch of 59.9 s is beyond limits, and its re-timing needs 10" in fault.message
+    assert fault.message.endswith("at most 10000 are allowed")
 
 
 def test_the_cells_of_a_path_are_bounded(make_rig, monkeypatch):
@@ -121,7 +121,7 @@ def test_the_cells_of_a_path_are_bounded(make_rig, monkeypatch):
     goal, _, _ = prepared(rig, wave(rig, 60.0))
     fault = rig.results[goal][0]
     assert fault.facts["value"] > fault.facts["limit"] == 5000
-    assert f"would be re-timed in {fault.facts['value']} cells; up to 5000 are allowed" in fault.message
+    assert f"its re-timing needs {fault.facts['value']} cells; at most 5000 are allowed" in fault.message
 
 
 def test_a_motion_that_cannot_be_planned_ends_alone(rig, monkeypatch):

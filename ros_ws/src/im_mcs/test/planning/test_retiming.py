@@ -370,7 +370,7 @@ def test_what_ends_in_no_number_is_refused_by_point_and_time(rig, monkeypatch):
     q = np.tile(rig.home, (2, 1))
     q[:, 3] += [0.3, 0.6]
     goal, _, _ = follow(rig, [0.1, 0.2], q)
-    assert "what is asked for on the way to point 1, at 0 s, is too quick to be re-timed" in message(rig, goal)
+    assert "the trajectory is too fast to be re-timed on the way to point 1, at 0 s" in message(rig, goal)
 
 
 def test_a_count_of_pieces_beyond_measure_is_said_shortly(rig):
@@ -378,7 +378,7 @@ def test_a_count_of_pieces_beyond_measure_is_said_shortly(rig):
     q[:, 3] += [0.1, 0.2]
     with np.errstate(all="ignore"):
         goal, _, _ = follow(rig, [1.0, 1.0 + 1e-9], q)
-    assert re.search(r"would be re-timed in \d\.\d+e\+\d+ pieces; up to 250000 are allowed$", message(rig, goal))
+    assert re.search(r"re-timing needs \d\.\d+e\+\d+ pieces; at most 250000 are allowed$", message(rig, goal))
 
 
 def message(rig, goal):

@@ -194,7 +194,7 @@ class Actions:
 
     def resume(self) -> None:
         """Go on with the actions running at the death of the process; others are reached once the node fires."""
-        why = ImError("the process that ran it has died and come back", code="restarted")
+        why = ImError("the process of the action died and was restarted", code="restarted")
         for activity in list(self._rule.activities.values()):
             index = self._rule.number[f"{activity.transition}.start"]
             if activity.reply is not None:
@@ -236,7 +236,7 @@ class Actions:
         try:
             self._conflicts.book.outcome(activity.net, activity.transition, strategy, success)
         except (OSError, ImError) as error:
-            self._rule.notifier.troubled(f"what was learned about {activity.transition} cannot be saved: {error}")
+            self._rule.notifier.troubled(f"the learned counts of {activity.transition} cannot be saved: {error}")
 
     def _context(self, activity: Activity) -> ActionContext:
         lineage: Lineage = activity.lineage

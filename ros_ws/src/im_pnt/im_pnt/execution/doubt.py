@@ -124,8 +124,8 @@ class Inquiry:
     def _unknown(self, activity: Activity, answer: Answer) -> ImError:
         now = self._clock()
         return ImError(
-            f"nobody can tell what became of {activity.action} of transition {activity.transition} "
-            f"of net {activity.net}: {activity.doubt}; "
+            f"the outcome of {activity.action} of transition {activity.transition} of net {activity.net} is unknown: "
+            f"{activity.doubt}; "
             f"asked for {now - activity.doubted:.3g} s: {answer.asked or 'no answer'}",
             code=DOUBT_CODE,
             net=activity.net,

@@ -232,7 +232,7 @@ class EventLoop:
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
                 rule.values.stale()
-                cancelled = cancelled_visit(rule, event)
+                cancelled = cancelled_visit(rule, event)  # asked first: the event marks the job as cancelled
                 happens(rule, event)
                 if rule.expires:
                     self._watch_symbols()
@@ -250,7 +250,7 @@ class EventLoop:
                 happens(rule, event)
                 self._cancel(ending, error)
             case CommandCancelled(command_id, error):
-                jobs = rule.ledger.of_command(command_id)
+                jobs = rule.ledger.of_command(command_id)  # asked first: the event closes jobs on the tape
                 happens(rule, event)
                 self._cancel(jobs, error, everything=command_id is None)
             case CommandHeld() | RequestHeld():
@@ -262,6 +262,7 @@ class EventLoop:
                 self._cancel(jobs, error)
             case ActionEnded(activity, failure, results):
                 self._ended(activity, failure, results)
+            # an answer with results ends the action like its own end
             case Answered(activity, Answer(Outcome.DONE, results=results)) if results and self._is_doubtful(activity):
                 self._ended(activity, None, results)
             case Answered(activity, answer):

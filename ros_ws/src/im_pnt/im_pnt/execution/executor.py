@@ -109,6 +109,12 @@ class Executor:
 
     Raises:
         NetFileError: A function that the net names is not registered.
+
+    >>> executor.at_rest(), executor.hindrance("empty")
+    (Rest(reasons=()), 'place hot holds 0 tokens, and it takes 1')
+    >>> executor.command(Command(2, "bakc"))
+    Traceback (most recent call last):
+    im_pnt.errors.NetError: net oven does not know the command 'bakc' (did you mean 'bake'?)
     """
 
     def __init__(

@@ -34,6 +34,11 @@ class ActionContext:
     Attributes:
         net: Name of the net.
         transition: Name of the transition.
+
+    >>> context = ActionContext("oven", "bake")
+    >>> context.result["degrees"] = 220
+    >>> context.result, context.command.id, context.cancelled
+    ({'degrees': 220}, 0, False)
     """
 
     __slots__ = (
@@ -261,6 +266,12 @@ def woken_by(*sources: str) -> Callable[[GuardFunction], GuardFunction]:
 
     Raises:
         NetError: There is no such source.
+
+    >>> @woken_by("data:tray", "clock:0.5")
+    ... def is_tray_empty(ctx):
+    ...     return True
+    >>> sorted(Functions(guards={"is_tray_empty": is_tray_empty}).sources("is_tray_empty"))
+    ['clock:0.5', 'data:tray']
     """
     for source in sources:
         kind, _, rest = source.partition(":")
@@ -295,7 +306,11 @@ def clock_period(source: str) -> float | None:
 
 
 def idempotent(function: ActionFunction) -> AskFunction:
-    """Return the question after a doubt for an action safe to do twice: do the action again."""
+    """Return the question after a doubt for an action safe to do twice: do the action again.
+
+    >>> asyncio.run(idempotent(functions.actions["heat"])(ActionContext("oven", "bake"))).outcome
+    <Outcome.DONE: 'done'>
+    """
 
     async def ask(context: ActionContext) -> Answer:
         try:
@@ -324,6 +339,10 @@ class Functions:
 
     Raises:
         NetError: There is no action of the name of an ask function.
+
+    >>> Functions({"heet": print}).check(net)
+    Traceback (most recent call last):
+    im_pnt.errors.NetFileError: net:6: transitions.bake: no action function 'heat' is registered (did you mean 'heet'?)
     """
 
     def __init__(

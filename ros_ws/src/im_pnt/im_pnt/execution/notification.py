@@ -52,7 +52,17 @@ class Firing(NamedTuple):
 
 
 class Observer:
-    """Observer of a net without any effect. Override the methods of interest."""
+    """Observer of a net without any effect. Override the methods of interest.
+
+    >>> class Printer(Observer):
+    ...     def fired(self, firings):
+    ...         print(*(f"{firing.transition} {firing.phase.name}" for firing in firings), sep=", ")
+    >>> executor = Executor(net, functions, runner, Nowhere(), Printer())
+    >>> job = executor.command(Command(1, "bake"))
+    >>> executor.pump()
+    bake START, bake END, empty END
+    False
+    """
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Called with the firings of one net since the last call, in order: once a turn, and before anything leaves."""

@@ -171,7 +171,7 @@ class NetValues:
         for name, value in written.store.items():
             fields = await self.fill(value, told, own)
             if not isinstance(fields, dict):
-                raise ImError(f"store.{name} of transition {told.transition} is no message", code="expression")
+                raise ImError(f"store.{name} of transition {told.transition} is not a mapping", code="expression")
             await self._known_objects().put(told.object(name), self._kinds[name], fields, self._places[name])
 
     def _filled(
@@ -190,7 +190,7 @@ class NetValues:
 
     def _known_objects(self) -> Objects:
         if self._objects is None:
-            raise StateError(f"net {self._net.name} runs where there are no data objects")
+            raise StateError(f"net {self._net.name} uses data objects, but runs without a Data Object Manager")
         return self._objects
 
     def _mapping(self, value: object) -> dict[str, object]:

@@ -153,7 +153,7 @@ def _call(node: Call, function: str, values: list[object]) -> object:
         several = first if len(values) == 1 and isinstance(first, list) else values
         numbers = [_number(node, each) for each in several]
         if not numbers:
-            raise ExpressionError(f"{shown(node)} is of an empty list")
+            raise ExpressionError(f"{shown(node)} needs at least one value; the list is empty")
         return min(numbers) if function == "min" else max(numbers)
     numbers = [_number(each, value) for each, value in zip(node.arguments, values, strict=True)]
     return _bounded(_computed(node, function, numbers), node)

@@ -144,7 +144,7 @@ class NetScope:
     def _for_whom(self, transition: Transition, what: str) -> frozenset[str]:
         kinds = self.works_for(transition)
         if not kinds:
-            raise ExpressionError(f"{what}: no command or request is in work here; its tokens are nobody's")
+            raise ExpressionError(f"{what}: the tokens of this transition belong to no command or request")
         return kinds
 
     def _argument(self, transition: Transition, name: str) -> ValueType:
@@ -158,7 +158,7 @@ class NetScope:
                 found.add(argument_type(schema.arguments[name]))
             else:
                 hint = nearest(name, schema.arguments) or "; it takes none"
-                raise ExpressionError(f"arguments.{name}: {kind}, for which this may work, has no such argument{hint}")
+                raise ExpressionError(f"arguments.{name}: {kind}, served here, has no such argument{hint}")
         if len(found) == 1:
             return found.pop()
         return NUMBER if all(kind.is_number and kind != ANY for kind in found) else ANY

@@ -175,7 +175,7 @@ class _Parser:
     def _inside(self) -> None:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise self._error(f"it nests deeper than {DEEPEST}")
+            raise self._error(f"the expression nests deeper than {DEEPEST}, the most allowed")
 
     def _either(self) -> Node:
         self._inside()

@@ -78,7 +78,7 @@ class Delay:
             if not math.isfinite(value) or not (lowest_allowed or name == "mu"):
                 raise NetError(f"parameter {name} of distribution {self.kind} cannot be {value}")
         if "high" in names and self.values[1] < self.values[0]:
-            raise NetError(f"distribution {self.kind} goes from {self.values[0]} to less, {self.values[1]}")
+            raise NetError(f"distribution {self.kind}: high {self.values[1]} is less than low {self.values[0]}")
         if "mode" in names and not self.values[0] <= self.values[2] <= self.values[1]:
             raise NetError(f"mode {self.values[2]} of distribution {self.kind} is not between low and high")
         try:

@@ -80,7 +80,7 @@ def expand(net: Net) -> Net:
     ends = Counter(end for service in net.services.values() for end in {service.done, service.failed})
     for service in net.services.values():
         serving: dict[str, int] = {}
-        if ends[service.done] > 1 or ends[service.failed] > 1:
+        if ends[service.done] > 1 or ends[service.failed] > 1:  # in a shared place a token does not say whom it answers
             serving = {f"serving.{service.name}": 1}
         places[input_place(service.name)] = Place(input_place(service.name), remote=True)
         places[output_place(service.name)] = Place(output_place(service.name))
@@ -88,7 +88,7 @@ def expand(net: Net) -> Net:
         for part in _coordination(service, serving):
             transitions[part.name] = part
     rest = net.rest
-    if rest is not None and net.services:
+    if rest is not None and net.services:  # the semaphores lie there, which no author writes
         rest = (*rest, INPUT_SEMAPHORE, OUTPUT_SEMAPHORE)
     return replace(net, places=places, transitions=transitions, rest=rest)
 
@@ -128,6 +128,7 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
         origin=name,
     )
     failure = failure_arcs(net, transition)
+    # a cancel or a doubt decides no outcome: the action may still end either way
     for suffix, inputs in (("", active), (".cancelling", cancelling), (".in_doubt", in_doubt)):
         yield Transition(
             name=f"{name}.end{suffix}",

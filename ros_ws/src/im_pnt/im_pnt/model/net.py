@@ -245,6 +245,9 @@ class Net:
         commands: What is said of symbols that begin a command; one of which nothing is said takes anything.
         assume: What it takes for granted of other nets, by remote place or service.
         at_once: Requests that are served at once; others wait.
+
+    >>> net.initial_marking(), net.symbols(), net.functions(), net.partners()
+    ({'cold': 1}, ('bake',), frozenset({'heat'}), frozenset())
     """
 
     name: str

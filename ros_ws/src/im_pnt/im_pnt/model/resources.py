@@ -94,6 +94,7 @@ def _comes_back(name: str, outcomes: Sequence[Mapping[str, int]], others: frozen
         left = Counter(number for rest, _ in rows for number in rest)
         if not left:
             return any(name in support for _, support in rows)
+        # the fewest products first: the table stays small
         column = min(left, key=lambda number: (left[number], number))
         kept = [row for row in rows if column not in row[0]]
         gains = [row for row in rows if row[0].get(column, 0) > 0]

@@ -32,6 +32,10 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
 
     Raises:
         NetFileError: The file is not a net; names file, line, column and what is allowed.
+
+    >>> load_net("nowhere.yaml")
+    Traceback (most recent call last):
+    im_pnt.errors.NetFileError: nowhere.yaml:1: cannot be read: No such file or directory
     """
     file = Path(path)
     named = file if file.exists() else Path(file.name.partition("#")[0])  # FILE.pnml#net
@@ -52,5 +56,9 @@ def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:
 
     Raises:
         NetFileError: The text is not a net.
+
+    >>> parse_net("{net: oven, places: {cold: 1}, transitions: {bake: {in: [cld], out: [cold]}}}")
+    Traceback (most recent call last):
+    im_pnt.errors.NetFileError: net:1:58: transitions.bake.in[0]: there is no place 'cld' (did you mean 'cold'?)
     """
     return read_net(assemble(read_values(text, source), file))

@@ -96,7 +96,7 @@ class _Reader:
         transitions = {name: self._transition(name, each) for name, each in file.transitions.items()}
         if not transitions:
             raise self._error(("transitions",), "the net has no transition")
-        self._add_tries(places, transitions)
+        self._add_tries(places, transitions)  # before the checks below, which hold for further tries too
         self._require_one_reading(transitions)
         self._require_arguments(places)
         net = Net(
@@ -223,7 +223,7 @@ class _Reader:
         if action is not None and not on_failure and self._file.escalate is None:
             sentence = f"{action} can fail: say where the tokens go with 'on_failure', or give the net 'escalate'"
             raise self._error(here, sentence)
-        if not self._foreign:
+        if not self._foreign:  # nets of other tools may be dead or fire without end; verification says so
             if not inputs and file.symbol is None:
                 raise self._error(here, "has neither input places nor a symbol, and would fire without end")
             for place in inputs.keys() & inhibitors.keys():

@@ -130,6 +130,7 @@ class _Assembly:
                 resolve_below(str(path), self._within, "include")
             except DataError as error:
                 raise complaint_at(root, location, error.message) from error
+        # else resolve raises; reading names the fault
         real = path.resolve() if "\0" not in name and not _loops(path) else path
         way = [each.resolve() for each in chain]
         if real in way:
@@ -138,7 +139,7 @@ class _Assembly:
         if len(chain) > MAX_INCLUDES:
             names = " -> ".join(str(each) for each in [*chain, path])
             raise complaint_at(root, location, f"includes are deeper than {MAX_INCLUDES}: {names}")
-        if real in self._read:
+        if real in self._read:  # two files may include a third
             return
         self._read.add(real)
         if len(self._read) > MAX_FILES:

@@ -34,7 +34,7 @@ def written_out(transition: Transition, tries: int, escalate: str | None) -> tup
             inhibitors={},
             resets=(),
             guard=Guard(cancelled, negated=True),
-            symbol=None,
+            symbol=None,  # the first try has read it
             symbol_of=None,
             symbol_expires=None,
             on_failure=transition.on_failure if last else {failed[number]: 1},

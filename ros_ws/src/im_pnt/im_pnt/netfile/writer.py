@@ -40,7 +40,7 @@ def describe(net: Net) -> dict[str, object]:
         NetError: An expanded net, which no file can hold.
     """
     if any(transition.role is not Role.PLAIN for transition in net.transitions.values()):
-        raise NetError(f"net {net.name} is expanded; what is written is the net that it was made from", net=net.name)
+        raise NetError(f"net {net.name} is expanded; write the net before its expansion", net=net.name)
     return {
         "net": net.name,
         **_filled(description=net.description),

@@ -35,7 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     parser.add_argument("bags", type=Path, nargs="+", metavar="BAG", help="folders of bags, or their files")
     parser.add_argument("--nets", type=Path, nargs="+", default=[], metavar="FILE", help="net files to be changed")
-    parser.add_argument("--write", action="store_true", help="change them; otherwise the changes are only shown")
+    parser.add_argument("--write", action="store_true", help="write the changes (default: only show them)")
     parser.add_argument("--command", dest="symbol", metavar="SYMBOL", help="predict how long this command takes")
     parser.add_argument("--against", type=Path, metavar="BAG", help="with --command: compare with this bag instead")
 
@@ -43,9 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Estimate, and write the files if asked to."""
     if options.write and not options.nets:
-        raise ImError("--write needs the files that it is to change: --nets FILE...", code="input")
+        raise ImError("--write needs net files to change: give --nets FILE...", code="input")
     if options.against is not None and options.symbol is None:
-        raise ImError("--against is compared with a command: --command SYMBOL is missing", code="input")
+        raise ImError("--against needs a command to compare with: give --command SYMBOL", code="input")
     files = {path: load_net(path) for path in options.nets}
     missions = {bag: mission_of(bag) for bag in options.bags}
     nets = {name: net for mission in missions.values() for name, net in mission.nets.items()}

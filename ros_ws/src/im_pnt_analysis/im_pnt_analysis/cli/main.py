@@ -35,13 +35,13 @@ _DRAW = """
   scripts/im pnt display bags/demo                                the nets over a recording, on a web page"""
 
 _COMMANDS = {
-    "verify": "may the nets run?",
-    "prove": "may a machine start with them?",
+    "verify": "check whether nets may run",
+    "prove": "check whether a machine may start with its nets",
     "simulate": "play a net",
-    "time": "how fast is a net?",
-    "convert": "YAML to PNML and back",
+    "time": "compute how fast a net is",
+    "convert": "convert YAML to PNML and back",
     "schema": "print the JSON schema",
-    "bag": "what does a recording tell?",
+    "bag": "show the firings of a recording",
     "fit": "take times and probabilities from recordings",
 }
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
@@ -56,7 +56,7 @@ _ELSEWHERE = {
 }
 """Commands of packages above this one, which name themselves as entry points."""
 
-_PROGRAMS = {"run": "run nets", "mission": "does a recorded mission run as it did?"}
+_PROGRAMS = {"run": "run nets", "mission": "run the nets of a recording again"}
 """Those of them with a command line of their own."""
 
 

@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fit", action="store_true", help="take delays, success and weights from --measured")
     parser.add_argument("--runs", type=int, metavar="N", help=f"with --command: simulated runs ({_RUNS})")
     parser.add_argument("--seed", type=int, metavar="N", help="with --command: seed of the runs (0)")
-    parser.add_argument("-o", "--output", metavar="OUT", help="draw it into this file, .svg or .png")
+    parser.add_argument("-o", "--output", metavar="OUT", help="drawing to write, .svg or .png")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,13 +54,13 @@ def run(options: argparse.Namespace) -> int:
     measured = None if options.measured is None else read_measurement(options.measured, nets)
     if options.fit:
         if measured is None:
-            raise ImError("--fit needs times to take delays from: --measured FILE", code="input")
+            raise ImError("--fit needs measured times: give --measured FILE", code="input")
         _check_fits(options.measured, measured, nets)
         nets = list(fit_delays(nets, measured.firings))
     if options.symbol is None:
         refuse_without_effect(options, ("--runs", "--seed"), "without --command")
         if measured is not None and not options.fit:
-            raise ImError("--measured is compared with a command: --command SYMBOL is missing", code="input")
+            raise ImError("--measured needs a command to compare with, or --fit: give --command SYMBOL", code="input")
         _steady(nets, options, output)
     else:
         refuse_without_effect(options, ("--timeout", "--approximate"), "with --command")

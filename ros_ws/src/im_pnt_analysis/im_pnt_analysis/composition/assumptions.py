@@ -151,7 +151,7 @@ class Assumptions:
             kept, unasked = f"{name}.kept", f"{name}.unasked"
             flat.add_place(net.name, Place(owed))
             flat.add_place(net.name, Place(kept, tokens=1))
-            flat.add_place(net.name, Place(unasked, capacity=0))
+            flat.add_place(net.name, Place(unasked, capacity=0))  # one token in it refuses the net
             flat.rest.update((owed, kept))
             self.promises[unasked] = (
                 f"net {net.name} assumes that {place.name} gets back what it has sent to {target}, "

@@ -77,6 +77,10 @@ def compose(nets: Sequence[Net]) -> Composition:
 
     Raises:
         NetError: Two nets of one name, a service or remote place that its net does not have, or no net at all.
+
+    >>> composition = compose([oven])
+    >>> list(composition.net.transitions), composition.external, composition.rest
+    (['load', 'bake', 'empty'], frozenset({'load'}), frozenset({'cold'}))
     """
     if not nets:
         raise NetError("there is no net to analyse")

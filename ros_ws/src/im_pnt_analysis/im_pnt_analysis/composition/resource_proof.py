@@ -179,7 +179,7 @@ class _Holding:
                 reach(tokens, way)
         while waiting:
             if len(seen) > MOST or thread_cpu() > self.deadline:
-                raise UndecidedError(f"where tokens go in net {self.net.name} takes more than {len(seen)} markings")
+                raise UndecidedError(f"net {self.net.name} has more than {len(seen)} markings to follow tokens in")
             state = waiting.popleft()
             here, way = dict(state), seen[state]
             if work.kind in self.foreign:
@@ -188,6 +188,7 @@ class _Holding:
                 self._end(work, here, way)
             if work.is_request and self._answered_by_others(work.kind):
                 self._end(work, here, (*way, f"t_f.{work.kind}"))
+            # each once, in the same order in every run
             for t in {t.name: t for place in here for t in self.takers.get(place, ())}.values():
                 if not work.may_pass(t.guard):
                     continue

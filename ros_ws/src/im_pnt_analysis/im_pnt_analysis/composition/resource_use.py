@@ -48,7 +48,7 @@ class Work:
 
         def lookup(root: str, name: str) -> object:
             if root != "arguments" or name not in self.choice:
-                raise ExpressionError("it is not known yet")
+                raise ExpressionError("the value is not known before the run")
             return self.choice[name]
 
         try:

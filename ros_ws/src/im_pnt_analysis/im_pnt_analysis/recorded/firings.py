@@ -260,7 +260,7 @@ def _firings(events: Sequence[Any], nets: Mapping[str, Net]) -> list[RecordedFir
             begun[0]["cancelled"] = True
         if event.phase not in (_START, _END, _FAILED):
             continue
-        if event.phase == _START or not begun:
+        if event.phase == _START or not begun:  # an end alone: it takes no time, or the recording began later
             firing = {
                 "net": event.net,
                 "transition": event.transition,

@@ -89,14 +89,14 @@ def _tarjan(begins: Sequence[int], targets: Sequence[int]) -> tuple[int, npt.NDA
                 arc += 1
             low[node] = lowest
             if arc < end:
-                path.append((node, arc + 1))
+                path.append((node, arc + 1))  # come back behind this arc
                 after = targets[arc]
                 order[after] = low[after] = clock
                 clock += 1
                 open_nodes.append(after)
                 path.append((after, begins[after]))
                 continue
-            if lowest == order[node]:
+            if lowest == order[node]:  # nothing earlier is reached: the component is complete
                 member = -1
                 while member != node:
                     member = open_nodes.pop()

@@ -43,8 +43,8 @@ def expand_wide(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -
         sources += begin
     else:
         sources = rows = np.zeros(0, np.intp)
-    after = found.keys[sources] + packing.key_change[rows]
-    order = np.argsort(after)
+    after = found.keys[sources] + packing.key_change[rows]  # keys are linear: a firing adds a constant
+    order = np.argsort(after)  # equal markings stand side by side, and get one number
     in_order = after[order]
     new_key = np.ones(len(after), bool)
     np.not_equal(in_order[1:], in_order[:-1], out=new_key[1:])
@@ -58,10 +58,10 @@ def expand_wide(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -
     chosen = order[firsts[fresh]]
     parents, by = sources[chosen], rows[chosen]
     words = found.words[:, parents] + packing.change[:, by]
-    hit = np.bitwise_or.reduce(words, axis=1) & packing.guards
+    hit = np.bitwise_or.reduce(words, axis=1) & packing.guards  # a carry into a guard bit: too many tokens
     if hit.any():
         raise OverflowedError([int(bits) for bits in hit])
-    if packing.words > 1:
+    if packing.words > 1:  # a key of one word is the marking; of more words a hash, which may collide
         found.reserve(found.count + len(fresh))
         found.words[:, found.count : found.count + len(fresh)] = words
         for word, change in zip(found.words, packing.change, strict=True):
@@ -73,7 +73,7 @@ def expand_wide(found: StateSpace, begin: int, end: int, kinds: Sequence[int]) -
     found.fired |= enabled.any(axis=1)
     found.labelled_arcs += int(np.count_nonzero(enabled))
     found.distinct_edges += len(targets)
-    loops = [t for t, row in enumerate(packing.row_of) if row == -1]
+    loops = [t for t, row in enumerate(packing.row_of) if row == -1]  # they change nothing, but are edges
     if loops:
         found.distinct_edges += int(np.count_nonzero(enabled[loops].any(axis=0)))
     for kind in {bit for bits in kinds for bit in (1, 2) if bits & bit}:
@@ -145,7 +145,7 @@ class NarrowFrontier:
                 loops = 1
                 continue
             if self._shared:
-                if row in seen:
+                if row in seen:  # two transitions of one effect are one edge
                     continue
                 seen.add(row)
             after = marking + constants.change

@@ -62,7 +62,7 @@ def find_deadlock(
 def search(compiled: Compiled, initial: Vector, deadline: float | None = None, max_states: int = 1_000_000) -> Deadlock:
     """Search the net without reduction; markings with few enabled transitions first. The arguments are the same."""
     always = next((t for t, arcs in enumerate(compiled.inputs) if not arcs and not compiled.inhibitors[t]), None)
-    if always is not None:
+    if always is not None:  # always enabled: no marking is dead
         return Deadlock(False, states_searched=1)
     stubborn = StubbornSets(compiled)
     first = frozenset(stubborn.enabled(initial))

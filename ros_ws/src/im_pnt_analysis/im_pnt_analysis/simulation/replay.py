@@ -108,6 +108,9 @@ def replay(nets: Sequence[Net], firings: FiringSequence) -> Iterator[ReplayedFir
     Raises:
         NetError: The sequence is for other nets, names a transition that does not exist or is not enabled, or ends in
             another marking than it says; the message names the step, the reason, and what is enabled.
+
+    >>> [firing.marking for firing in replay([oven], FiringSequence(("load", "bake")))]
+    [{'cold': 1}, {'full': 1}, {'hot': 1}]
     """
     names = tuple(net.name for net in nets)
     if firings.nets and sorted(firings.nets) != sorted(names):

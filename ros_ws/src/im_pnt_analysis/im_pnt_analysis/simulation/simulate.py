@@ -46,6 +46,9 @@ def simulate(
 
     Raises:
         NetError: The nets do not fit together, or no time passes any more.
+
+    >>> [(firing.time, firing.transition) for firing in simulate([oven], steps=4)]
+    [(0.0, 'load'), (4.0, 'bake'), (5.0, 'empty'), (5.0, 'load')]
     """
     player = Player(timed_net(nets, failures=failures), seed)
     player.until = run_limits(steps, until)
@@ -142,6 +145,9 @@ def summarise(
 
     Raises:
         NetError: The nets do not fit together, no time passes any more, or there is no limit at all.
+
+    >>> round(summarise([oven], until=1000.0).throughput["bake"].mean, 2)
+    0.2
     """
     if steps is None and until is None:
         raise NetError("a simulation needs a number of firings or a time to end at")
@@ -165,7 +171,7 @@ def summarise(
     counts: dict[str, int] = {}
     for name, count in zip(net.shown, player.firings, strict=True):
         counts[name] = counts.get(name, 0) + count
-    whole = len(marks) == _BATCHES + 2
+    whole = len(marks) == _BATCHES + 2  # else it ended early, and has no warm-up to leave out
     batches = [_between(a, b) for a, b in pairwise(marks)]
     batches = batches[1:] if whole else batches
     return Summary(

@@ -68,7 +68,7 @@ class Cone:
             inequalities = csr_array(np.vstack([self._matrix.toarray(), self._matrix.sum(axis=0)]))
             right = np.append(zeros, -1.0)
         solution = linprog(
-            [float(min(cost, 10**12)) for cost in costs],
+            [float(min(cost, 10**12)) for cost in costs],  # beyond, small costs would be lost in rounding
             A_ub=inequalities,
             b_ub=right,
             A_eq=self._matrix if equal else None,
@@ -79,7 +79,7 @@ class Cone:
         )
         if solution.x is None or not np.isfinite(solution.x).all():
             return {}
-        for denominator in _DENOMINATORS:
+        for denominator in _DENOMINATORS:  # floats prove nothing: the simplest fractions near them are checked exactly
             rounded = {
                 int(index): Fraction(float(solution.x[index])).limit_denominator(denominator)
                 for index in np.flatnonzero(solution.x > 1e-9)

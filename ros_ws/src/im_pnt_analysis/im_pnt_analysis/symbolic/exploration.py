@@ -182,7 +182,7 @@ class _Explorer:
                 and self.diagram.contains(ring, earlier)
             ):
                 return transition, earlier
-        raise AssertionError("each marking of a ring has one before it in the ring before")
+        raise AssertionError("a marking has no predecessor in the last ring of the search")
 
     def _backward(self, region: MarkingSet) -> Saturation:
         undone = [

@@ -144,7 +144,7 @@ class Saturation:
                     new = diagram.union(old, found)
                     if new != old:
                         children[after] = new
-                        for others in pending.values():
+                        for others in pending.values():  # a new marking may enable any event of the level again
                             others.add(after)
                         if most is not None and after > most:
                             raise GaveUpError(f"a place of unknown bound gets more than {most} tokens")

@@ -77,7 +77,7 @@ def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> M
         vector = found.vectors[current]
         if any(vector[place] for place in ends):
             found.tangible.append(False)
-            found.arcs.append(((RENEWAL, 0, 1),))
+            found.arcs.append(((RENEWAL, 0, 1),))  # the next command begins: the chain is recurrent
             current += 1
             continue
         timed, firings = step.firings(vector, found.rivals)

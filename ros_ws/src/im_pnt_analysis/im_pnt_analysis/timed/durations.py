@@ -95,7 +95,7 @@ def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Cal
         for index, time in enumerate(player.token_time()):
             token_time[index] += time / runs
         cause: Ended | None = player.last
-        while cause is not None:
+        while cause is not None:  # from the answer back to the symbol: each link waited for the one before it
             cause, timer, begin, end = cause
             critical[timer] += (end - begin) / runs
     return Played(durations, Totals(sum(durations) / runs, done / runs, firings, token_time, critical))
@@ -122,14 +122,14 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     if found.rivals:
         return None
     if not any(found.tangible):
-        raise NetError(f"nothing that command {symbol} does has a delay")
+        raise NetError(f"command {symbol} fires no transition with a delay; its duration needs one")
     _require_answer(found, symbol)
     links = chain(found, float)
     classes = recurrent_classes(found)
     measure, method = class_measure(links, classes[0], None)
     done_place = net.ends[0]
     answered = {s: value for s, value in measure.items() if _is_end(found, s)}
-    rate = sum(answered.values())
+    rate = sum(answered.values())  # answers a second, each begins the next command: one takes 1 / rate
     spent = {state: value / rate for state, value in measure.items()}
     firings, token_time = [0.0] * len(net.shown), [0.0] * len(net.shown_places)
     critical = [0.0] * len(net.timers)
@@ -141,6 +141,7 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
         for transition, target, speed in links.firings[state]:
             firings[transition] += time * speed
             if found.tangible[state]:
+                # the remaining time that a firing takes away is its part of the critical path
                 critical[timer_of[transition]] += time * speed * (remaining[state] - remaining[target])
         if found.tangible[state]:
             for place, count in enumerate(found.vectors[state]):
@@ -259,6 +260,10 @@ def expected_command(
 
     Raises:
         NetError: Nobody reads the symbol or answers it, nothing takes time, or it may never be answered.
+
+    >>> expected = expected_command([oven], "bake")
+    >>> expected.mean, expected.half_width, expected.bottleneck.transition
+    (5.0, 0.0, 'bake')
     """
     if runs < 2:
         raise NetError(f"{runs} runs are too few for a spread; at least 2 are needed")
@@ -273,7 +278,7 @@ def expected_command(
         totals, method = exact
         half_width = 0.0
     if totals.duration <= 0.0:
-        raise NetError(f"command {symbol} is answered at once: nothing that it does has a delay")
+        raise NetError(f"command {symbol} is answered at once: it fires no transition with a delay")
     durations = sorted(played.durations)
     low, median, high = (durations[min(int(q * runs), runs - 1)] for q in _QUANTILES)
     return CommandDuration(

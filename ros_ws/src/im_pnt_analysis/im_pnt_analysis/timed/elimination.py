@@ -73,14 +73,14 @@ def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = N
         if state not in left:
             continue
         now = len(into[state]) * len(work[state])
-        if now > cost:
+        if now > cost:  # neighbours were added since: back into the heap with the present cost
             heapq.heappush(heap, (now, state))
             continue
         if deadline is not None and thread_cpu() > deadline:
             raise TookTooLongError
         left.discard(state)
         row = work[state]
-        whole = sum(row.values())
+        whole = sum(row.values())  # not one minus the own rate: sums alone lose no digits
         shares = [(other, rate / whole) for other, rate in row.items()]
         result.order.append(state)
         inflow: list[tuple[int, N]] = []
@@ -89,7 +89,7 @@ def eliminate(rows: Rows[N], remove: Collection[int], deadline: float | None = N
             rate = rates.pop(state)
             inflow.append((source, rate / whole))
             for other, share in shares:
-                if other != source:
+                if other != source:  # a way back to its source changes nothing there
                     known = rates.get(other)
                     if known is None:
                         rates[other] = rate * share

@@ -89,9 +89,9 @@ def read_measurement(file: str, nets: Sequence[Net] = ()) -> Measurement:
         found = tuple(MeasuredFiring(name, time) for name, times in data.items() for time in _times(file, name, times))
         return Measurement(found, {})
     if not isinstance(data, list):
-        raise _bad(file, "it holds neither a list nor an object")
+        raise _bad(file, "a JSON list or object is needed")
     if not data:
-        raise _bad(file, "it holds no firings")
+        raise _bad(file, "the file has no firings")
     return _from_records(file, data, nets)
 
 
@@ -101,7 +101,7 @@ def _lines(file: str, text: str) -> list[object]:
     for number, line in enumerate(text.splitlines(), start=1):
         values += line.count(",")
         if values > MAX_VALUES:
-            raise _bad(file, f"it has more than {MAX_VALUES} values")
+            raise _bad(file, f"the file has more than {MAX_VALUES} values, the most allowed")
         if line.strip():
             try:
                 data.append(decode_json(line))
@@ -321,6 +321,9 @@ def compare(
         expected: What was computed.
         measured: Durations of each transition by ``net.transition`` [s].
         duration: Measured duration of the command [s].
+
+    >>> compare(expected_command([oven], "bake"), {"oven.bake": [4.5]}, duration=5.5).plausible
+    False
     """
     rows: list[ActionComparison] = []
     left = dict(measured)

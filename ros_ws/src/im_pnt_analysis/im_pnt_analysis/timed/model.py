@@ -54,7 +54,7 @@ def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str,
                 transitions[name] = replace(transition, inputs=apart(transition.inputs))
             case Role.RETURN:
                 transitions[name] = transition
-                twin = f"{name}{_SUFFIX}"
+                twin = f"{name}{_SUFFIX}"  # the caller takes either reply: one transition for each
                 shown[twin] = name
                 inputs, outputs = apart(transition.inputs), apart(transition.outputs)
                 transitions[twin] = replace(transition, name=twin, inputs=inputs, outputs=outputs)
@@ -252,8 +252,8 @@ class _Builder:
         elif transition.role is Role.PLAIN and transition.delay is not None and transition.delay.mean > 0.0:
             if (meant := self.composition.ways.get(transition.name)) is not None:
                 raise NetError(
-                    f"transition {meant} waits for a time and empties places: what comes to these meanwhile does not "
-                    "begin its time anew, which cannot be told here; let another transition empty them"
+                    f"transition {meant} has a delay and resets places, which timed analysis cannot follow; give the "
+                    "resets to another transition, without delay"
                 )
             self.timer_of[index] = len(self.timers)
             self.timers.append(TimedActivity(transition.name, transition.delay, None, (((index,), 1.0),)))

@@ -86,7 +86,7 @@ class Player:
         while queue:
             when, _, number, turn, since, cause = queue[0]
             timer = self.net.timers[number]
-            if timer.active is None and turn != self._turn[number]:
+            if timer.active is None and turn != self._turn[number]:  # disabled since: entries stay in the heap
                 heapq.heappop(queue)
                 self._stale -= 1
                 continue
@@ -98,7 +98,7 @@ class Player:
             if when > self.time:
                 self.time = when
                 self._instant = 0
-            if self._causes:
+            if self._causes:  # a chain of causes, from which the critical path is read
                 self.last = (cause, number, since, when)
             if timer.active is None:
                 self._running[number] = False
@@ -110,7 +110,7 @@ class Player:
             outcomes = timer.outcomes
             failed = len(outcomes) > 1 and self._dice.random() >= outcomes[0][1]
             return self._fire(self._way(outcomes[1 if failed else 0][0]))
-        for level in range(self._n_levels, len(ready)):
+        for level in range(self._n_levels, len(ready)):  # waiting ones, once nothing else can happen
             if ready[level]:
                 return self._at_once(level)
         return -1

@@ -61,7 +61,7 @@ def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rew
                 edits.append((begin, end, f": {value}"))
         if added:
             edits.append(_insertion(text, node, added))
-    for begin, end, new in sorted(edits, reverse=True):
+    for begin, end, new in sorted(edits, reverse=True):  # from the end: earlier positions stay right
         text = text[:begin] + new + text[end:]
     return Rewritten(text, len(edits), tuple(elsewhere))
 

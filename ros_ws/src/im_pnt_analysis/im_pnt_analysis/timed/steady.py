@@ -93,6 +93,10 @@ def steady_state(
     Raises:
         NetError: The nets do not fit together, a delay is of another kind, nothing takes time, immediate transitions
             go round for ever, or there are too many markings.
+
+    >>> averages = steady_state([oven])
+    >>> averages.throughput["bake"], averages.marked["full"]
+    (Fraction(1, 5), Fraction(4, 5))
     """
     begin = monotonic()
     if not seconds > 0.0:
@@ -130,7 +134,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
     measure: dict[int, N] = {}
     methods: dict[str, None] = {}
     for members, share in zip(classes, likely, strict=True):
-        if share:
+        if share:  # a class that is never reached adds nothing, and its equations may be the longest
             part, method = class_measure(links, members, deadline)
             measure.update((state, value * share) for state, value in part.items())
             methods[method] = None
@@ -146,7 +150,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
         for transition, _, rate in links.firings[state]:
             throughput[net.shown[transition]] += share * rate
         if not found.tangible[state]:
-            continue
+            continue  # vanishing: it fires, but no time passes in it
         marking = net.marking(found.vectors[state])
         if len(measure) <= _MARKINGS_KEPT:
             probability.append((marking, share))
@@ -162,7 +166,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
                 busy[name] += share
     marked = {place: sum(shares.values(), start=zero) for place, shares in tokens.items()}
     for place, shares in tokens.items():
-        if links.one - marked[place] > 0:
+        if links.one - marked[place] > 0:  # markings name marked places only: the rest of the time the place is empty
             shares[0] = links.one - marked[place]
     tangible = sum(found.tangible)
     exact = "fractions, " if number is fraction else ""

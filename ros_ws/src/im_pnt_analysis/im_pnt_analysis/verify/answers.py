@@ -145,7 +145,7 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
     )
     _answer_bounds(report, problem, search, deadline)
     _refuse(report, problem, search, dead)
-    expected = _GRAPH_COST * (found.count + found.labelled_arcs)
+    expected = _GRAPH_COST * (found.count + found.labelled_arcs)  # components have no deadline: ask beforehand
     if thread_cpu() + expected > deadline:
         report.leave(f"the components of {found.count} markings and {found.labelled_arcs} arcs would take too long")
         return
@@ -164,7 +164,7 @@ def answer_from_whole(report: Report, problem: Problem, search: Search, deadline
     if report.refusals:
         report.leave(REFUSED, "resources_return")
         return
-    lost = chain(
+    lost = chain(  # lazily: a counterexample is searched only when it is shown
         counterexamples.lost_entries(problem, found, graph, live),
         counterexamples.held_resources(problem, found, graph),
     )

@@ -27,6 +27,10 @@ def verify_to_load(
 
     Raises:
         NetError: They do not fit together.
+
+    >>> bad = parse_net("{net: bad, places: {a: 1, b: }, transitions: {go: {symbol: x, in: [a], out: [b]}}}")
+    >>> print(verify_to_load([bad]).sentence)
+    net bad is refused: it is stuck with b=1; siphon {a} was emptied, and can never be marked again; shown by firing go
     """
 
     def prove() -> Report:

@@ -60,6 +60,9 @@ class Report:
         cpu_s: How much of the processor it took [s].
         proved_before: Whether this is the verdict of an earlier verification of the same nets.
         composed: The nets of the composition that refusals speak of; empty where nobody asked.
+
+    >>> report.live, report.has_deadlock, report.methods["bounded"]
+    (True, False, 'every place is in a P-semiflow')
     """
 
     nets: list[str]

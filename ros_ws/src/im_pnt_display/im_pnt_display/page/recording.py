@@ -60,7 +60,7 @@ class RecordedNets:
                 position = recording.position_of(_number(text))
                 at_s = recording.moments[position - 1].at_s if position else 0.0
             case _:
-                raise DataError("a moment is asked for by 'at', its time in seconds, or by 'firing', a number")
+                raise DataError("give the moment as 'at', a time in seconds, or as 'firing', the number of a firing")
         states, firing = recording.states(position), recording.firings_until(position)
         until = recording.position_of(min(firing + FIRINGS_AHEAD, recording.firings))
         if firing + FIRINGS_AHEAD >= recording.firings:

@@ -37,7 +37,7 @@ class VisionClient:
         """
         with self._lock:
             if self._committed:
-                raise StateError(f"{self.name} cannot be cancelled any more: it is done", request=self.name)
+                raise StateError(f"{self.name} has ended and cannot be cancelled", request=self.name)
             self._cancelled = True
 
     def commit(self) -> None:
@@ -62,7 +62,7 @@ class VisionClient:
             StateError: Nobody wants the answer any more.
         """
         if self.gone:
-            raise StateError(f"{self.name} was cancelled, or nobody waits for it any more", request=self.name)
+            raise StateError(f"{self.name} was cancelled, or its client has gone", request=self.name)
 
 
 def _nothing() -> float:

@@ -101,12 +101,12 @@ class LineCurve:
         s, step, places = 0.0, _FIRST_STEP_M, [(0.0, here)]
         for edge in self._path.edges[1:]:
             while s < edge - _ROUNDING:
-                end = edge if s + 1.5 * step > edge else s + step
+                end = edge if s + 1.5 * step > edge else s + step  # no crumb of a step before an edge
                 there = self._next(s, here, end)
                 yield
                 smallest = end - s <= _SMALLEST_STEP_M
                 if isinstance(there, ImError):
-                    if smallest:
+                    if smallest:  # a longer step may fail although the path is sound
                         raise there
                     step = (end - s) / 2.0
                     continue

@@ -186,7 +186,7 @@ def fit(
     slopes = np.abs(curve.at(np.linspace(0.0, size, _GRID))[1]) + _TINY
     yield
     best: Profile | None = None
-    for slope in (slopes.max(axis=0), np.median(slopes, axis=0)):
+    for slope in (slopes.max(axis=0), np.median(slopes, axis=0)):  # a narrow place may be passed slowly anyway
         bounds = Bounds(
             min(speed, float((limits.velocity / slope).min())),
             float((limits.acceleration / slope).min()),

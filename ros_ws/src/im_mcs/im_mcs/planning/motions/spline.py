@@ -118,7 +118,7 @@ class SplinePreparation:
             if fault is not None:
                 if self._context.config.planning.beyond_limits is BeyondLimits.REFUSE:
                     raise fault
-                raise RestNeededError(f"it cannot take over as it is: {fault.message}")
+                raise RestNeededError(f"the new trajectory cannot take over without a stop: {fault.message}")
             self._checked += _PIECES_A_SLICE
         return spline if self._checked >= count else None
 
@@ -141,7 +141,7 @@ class SplinePreparation:
                 value=float(off[k]),
                 limit=float(limits.following_error[i]),
                 unit=limits.units[i],
-                what="the first point is at time 0 and off the present setpoint by a distance that",
+                what="distance of the first point, at time 0, from the present setpoint",
             )
 
 

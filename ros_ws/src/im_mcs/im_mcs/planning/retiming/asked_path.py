@@ -70,8 +70,8 @@ class AskedPath:
         counts[[0, -1]] = np.maximum(counts[[0, -1]], _CELLS_AT_REST)
         if (many := int(counts.sum())) > _MOST_IN_ALL:
             raise DataError(
-                f"what is asked for within {end - begin:.4g} s is beyond limits, and would be re-timed in {many} "
-                f"cells; up to {_MOST_IN_ALL} are allowed",
+                f"a stretch of {end - begin:.4g} s is beyond limits, and its re-timing needs {many} cells; "
+                f"at most {_MOST_IN_ALL} are allowed",
                 value=many,
                 limit=_MOST_IN_ALL,
             )

@@ -83,7 +83,7 @@ def retime(
     parts, count = list[Retimed](), 0
     still = yield from standing(asked, limits.velocity)
     for begin, end in zip(times[:-1].tolist(), times[1:].tolist(), strict=True):
-        kept = yield from _kept(context, asked, begin, end, still)
+        kept = yield from _kept(context, asked, begin, end, still)  # what keeps the limits stays as asked
         more = [kept] if kept else (yield from retime_stretch(smooth, begin, end, limits))
         parts += more
         count += sum(len(part.lengths) for part in more)
@@ -95,7 +95,7 @@ def retime(
     yield
     whole, filled = np.empty((count, *smooth.coefficients.shape[1:])), 0
     for part in parts:
-        for k in range(0, len(part.lengths), _COPIED):
+        for k in range(0, len(part.lengths), _COPIED):  # in slices: the servo ticks between them
             some = part.coefficients[k : k + _COPIED]
             whole[filled : filled + len(some)] = some
             filled += len(some)

@@ -46,8 +46,8 @@ def check_count(pieces: float, asked_s: float) -> None:
     """
     if not pieces <= MOST_PIECES:
         raise DataError(
-            f"what is asked for within {asked_s:.4g} s is beyond limits, and would be re-timed in {pieces:.7g} pieces; "
-            f"up to {MOST_PIECES} are allowed",
+            f"a stretch of {asked_s:.4g} s is beyond limits, and its re-timing needs {pieces:.7g} pieces; "
+            f"at most {MOST_PIECES} are allowed",
             value=pieces,
             limit=MOST_PIECES,
         )
@@ -90,7 +90,7 @@ def retime_stretch(
     yield from path.measure()
     speed = np.append(path.speed[0], path.speed[1, -1])
     speed[[0, -1]] = 0.0
-    square, room = _first_rates(path, limits)
+    square, room = _first_rates(path, limits)  # squared: accelerations are linear in them
     yield
     square = gentle(square, room)
     before, longest = np.inf, _LONGEST_S + _LONGER * (end - begin)
@@ -100,8 +100,8 @@ def retime_stretch(
         if not np.isfinite(over).all():
             when = float(retimed.asked[int(np.argmin(np.isfinite(over)))])
             raise DataError(
-                f"what is asked for on the way to point {trajectory.point(when) + 1}, at {when:.9g} s, is too quick "
-                "to be re-timed; give it more time",
+                f"the trajectory is too fast to be re-timed on the way to point {trajectory.point(when) + 1}, "
+                f"at {when:.9g} s; give it more time",
                 time=when,
             )
         worst = float(over.max())
@@ -111,12 +111,12 @@ def retime_stretch(
         slower = np.minimum(1.0 / over, 1.0)
         square = gentle(square * _around(law, slower, float(nodes[1])) ** 2, room)
         yield
-    place = float(retimed.asked[int(over.argmax()) : int(over.argmax()) + 2].mean())
+    place = float(retimed.asked[int(over.argmax()) : int(over.argmax()) + 2].mean())  # rest where it is worst
     if worst > _SLOWEST and stops > 0 and begin < place < end:
         before_it = yield from retime_stretch(trajectory, begin, place, limits, stops - 1)
         behind_it = yield from retime_stretch(trajectory, place, end, limits, stops - 1)
         return before_it + behind_it
-    factor = max(1.0, worst, (end - begin) / law.duration)
+    factor = max(1.0, worst, (end - begin) / law.duration)  # never faster than asked
     scale = (1.0 / factor) ** np.arange(6)[:, None]
     for k in range(0, len(over), 10 * CHUNK):
         retimed.coefficients[k : k + 10 * CHUNK] *= scale

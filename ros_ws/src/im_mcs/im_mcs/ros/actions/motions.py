@@ -96,7 +96,7 @@ class Motions:
                     on_progress(*told)
 
         try:
-            sender = await self._mcs.sender(client)
+            sender = await self._mcs.sender(client)  # meanwhile a stop or a newer goal may come
             self._require_wanted(arrival)
             replaced = self._replaced[group]
             if arguments["policy"] == Policy.REPLACE:

@@ -64,7 +64,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.end(activity, name, error, activity.reply.results if activity.reply is not None else {})
         case MessageBuilt(number, data):
             if (job := rule.activities[number].lineage.job) is None:
-                raise ValueError(f"activity {number} is done for no job")
+                raise ValueError(f"activity {number} belongs to no job")
             take_data(job, data)
         case PhaseFired(number, name, error):
             activity = _running(rule, number, name)
@@ -104,7 +104,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.ledger.tape.withdraw(job)
             rule.close(job, error)
         case ModeSet() | PauseSet():
-            raise ValueError("it is for the operator of the net")
+            raise ValueError("mode and pause are set by the operator, not by a rule")
 
 
 def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:

@@ -216,7 +216,7 @@ class FiringRule:
         try:
             results = recorded_data(job).results if self.keeps else plain_dict(job.results, "ctx.result")
         except NetError as unfit:
-            self.notifier.troubled(f"what was done for {job.symbol} is not told to net {net}: {unfit}")
+            self.notifier.troubled(f"the results for {job.symbol} are not sent to net {net}: {unfit}")
             return {}
         told = job.told.get(net, {})
         news = {name: value for name, value in results.items() if name not in told or told[name] != value}

@@ -19,7 +19,7 @@ def _length(value: object) -> tuple[int, int]:
     if len(numbers) != 2 or not 0 <= numbers[0] <= LARGEST or not 0 <= numbers[1] <= LARGEST:
         raise ValueError(f"{numbers} is no length: a number >= 0, or [least, most], is needed")
     if numbers[1] < numbers[0]:
-        raise ValueError(f"{numbers} goes from {numbers[0]} to less, {numbers[1]}")
+        raise ValueError(f"{numbers}: most {numbers[1]} is less than least {numbers[0]}")
     return numbers[0], numbers[1]
 
 
@@ -35,13 +35,13 @@ class ArgumentFile(FilePart):
     """Allowed values of an argument."""
 
     type: Literal["boolean", "integer", "number", "string", "booleans", "integers", "numbers", "strings", "object"] = (
-        Field(description="What its value is; those in the plural are lists, object is any JSON.")
+        Field(description="Type of its value; types in the plural are lists, object is any JSON.")
     )
     unit: Text = Field("", description="Unit of its numbers, as m or rad/s.")
     minimum: Given[_Limit] = Field(None, description="Least number, also of each element of a list.")
     maximum: Given[_Limit] = Field(None, description="Greatest number, also of each element of a list.")
     choices: Annotated[tuple[object, ...], BeforeValidator(_choices), WithJsonSchema({"type": "array"})] = Field(
-        (), description="What the value, or each element of a list, is one of."
+        (), description="Allowed values, also of each element of a list."
     )
     length: Given[
         Annotated[
@@ -51,7 +51,7 @@ class ArgumentFile(FilePart):
         ]
     ] = Field(None, description="Elements of a list, or characters of a text: a number, or [least, most].")
     default: Annotated[object, BeforeValidator(as_plain), WithJsonSchema(_ANY)] = Field(
-        None, description="Its value where it is not given; without it, it must be given."
+        None, description="Its value where none is given; without this key, the argument is required."
     )
     help: Text = Field("", description="One line for people.")
 
@@ -75,11 +75,11 @@ class CommandFile(FilePart):
     """Command: a symbol beginning a command."""
 
     description: Text = Field("", description="One line for people.")
-    arguments: Arguments = Field({}, description="What it takes, by name; others are refused.")
+    arguments: Arguments = Field({}, description="Arguments by name; others are refused.")
     needs: Texts = Field(
         (), description="Resources that it holds while it is under way; ${arguments.NAME} in them is an argument."
     )
-    busy: Literal["wait", "refuse"] = Field("wait", description="What becomes of it where others hold these.")
+    busy: Literal["wait", "refuse"] = Field("wait", description="Wait, or be refused, while others hold these.")
     priority: Annotated[int, Field(ge=-10, le=10), BeforeValidator(as_whole)] = Field(
         0, description="Larger goes first, where several wait for the same."
     )
@@ -92,10 +92,10 @@ class ServiceFile(FilePart):
     done: PlaceName = Field(description="Place that means success.")
     failed: PlaceName = Field(description="Place that means failure.")
     arguments: Given[Arguments] = Field(
-        None, description="What it takes, by name; others are refused. Without it, it takes anything."
+        None, description="Arguments by name; others are refused. Without this key, any are allowed."
     )
     acts_on: Given[Texts] = Field(
-        None, description="Resources that it acts on, which who asks for it holds; ${arguments.NAME} is an argument."
+        None, description="Resources that it acts on, held by its caller; ${arguments.NAME} in them is an argument."
     )
 
     @pydantic.model_validator(mode="after")

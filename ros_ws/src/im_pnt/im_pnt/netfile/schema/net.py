@@ -91,10 +91,10 @@ class NetFile(FragmentFile):
         {}, description="Services that other nets may request, by name."
     )
     commands: Annotated[dict[str, CommandFile], Named()] = Field(
-        {}, description="What is said of symbols that begin a command, by symbol; others take any arguments."
+        {}, description="Declarations of commands, by the symbol that begins each; others take any arguments."
     )
     assume: Annotated[dict[str, AssumptionFile], Named()] = Field(
-        {}, description="What is taken for granted of other nets, by remote place or service of this one."
+        {}, description="Assumptions about other nets, by remote place or service of this one."
     )
     at_once: Weight = Field(1, description="Requests to its services that are served at once; others wait.")
     rest: Given[Texts] = Field(

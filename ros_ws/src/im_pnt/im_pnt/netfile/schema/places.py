@@ -42,7 +42,7 @@ class PlaceFile(FilePart):
     on_invalid: Texts = Field((), description="Places to which its tokens go when the object loses its validity.")
     remote: Truth = Field(False, description="Whether transitions of other nets may mark it.")
     resource: Given[Truth] = Field(
-        None, description="Whether its tokens belong to nobody, and carry no command; not said: it is derived."
+        None, description="Whether its tokens carry no command; without this key, it is derived."
     )
 
     @pydantic.model_validator(mode="before")

@@ -64,7 +64,7 @@ _Rest = Annotated[object, WithJsonSchema({"type": ["array", "string", "null"]})]
 class TemplateFile(FilePart):
     """Part of a net with parameters; the sections are checked in the copies."""
 
-    parameters: Names = Field((), description="What each use gives.")
+    parameters: Names = Field((), description="Names of the values that each use gives.")
     places: _Section = Field(None, description="Places of each copy.")
     services: _Section = Field(None, description="Services of each copy.")
     commands: _Section = Field(None, description="Commands of each copy.")

@@ -55,8 +55,8 @@ class SymbolFile(FilePart):
     name: Name = Field(description="The symbol.")
     of: Given[Literal["command", "nobody"]] = Field(
         None,
-        description="command: it is a word to a command under way, and waits for one that asks for it; nobody: it "
-        "begins no command; not said: with tokens of nobody it begins a command.",
+        description="command: the symbol belongs to a command under way, and waits for one that reads it; nobody: it "
+        "begins no command; without this key, it begins one where no token carries a command.",
     )
     expires: Given[NotNegative] = Field(
         None,
