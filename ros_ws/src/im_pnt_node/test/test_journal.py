@@ -220,9 +220,11 @@ def test_entries_that_do_not_fit_are_no_reason_to_crash():
     process = JournalledProcess("x", [parse_net(LINE)], files)
     process.turn()
     for entry in (
-        ["net", "m", ["fire", "t"]], ["net", "n", ["fire", "t"]], ["net", "n", ["fire", "z"]], ["net", "n", ["end", 9]],
+        ["net", "m", ["fire", "t", None]], ["net", "n", ["fire", "t", None]], ["net", "n", ["fire", "z", None]],
+        ["net", "n", ["fire", "t"]], ["net", "n", ["end", 9, "t", None, None]], ["net", "n", ["end", 9]],
         ["net", "n", []], ["net", "n", [["x"]]], ["exchange", ["closed", "r"]], ["exchange", ["posted", "m", []]],
-        ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []], ["link", ["out", "y", [7, 0, "n", "p"]]],
+        ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []], ["link", ["out", "y", 7, [7, 0, "n", "p"]]],
+        ["link", ["out", "y", 1, [1, 0, "n"]]],
         ["link", ["in", "y", 5, ""]], ["link", []], ["link", ["acked", "y", 3]], ["other"], [], 5, None, "x",
         ["exchange", ["posted", "n", ["request", [1]]]], ["exchange", ["undeliverable", 1, 2]], ["store", "a"],
     ):  # fmt: skip
@@ -412,7 +414,7 @@ def test_what_another_process_sends_and_a_journal_cannot_keep_is_refused_with_a_
     pair.alive["front"].turn()
     assert "the results for transition ask.score is nan" in str(results[0].error)
     asking = Message(MessageKind.REQUEST, "back", "I.work", "r", "other", "t", payload={"arguments": {"x": math.inf}})
-    assert "the arguments of request r.x is inf" in back.receive("other", asking)
+    assert "arguments.x is inf" in back.receive("other", asking)
     assert "r" not in back.inboxes.in_work
     context = {"job": ["other", "net", 1], "symbol": "", "command": ["go", {"x": math.nan}, 0, ""], "arguments": {},
         "results": {}, "cancelled": None, "held": False}  # fmt: skip

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from im_core.errors import DataError
 from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
+from im_pnt_node.distributed.codec import LINK_ENTRY
+from im_pnt_node.distributed.entries import LinkEntry
 from im_pnt_node.distributed.link import MANY_UNPROVED, MOST_PEERS, MOST_STRANGERS, Link
 from im_pnt_node.distributed.packets import (
     MOST_EPOCH,
@@ -21,8 +23,7 @@ from im_pnt_node.distributed.packets import (
     encode_message,
     new_epoch,
 )
-from im_pnt_node.distributed.streams import WINDOW, LinkEntry
-from im_pnt_node.journal.codec import decode_link_entry, encode_link_entry
+from im_pnt_node.distributed.streams import WINDOW
 from im_pnt_node.journal.state import link_state, restore_link
 
 
@@ -66,7 +67,7 @@ class End:
             self.link.record = self.record
 
     def record(self, entry: LinkEntry) -> None:
-        self.entries.append(encode_link_entry(entry))
+        self.entries.append(LINK_ENTRY.encode(entry))
 
     def accept(self, sender: str, message: Message) -> str:
         if self.refuses and message.place == self.refuses:
@@ -78,8 +79,8 @@ class End:
         """The same process after its death, brought back by its journal alone."""
         other = End(name, self.first_epoch, journal=False)
         other.now, other.got, other.refuses = self.now, list(self.got), self.refuses
-        for entry in [f'["link",["epoch",{self.first_epoch}]]', *self.entries]:
-            other.link.replay(decode_link_entry(json.loads(entry)[1]))
+        for entry in [f'["epoch",{self.first_epoch}]', *self.entries]:
+            other.link.replay(LINK_ENTRY.decode(json.loads(entry)))
         other.link.come_back()
         other.entries = list(self.entries)
         other.link.record = other.record
@@ -146,7 +147,7 @@ def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journ
     a.link.flush()
     b.link.hear(a.packets[0][1])
     assert b.packets == []
-    assert [json.loads(entry)[1][0] for entry in b.entries] == ["begin", "in"]
+    assert [json.loads(entry)[0] for entry in b.entries] == ["begin", "in"]
 
 
 @settings(max_examples=150, deadline=None)

@@ -20,6 +20,19 @@ from collections.abc import Callable
 from im_core.clock import monotonic, wall
 from im_pnt.errors import NetError
 from im_pnt.execution.notification import Observer
+from im_pnt_node.distributed.entries import (
+    EpochRaised,
+    Json,
+    LifeBegun,
+    LinkEntry,
+    MessageRefused,
+    MessagesAcknowledged,
+    MessageSent,
+    MessageTaken,
+    MessageVoided,
+    NumbersSkipped,
+    PeerEntry,
+)
 from im_pnt_node.distributed.messages import with_hold
 from im_pnt_node.distributed.packets import (
     MOST_EPOCH,
@@ -34,20 +47,7 @@ from im_pnt_node.distributed.packets import (
     numbered,
     read_packet,
 )
-from im_pnt_node.distributed.streams import (
-    WINDOW,
-    EpochRaised,
-    LifeBegun,
-    LinkEntry,
-    MessageRefused,
-    MessagesAcknowledged,
-    MessageSent,
-    MessageTaken,
-    MessageVoided,
-    NumbersSkipped,
-    Peer,
-    PeerEntry,
-)
+from im_pnt_node.distributed.streams import WINDOW, Peer, Sent
 
 MOST_PEERS = 1024
 MOST_PACKET_MESSAGES = 64
@@ -177,7 +177,7 @@ class Link:
             text = numbered(number, message)
         except (TypeError, ValueError, RecursionError) as error:
             raise NetError(f"{message} is not JSON data: {error}", net=message.net) from error
-        self._happens(peer, MessageSent(node, number, text))
+        self._happens(peer, MessageSent(node, number, Json(text)))
         if outgoing.last <= outgoing.floor + WINDOW and outgoing.question is None:
             peer.fresh.append(outgoing.waiting[number])
             self._stirred[node] = peer
@@ -512,6 +512,8 @@ class Link:
         Raises:
             ValueError: It does not fit the streams.
         """
+        if isinstance(entry, MessageSent):
+            Sent(entry.text).message()  # which is read again only when it is sent
         if isinstance(entry, EpochRaised):
             self.epoch = entry.epoch
             for peer in self.peers.values():

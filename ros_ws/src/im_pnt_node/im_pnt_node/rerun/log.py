@@ -4,7 +4,7 @@ Items are JSON lists::
 
     ["node", name, functions]              who tells, and what makes its functions (``module:function``, or empty)
     ["state", net, state, yaml]            a net as recording begins, or as it is loaded, and the text of its file
-    ["net", net, entry]                    an entry of its journal (:mod:`im_pnt_node.journal.codec`)
+    ["net", net, entry]                    an entry of its journal (:mod:`im_pnt_node.distributed.codec`)
     ["heard", topic, type, CDR]            a message of a topic that guards look at
     ["object", name, valid]                a data object that has changed
     ["noted", key, value, error]           what a function has read, at once: a time, a file
@@ -20,7 +20,7 @@ from typing import TypeVar
 
 from im_core.errors import ImError
 from im_pnt.errors import encode_error
-from im_pnt_node.journal.log import encode_json
+from im_pnt_node.distributed.codec import encode_json
 
 ValueT = TypeVar("ValueT")
 Key = Sequence[object]

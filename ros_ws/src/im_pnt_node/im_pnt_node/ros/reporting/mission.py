@@ -13,14 +13,13 @@ from im_core.clock import monotonic
 from im_core.ros import qos
 from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
-from im_pnt.errors import encode_error
 from im_pnt.execution.actions import Ask, Requests
 from im_pnt.execution.events import Answer
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.netfile import yaml_text
-from im_pnt_node.journal.log import encode_json
+from im_pnt_node.distributed.codec import ANSWER, encode_json
 from im_pnt_node.journal.state import net_state
 from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.messages import packed_message
@@ -137,14 +136,9 @@ class NotedAnswers:
                 found = ask(activity, context)
                 return await found if inspect.isawaitable(found) else found
 
-            return await self._log.read(["asked", activity.net, activity.number], work(), told_answer)
+            return await self._log.read(["asked", activity.net, activity.number], work(), ANSWER.content)
 
         return asked
-
-
-def told_answer(answer: Answer) -> list[object]:
-    """Return the outcome of an action as JSON data."""
-    return [answer.outcome.value, encode_error(answer.error), dict(answer.results), answer.asked]
 
 
 class NotedObjects:
