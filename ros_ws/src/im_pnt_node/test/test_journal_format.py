@@ -17,7 +17,6 @@ from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
 from im_pnt_node.distributed import link
 from im_pnt_node.distributed.codec import COMMAND, REQUEST, encode_json
-from im_pnt_node.distributed.messages import request_message, request_of
 from im_pnt_node.journal import journal
 from support.journalled import JournalledProcess
 from support.memory_files import MemoryFiles
@@ -243,4 +242,3 @@ def test_the_scope_of_a_command_is_written_with_it_and_with_its_requests():
     assert COMMAND.decode(COMMAND.content(command)) == command
     request = Request("r", "n", "s", "dispatcher", "m", "ask", command, {})
     assert REQUEST.decode(REQUEST.content(request)) == request
-    assert request_of("dispatcher", request_message(request)) == request

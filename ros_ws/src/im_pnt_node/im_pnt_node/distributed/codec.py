@@ -46,6 +46,7 @@ TAGS: Mapping[type, str] = {
     journal_entries.GuardBroke: "guard",
     journal_entries.JobForgotten: "forgotten",
     journal_entries.VisitSettled: "settled",
+    entries.ReplyArrived: "reply",
     entries.EventPosted: "posted",
     entries.RequestAsked: "asked",
     entries.RequestAnswered: "answered",

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, NewType
 
+from im_core.errors import ImError
 from im_pnt.execution.events import (
     CommandHeld,
     JobUpdateArrived,
@@ -18,6 +19,20 @@ Arrival = (
 )
 Delivery = Arrival | ActivityEnded
 """An event for a net, as the net that takes it records it: so it is known when it was."""
+
+
+class ReplyArrived(NamedTuple):
+    """The reply to a request arrives from another process.
+
+    Attributes:
+        request_id: The request.
+        error: Why it failed, None if it has not.
+        results: What was done for it.
+    """
+
+    request_id: str
+    error: ImError | None
+    results: dict[str, object]
 
 
 class EventPosted(NamedTuple):

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from im_pnt_node.distributed.entries import (
+    Json,
     LifeBegun,
     MessageRefused,
     MessagesAcknowledged,
@@ -18,7 +19,7 @@ from im_pnt_node.distributed.entries import (
     NumbersSkipped,
     PeerEntry,
 )
-from im_pnt_node.distributed.packets import VOID, Message, MessageKind, decode_message, numbered
+from im_pnt_node.distributed.packets import VOID, Message, decode_message, numbered
 
 RESEND_AFTER_S = 0.25
 RESEND_AT_MOST_S = 2.0
@@ -43,7 +44,7 @@ class Sent:
         interval: Time between this repetition and the next [s].
     """
 
-    text: str
+    text: Json
     due: float = 0.0
     interval: float = RESEND_AFTER_S
 
@@ -211,7 +212,7 @@ class Peer:
     def in_flight(self) -> list[tuple[int, Message]]:
         """Return the unacknowledged messages, with the numbers."""
         messages = ((number, sent.message()) for number, sent in self.outgoing.waiting.items())
-        return [(number, message) for number, message in messages if message.kind is not MessageKind.VOID]
+        return [(number, message) for number, message in messages if message.event is not None]
 
     def apply(self, entry: PeerEntry, clock: Callable[[], float]) -> None:
         """Apply an entry.
