@@ -18,10 +18,12 @@ from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_dispatcher.commands.calibrate_camera import CalibrateCamera
 from im_dispatcher.job import PoseLoop
+from im_pnt.errors import NetError
 from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import ModeSet, PauseSet, TokenArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
+from im_pnt.execution.journal_entries import JobChange, MessageBuilt, TransitionFired
 from im_pnt.execution.notification import Nowhere
 from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
@@ -167,7 +169,8 @@ BEGIN = ("node", "/n", "")
         (["nonsense"], "a message of /pnt/events"),
         ([told(2)], "does not begin with the state of its nets"),
         ([told(1, BEGIN), told(4)], "messages 2 to 3 of /n on /pnt/events are not in the bag"),
-        ([told(1, BEGIN, ("net", "front", ["fire", "go"]))], "before its state is told"),
+        ([told(1, BEGIN, ("net", "front", ["fire", "go", None]))], "before its state is told"),
+        ([told(1, BEGIN, ("net", "front", ["fire", 3, None]))], "['fire', 3, None] is no entry of a net: 3 is no str"),
         ([told(1, BEGIN, ("odd",))], "is nothing that a node tells"),
         ([told(1, BEGIN, ("noted", ["at"], None, []))], "[] is no error"),
         ([told(1, BEGIN, ("net", ["front"], 3))], "is nothing that a node tells"),
@@ -201,9 +204,9 @@ def test_where_data_differ_first():
 
 def test_what_makes_a_message_may_be_done_earlier_than_it_was_and_counts_once():
     entries, turn = Entries(), Turn(0.0, 0, [])
-    then = [["token", "a", 1], ["built", 7, {"progress": 0.5}], ["fire", "t"]]
+    then = [TokenArrived("a", 1), MessageBuilt(7, JobChange(None, None, 0.5)), TransitionFired("t")]
     entries.recorded = [(entry, turn) for entry in then]
-    assert not entries.advance(["built", 7, {"progress": 0.6}])
+    assert not entries.advance(MessageBuilt(7, JobChange(None, None, 0.6)))
     assert entries.advance(then[1])
     assert entries.next() == then[0]
     assert not entries.advance(then[2]), "nothing else may"
@@ -307,24 +310,24 @@ def test_what_a_node_tells_is_enough_to_run_its_nets_again(ros, tmp_path, wait_u
     assert [run_again(texts[:count]).firings for count in range(1, len(texts) + 1)][-1] == firings, "wherever it ends"
     assert entries.count("built") == 2, "what a message is made of is on file with what that left in memory"
     at = entries.index("ended", entries.index("ended") + 1)  # the first one ends the message
-    (left,) = [item for turn in stream.turns for item in turn.items if item[0] == "net"][at][2][4:]
-    assert left["memory"] == ["keys", {"left": ["set", 2]}, []]
-    left["memory"][1]["left"] = ["set", 1]
+    left = [item for turn in stream.turns for item in turn.items if item[0] == "net"][at][2][4]
+    assert left[:2] == ["change", ["keys", {"left": ["set", 2]}, []]]
+    left[1][1]["left"] = ["set", 1]
     with pytest.raises(Difference, match=r"its function leaves something else: memory.*left.*1.*now 2"):
         NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
-    left["memory"][1]["left"] = ["set", 2]
+    left[1][1]["left"] = ["set", 2]
 
     end = next(item[2] for turn in stream.turns for item in turn.items if item[0] == "net" and item[2][0] == "end")
     rest = end[3:]
     del end[3:]
-    with pytest.raises(DataError, match=r"what /walker told at .* cannot be run again: IndexError"):
+    with pytest.raises(NetError, match=r"is no entry of a net: .* is not a list of number, transition, error, data"):
         NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
     end.extend(rest)
 
     for turn in stream.turns:
         for item in turn.items:
             if item[0] == "net" and item[2][0] == "command":
-                item[2][3]["steps"] += 1
+                item[2][1][2]["steps"] += 1
     with pytest.raises(Difference, match="memory"):
         NodeRerun(stream, RosWorld(), RosMessages(), {}).run()
 
@@ -466,7 +469,7 @@ def test_a_net_that_had_got_a_token_before_it_is_recorded_has_it_again():
     begun.take()
     texts = [
         told(1, BEGIN, ("state", "joined", net_state(begun), JOINED)),
-        told(2, ("net", "joined", ["fire", "join"])),
+        told(2, ("net", "joined", ["fire", "join", None])),
     ]
     assert run_again(texts).firings == 1
     with pytest.raises(Difference, match=r"begins with ready: 1\n.*now: +2\n.*another initial marking"):

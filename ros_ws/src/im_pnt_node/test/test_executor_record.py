@@ -24,7 +24,7 @@ from im_pnt.execution.jobs import ActivityState, Command, Request
 from im_pnt.execution.journal_entries import NetEntry, difference, renewed
 from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
-from im_pnt_node.journal.codec import decode_net_entry, net_encoder
+from im_pnt_node.distributed.codec import NET_ENTRY
 from im_pnt_node.journal.state import net_state, restore_net
 from support.process import Clock, Process, hold
 
@@ -70,11 +70,6 @@ STEPS = (
 )
 
 
-def written(entry: NetEntry) -> list[object]:
-    """An entry as a journal brings it back."""
-    return json.loads(net_encoder("n")(entry))[2]
-
-
 def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
     """Does some steps; returns the process, and its state after each with the number of entries up to there."""
     again = [False]
@@ -90,7 +85,7 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
         {"now": now, "act": hold},
         {"again": lambda ctx: again[0]},
         clock=Clock(),
-        record=lambda entry: entries.append(written(entry)),
+        record=lambda entry: entries.append(NET_ENTRY.content(entry)),
     )
     executor = process.exchange.nets["n"]
     process.pump()
@@ -145,7 +140,7 @@ def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_sn
     done = 0
     for count, state in states:
         for entry in process.entries[done:count]:
-            executor.replay(decode_net_entry(entry))
+            executor.replay(NET_ENTRY.decode(entry))
         done = count
         assert net_state(executor) == state
     for first, snapshot in states[:: max(1, len(states) // 4)]:
@@ -153,7 +148,7 @@ def test_entries_done_again_give_the_same_state_at_every_point_and_from_every_sn
         restore_net(executor, snapshot)
         assert net_state(executor) == snapshot
         for entry in process.entries[first:]:
-            executor.replay(decode_net_entry(entry))
+            executor.replay(NET_ENTRY.decode(entry))
         assert net_state(executor) == states[-1][1]
 
 
@@ -164,7 +159,7 @@ def test_an_action_of_which_it_is_on_file_that_it_has_ended_has_left_there_what_
     process, _ = run(steps)
     executor = fresh().exchange.nets["n"]
     for entry in process.entries:
-        executor.replay(decode_net_entry(entry))
+        executor.replay(NET_ENTRY.decode(entry))
         for activity in executor.activities:
             if activity.reply is not None and activity.lineage.job is not None:
                 assert activity.lineage.job.memory["ended"] == activity.number
@@ -190,7 +185,7 @@ def test_what_a_builder_leaves_in_memory_is_on_file_with_its_request(fits):
     functions, entries = {"note": note, "act": hold}, []
 
     def record(entry: NetEntry) -> None:
-        entries.append(written(entry))
+        entries.append(NET_ENTRY.content(entry))
 
     process = Process([front, back], functions, record=record)
     process.exchange.nets["m"].rule.record = None
@@ -202,7 +197,7 @@ def test_what_a_builder_leaves_in_memory_is_on_file_with_its_request(fits):
         return
     again = Process([front, back], functions).exchange.nets["n"]
     for entry in entries:
-        again.replay(decode_net_entry(entry))
+        again.replay(NET_ENTRY.decode(entry))
     (activity,) = again.activities
     assert activity.lineage.job.memory == {"looked": "p03"}
     assert net_state(again) == net_state(process.exchange.nets["n"])
@@ -292,7 +287,7 @@ def test_the_entry_comes_before_what_it_tells():
     net = parse_net("net: n\nplaces: {a: 1, b: , bad: }\ntransitions: {t: {in: a, out: b, action: f, on_failure: bad}}")
 
     def record(entry: NetEntry) -> None:
-        order.append(f"{written(entry)[0]} {process.marking('n')}")
+        order.append(f"{NET_ENTRY.content(entry)[0]} {process.marking('n')}")
 
     process = Process([net], {"f": act}, record=record)
     process.pump()
@@ -330,7 +325,7 @@ def test_what_json_cannot_carry_fails_the_action_that_made_it(value, message):
         ctx.memory["x"] = value
         ctx.result["good"] = 1
 
-    process = Process([net], {"f": f}, record=net_encoder("n"))
+    process = Process([net], {"f": f}, record=NET_ENTRY.encode)
     process.command("n", "go")
     with pytest.raises(NetError, match=message):
         raise process.results[0].error
@@ -351,15 +346,18 @@ def test_a_value_that_contains_itself_is_refused_like_any_other():
 
 @pytest.mark.parametrize(
     "entry",
-    [[], ["no"], ["fire", "no"], ["fire", "plan.start"], ["fire", "begin"], ["phase", 1, "move.cancel", ["a", "b", {}]],
-     ["end", 1, "move.end", None, None], ["token", "nowhere", 1], ["token", "spare"], ["command", 1, "no", {}],
+    [[], ["no"], [3], {}, None, ["fire", "no", None], ["fire", "plan.start", None], ["fire", "begin", None],
+     ["fire", "begin"], ["fire", "begin", "1"], ["fire", "begin", True], ["fire", None, None],
+     ["phase", 1, "move.cancel", ["a", "b", {}]],
+     ["end", 1, "move.end", None, None], ["token", "nowhere", 1, None], ["token", "spare"],
+     ["token", "spare", 1, []], ["end", 1, "move.end", None, ["data", {}, [], 0.5]], ["command", [1, "no", {}, 0, ""]],
      ["forgotten", 1, None], ["cancel", 1, None], ["mode", "fast"], ["pause", 1], ["guard", 3, ["a", "b", {}]]],
 )  # fmt: skip
 def test_an_entry_that_does_not_fit_is_refused(entry):
     executor = fresh().exchange.nets["n"]
     before = net_state(executor)
     with pytest.raises(NetError):
-        executor.replay(decode_net_entry(entry))
+        executor.replay(NET_ENTRY.decode(entry))
     assert net_state(executor) == before
 
 

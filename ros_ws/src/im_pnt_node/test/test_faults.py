@@ -12,7 +12,6 @@ import pytest
 from im_pnt.execution.events import TokenArrived
 from im_pnt.execution.notification import Observer
 from im_pnt.netfile import parse_net
-from im_pnt_node.distributed.packets import MessageKind
 from im_pnt_node.journal.folder import Files, Folder
 from im_pnt_node.journal.state import link_state
 from support.journalled import JournalledProcess
@@ -173,7 +172,9 @@ class World:
             for node, peer in link_state(process.link)["peers"].items():
                 there = link_state(processes[node].link)["peers"].get(name)
                 floor = there["heard"][1] if there else 0
-                count += sum(entry[0] > floor and entry[1] == MessageKind.TOKEN for entry in peer["waiting"])
+                count += sum(
+                    entry[0] > floor and entry[2] is not None and entry[2][0] == "token" for entry in peer["waiting"]
+                )
         return count
 
     def run(self, troubled_s: float = 8.0, most_s: float = 200.0) -> None:

@@ -12,14 +12,15 @@ from im_core.errors import ImError, LinkError
 from im_core.store_mark import SeenStore, StoreMark
 from im_pnt.errors import JournalError
 from im_pnt.execution.actions import FunctionRunner
-from im_pnt.execution.events import CommandCancelled, TokenArrived
+from im_pnt.execution.events import CommandCancelled, JobUpdate, JobUpdateArrived, RequestArrived, TokenArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
-from im_pnt.execution.jobs import Command, CommandResult
+from im_pnt.execution.jobs import Command, CommandResult, JobKey, Owner, Request, TokenContext
 from im_pnt.execution.notification import Observer
 from im_pnt.model.action import FunctionAction, RequestAction, TopicAction
 from im_pnt.netfile import parse_net
-from im_pnt_node.distributed.packets import Message, MessageKind
+from im_pnt_node.distributed.entries import ReplyArrived
+from im_pnt_node.distributed.packets import Message
 from im_pnt_node.journal import journal, log
 from im_pnt_node.journal.folder import Folder
 from im_pnt_node.journal.journal import GuardedRunner, Journal, fingerprint
@@ -220,9 +221,12 @@ def test_entries_that_do_not_fit_are_no_reason_to_crash():
     process = JournalledProcess("x", [parse_net(LINE)], files)
     process.turn()
     for entry in (
-        ["net", "m", ["fire", "t"]], ["net", "n", ["fire", "t"]], ["net", "n", ["fire", "z"]], ["net", "n", ["end", 9]],
+        ["net", "m", ["fire", "t", None]], ["net", "n", ["fire", "t", None]], ["net", "n", ["fire", "z", None]],
+        ["net", "n", ["fire", "t"]], ["net", "n", ["end", 9, "t", None, None]], ["net", "n", ["end", 9]],
         ["net", "n", []], ["net", "n", [["x"]]], ["exchange", ["closed", "r"]], ["exchange", ["posted", "m", []]],
-        ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []], ["link", ["out", "y", [7, 0, "n", "p"]]],
+        ["exchange", ["asked", "r", "n", 1, "m", ""]], ["exchange", []],
+        ["link", ["out", "y", 7, [7, "n", ["token", "p", 1, None]]]],
+        ["link", ["out", "y", 1, [1, "n", ["token", "p", 1]]]],
         ["link", ["in", "y", 5, ""]], ["link", []], ["link", ["acked", "y", 3]], ["other"], [], 5, None, "x",
         ["exchange", ["posted", "n", ["request", [1]]]], ["exchange", ["undeliverable", 1, 2]], ["store", "a"],
     ):  # fmt: skip
@@ -340,7 +344,7 @@ def test_no_request_has_the_name_of_one_that_an_old_copy_of_the_journal_has_forg
     pair.alive["front"].exchange.nets["front"].command(Command(3, "go"))
     pair.run()
     for _ in range(3):
-        late = Message(MessageKind.REPLY, "front", "", forgotten, payload={"results": {"of": "the forgotten one"}})
+        late = Message("front", ReplyArrived(forgotten, None, {"of": "the forgotten one"}))
         exchange = pair.alive["front"].exchange
         exchange.receive("back", late)
         pair.run()
@@ -407,18 +411,18 @@ def test_what_another_process_sends_and_a_journal_cannot_keep_is_refused_with_a_
     results = asked(pair)
     front, back = (pair.alive[name].exchange for name in ("front", "back"))
     ((request_id, _),) = front.book.items()
-    unfit = {"results": {"score": math.nan}}
-    assert front.receive("back", Message(MessageKind.REPLY, "front", "", request_id, payload=unfit)) == ""
+    unfit = ReplyArrived(request_id, None, {"score": math.nan})
+    assert front.receive("back", Message("front", unfit)) == ""
     pair.alive["front"].turn()
     assert "the results for transition ask.score is nan" in str(results[0].error)
-    asking = Message(MessageKind.REQUEST, "back", "I.work", "r", "other", "t", payload={"arguments": {"x": math.inf}})
-    assert "the arguments of request r.x is inf" in back.receive("other", asking)
+    asking = RequestArrived(Request("r", "back", "work", "", "other", "t", Command(), {"x": math.inf}))
+    assert "arguments.x is inf" in back.receive("other", Message("back", asking))
     assert "r" not in back.inboxes.in_work
-    context = {"job": ["other", "net", 1], "symbol": "", "command": ["go", {"x": math.nan}, 0, ""], "arguments": {},
-        "results": {}, "cancelled": None, "held": False}  # fmt: skip
-    assert ".x is nan" in back.receive("other", Message(MessageKind.TOKEN, "back", "go", payload=context))
-    told = {"job": ["other", "net", 1], "tiding": "settled", "results": {"x": math.nan}}
-    assert ".x is nan" in back.receive("other", Message(MessageKind.TIDING, "back", "", payload=told))
+    owner = Owner(JobKey("other", "net", 1), "", Command(0, "go", {"x": math.nan}), {})
+    token = TokenArrived("go", 1, TokenContext(owner, False, "", "net"))
+    assert ".x is nan" in back.receive("other", Message("back", token))
+    told = JobUpdateArrived(owner.key, False, JobUpdate.SETTLED, "net", None, {"x": math.nan})
+    assert ".x is nan" in back.receive("other", Message("back", told))
 
 
 def test_the_journal_grows_no_further_than_its_limit():

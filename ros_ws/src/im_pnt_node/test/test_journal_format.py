@@ -16,10 +16,8 @@ from im_pnt.execution.jobs import Command, Request
 from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
 from im_pnt_node.distributed import link
-from im_pnt_node.distributed.messages import request_message, request_of
+from im_pnt_node.distributed.codec import COMMAND, REQUEST, encode_json
 from im_pnt_node.journal import journal
-from im_pnt_node.journal.codec import decode_command, decode_request, encode_command, encode_request
-from im_pnt_node.journal.log import encode_json
 from support.journalled import JournalledProcess
 from support.memory_files import MemoryFiles
 
@@ -241,8 +239,6 @@ def test_what_was_written_is_brought_back_as_it_was(name):
 
 def test_the_scope_of_a_command_is_written_with_it_and_with_its_requests():
     command = Command(7, "go", {"x": 1}, scope="dispatcher/20260131-142501-7")
-    assert decode_command(encode_command(command)) == command
+    assert COMMAND.decode(COMMAND.content(command)) == command
     request = Request("r", "n", "s", "dispatcher", "m", "ask", command, {})
-    assert decode_request(encode_request(request)) == request
-    assert request_of("dispatcher", request_message(request)) == request
-    assert decode_command([7, "go", {"x": 1}]) == Command(7, "go", {"x": 1})
+    assert REQUEST.decode(REQUEST.content(request)) == request

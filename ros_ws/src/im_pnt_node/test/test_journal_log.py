@@ -165,13 +165,13 @@ def test_other_versions_and_other_files_are_refused():
         return content
 
     for bodies, reason in (
-        (('{"format":"im_pnt journal","version":1}', "{}"), "it has version 1, and version 2 is read here; noth"),
-        (('{"format":"im_pnt journal","version":99}', "{}"), "it has version 99, and version 2 is read here"),
+        (('{"format":"im_pnt journal","version":1}', "{}"), "it has version 1, and version 3 is read here; noth"),
+        (('{"format":"im_pnt journal","version":99}', "{}"), "it has version 99, and version 3 is read here"),
         (('{"format":"diary"}', "{}"), "its header is not one of an im_pnt journal"),
         (("[]", "{}"), "its header is not one"),
-        (('{"format":"im_pnt journal","version":2}', "[]"), "the snapshot is not a JSON object"),
-        (('{"format":"im_pnt journal","version":2}', "{}", "{}"), "it is not a JSON list of entries"),
-        (('{"format":"im_pnt journal","version":2}', "{}", "[["), "it is not JSON"),
+        (('{"format":"im_pnt journal","version":3}', "[]"), "the snapshot is not a JSON object"),
+        (('{"format":"im_pnt journal","version":3}', "{}", "{}"), "it is not a JSON list of entries"),
+        (('{"format":"im_pnt journal","version":3}', "{}", "[["), "it is not JSON"),
     ):
         with pytest.raises(JournalError, match=reason):
             reread(file_of(*bodies))

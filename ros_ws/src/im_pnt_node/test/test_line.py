@@ -7,7 +7,7 @@ from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command, Request
 from im_pnt.netfile import parse_net
-from im_pnt_node.journal.codec import decode_net_entry, net_encoder
+from im_pnt_node.distributed.codec import NET_ENTRY
 from im_pnt_node.journal.state import net_state, restore_net
 from support.process import Process, hold
 
@@ -23,9 +23,10 @@ transitions:
 def line() -> tuple[Process, list[str]]:
     """A net whose two transitions read the same symbol, each only with one argument, and what its journal is told."""
     written: list[str] = []
-    encode = net_encoder("n")
     guards = {f"is_{side}": lambda ctx, side=side: ctx.command.arguments["side"] == side for side in ("left", "right")}
-    return Process([parse_net(LINE)], {"go": hold}, guards, record=lambda e: written.append(encode(e))), written
+    return Process(
+        [parse_net(LINE)], {"go": hold}, guards, record=lambda e: written.append(NET_ENTRY.encode(e))
+    ), written
 
 
 def going(process: Process) -> list[int]:
@@ -57,8 +58,7 @@ transitions:
 """
     )
     written: list[str] = []
-    encode = net_encoder("n")
-    process = Process([chain], {"go": hold}, record=lambda e: written.append(encode(e)))
+    process = Process([chain], {"go": hold}, record=lambda e: written.append(NET_ENTRY.encode(e)))
     net = process.exchange.nets["n"]
     first, second = process.command("n", "go"), process.command("n", "go")
     net.post(CommandHeld(first, True))
@@ -117,8 +117,7 @@ def asked(number: int, scope: str) -> RequestArrived:
 
 def test_a_command_that_is_held_holds_none_of_another_node_that_has_its_number():
     written: list[str] = []
-    encode = net_encoder("n")
-    process = Process([parse_net(SERVER)], {"go": hold}, record=lambda e: written.append(encode(e)))
+    process = Process([parse_net(SERVER)], {"go": hold}, record=lambda e: written.append(NET_ENTRY.encode(e)))
     net = process.exchange.nets["n"]
     net.post(CommandHeld(1, True, "node/1"))
     assert process.command("n", "go") == 1
@@ -147,11 +146,11 @@ def test_a_command_that_is_held_is_still_held_after_its_state_was_brought_back()
     again.pump()
     assert [ctx.command.scope for _, _, ctx in again.held] == ["other/1"]
     for line, entry in (
-        (["hold", 1, True], CommandHeld(1, True)),
+        (["hold", 1, True, ""], CommandHeld(1, True)),
         (["hold", 1, True, "a/1"], CommandHeld(1, True, "a/1")),
     ):
-        assert decode_net_entry(line) == entry
-        assert json.loads(net_encoder("n")(entry))[2] == line
+        assert NET_ENTRY.decode(line) == entry
+        assert NET_ENTRY.content(entry) == line
 
 
 FRONT = """
@@ -201,6 +200,6 @@ def assert_replayed(process: Process, written: list[str]) -> None:
     functions = process.functions
     again = Process([executor.written], functions.actions, functions.guards).exchange.nets["n"]
     for text in written:
-        again.replay(decode_net_entry(json.loads(text)[2]))
+        again.replay(NET_ENTRY.decode(json.loads(text)))
     again.rule.record = executor.record
     assert net_state(again) == net_state(executor)

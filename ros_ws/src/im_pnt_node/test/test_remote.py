@@ -162,7 +162,7 @@ def test_a_result_that_json_cannot_say_fails_the_request_with_a_sentence():
     Node(network, "back", [BACK], {"work": lambda ctx: ctx.result.update(score=math.nan)})
     front.process.command("front", "go")
     network.run(5.0)
-    assert "is not JSON data: Out of range float values" in front.process.results[0].error.message
+    assert "is not JSON data: results.score is nan" in front.process.results[0].error.message
     assert all(node.link.idle() for node in network.nodes.values())
 
 
@@ -173,7 +173,7 @@ def test_a_token_whose_job_json_cannot_say_is_kept_and_said():
     node = Node(network, "sends", [sends], {})
     node.process.command("sends", "go", width=math.nan)
     assert {str(place): count for place, count in node.process.exchange.undeliverable.items()} == {"gets.p": 1}
-    assert "is not JSON data: Out of range float values" in node.process.recorder.troubles[0]
+    assert "is not JSON data: arguments.width is nan" in node.process.recorder.troubles[0]
 
 
 def test_a_number_that_is_none_among_the_facts_of_a_failure_crosses_as_text():

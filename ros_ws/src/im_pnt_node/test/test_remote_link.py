@@ -9,20 +9,22 @@ from hypothesis import strategies as st
 
 from im_core.errors import DataError
 from im_pnt.errors import NetError
+from im_pnt.execution.events import JobUpdate, JobUpdateArrived, RequestArrived, RequestHeld, TokenArrived
+from im_pnt.execution.jobs import Command, JobKey, Request
 from im_pnt.execution.notification import Observer
+from im_pnt_node.distributed.codec import LINK_ENTRY
+from im_pnt_node.distributed.entries import LinkEntry, ReplyArrived
 from im_pnt_node.distributed.link import MANY_UNPROVED, MOST_PEERS, MOST_STRANGERS, Link
 from im_pnt_node.distributed.packets import (
     MOST_EPOCH,
     SECRET_BITS,
     VOID,
     Message,
-    MessageKind,
     decode_message,
     encode_message,
     new_epoch,
 )
-from im_pnt_node.distributed.streams import WINDOW, LinkEntry
-from im_pnt_node.journal.codec import decode_link_entry, encode_link_entry
+from im_pnt_node.distributed.streams import WINDOW
 from im_pnt_node.journal.state import link_state, restore_link
 
 
@@ -66,11 +68,11 @@ class End:
             self.link.record = self.record
 
     def record(self, entry: LinkEntry) -> None:
-        self.entries.append(encode_link_entry(entry))
+        self.entries.append(LINK_ENTRY.encode(entry))
 
     def accept(self, sender: str, message: Message) -> str:
-        if self.refuses and message.place == self.refuses:
-            return f"there is no place {message.place}"
+        if self.refuses and place_of(message) == self.refuses:
+            return f"there is no place {place_of(message)}"
         self.got.append(message)
         return ""
 
@@ -78,8 +80,8 @@ class End:
         """The same process after its death, brought back by its journal alone."""
         other = End(name, self.first_epoch, journal=False)
         other.now, other.got, other.refuses = self.now, list(self.got), self.refuses
-        for entry in [f'["link",["epoch",{self.first_epoch}]]', *self.entries]:
-            other.link.replay(decode_link_entry(json.loads(entry)[1]))
+        for entry in [f'["epoch",{self.first_epoch}]', *self.entries]:
+            other.link.replay(LINK_ENTRY.decode(json.loads(entry)))
         other.link.come_back()
         other.entries = list(self.entries)
         other.link.record = other.record
@@ -90,11 +92,20 @@ class End:
             self.link.send(node, token(place))
 
     def taken(self) -> list[str]:
-        return [message.place for message in self.got]
+        return [place_of(message) for message in self.got]
 
 
 def token(place: str) -> Message:
-    return Message(MessageKind.TOKEN, "net", place)
+    return Message("net", TokenArrived(place, 1))
+
+
+def place_of(message: Message) -> str:
+    return message.event.place if isinstance(message.event, TokenArrived) else ""
+
+
+def request(request_id: str, **arguments: object) -> Message:
+    asked = Request(request_id, "net", "s", "", "c", "t", Command(7), arguments)
+    return Message("net", RequestArrived(asked))
 
 
 def exchange(
@@ -146,7 +157,7 @@ def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journ
     a.link.flush()
     b.link.hear(a.packets[0][1])
     assert b.packets == []
-    assert [json.loads(entry)[1][0] for entry in b.entries] == ["begin", "in"]
+    assert [json.loads(entry)[0] for entry in b.entries] == ["begin", "in"]
 
 
 @settings(max_examples=150, deadline=None)
@@ -226,7 +237,7 @@ def test_who_lost_its_journal_begins_anew_and_the_other_side_says_what_was_in_fl
     b.send("a", "u")
     exchange(a, b)
     a.send("b", "y")
-    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
+    a.link.send("b", request("r-1"))
     late = End("b", 2)
     late.send("a", "v")
     late.link.flush()
@@ -282,11 +293,11 @@ def test_a_process_whose_clock_went_back_becomes_the_later_one():
 def test_what_nobody_needs_any_more_leaves_no_gap():
     a, b = met()
     a.send("b", "x")
-    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
+    a.link.send("b", request("r-1"))
     a.send("b", "y")
     a.link.forget("r-1")
     exchange(a, b)
-    assert [message.kind for message in b.got] == [MessageKind.TOKEN, MessageKind.VOID, MessageKind.TOKEN]
+    assert b.got == [token("x"), VOID, token("y")]
 
 
 def test_while_a_process_is_silent_only_a_window_is_on_its_way():
@@ -312,10 +323,14 @@ HOSTILE = [
     packet(base=0), packet(base=-5), packet(base="1"), packet(known=-1), packet(known=2**62), packet(journal="yes"),
     packet(known=1, ack=[5, []]), packet(known=1, ack=[-1, []]), packet(known=1, ack=[0, [[1, "no"], [2], 3, {}]]),
     packet("x", 7, 0, "a", 1, 1, {"a": 1}), packet("x", 7, 0, "a", 1, 1, [2**70, []]), packet("x", 7, 0, "b"),
-    packet("x", 7, 0, "a", 0, 1, 0, [1]), packet("x", 7, 0, "a", 0, 1, 0, [2, 0, "n"]),
-    packet("x", 7, 0, "a", 0, 1, 0, 5), packet("x", 7, 0, "a", 0, 1, 0, [3, 9, "n", "p"]),
-    packet("x", 7, 0, "a", 0, 1, 0, [-4, 0, "n", "p"]), packet("x", 7, 0, "a", 0, 1, 0, ["1", 0, "n", "p"]),
-    packet("x", 7, 0, "a", 0, 1, 0, [1, 2, "n", "p", 1, 2, 3, 4, 5, 6]),
+    packet("x", 7, 0, "a", 0, 1, 0, [1]), packet("x", 7, 0, "a", 0, 1, 0, [2, "n"]),
+    packet("x", 7, 0, "a", 0, 1, 0, 5), packet("x", 7, 0, "a", 0, 1, 0, [3, "n", ["odd", "p", 1, None]]),
+    packet("x", 7, 0, "a", 0, 1, 0, [-4, "n", ["token", "p", 1, None]]),
+    packet("x", 7, 0, "a", 0, 1, 0, ["1", "n", ["token", "p", 1, None]]),
+    packet("x", 7, 0, "a", 0, 1, 0, [1, "n", ["token", "p", 1, None], 4, 5, 6]),
+    packet("x", 7, 0, "a", 1, 1, 0, [1, "n", ["token", "p", 2**70, None]]), packet("x", 7, 0, "a", 1, 1, 0, [1, "n"]),
+    packet("x", 7, 0, "a", 1, 1, 0, [1, "n", ["request", ["r", "n", "s", "", "", "", [-1, "", {}, 0, ""], {}], False]]),
+    packet("x", 7, 0, "a", 1, 1, 0, [1, "n", ["tiding", ["p", "n", 1], False, "odd", "m", None, {}]]),
 ]  # fmt: skip
 
 
@@ -351,7 +366,7 @@ json_values = st.recursive(
 def test_fuzzed_packets_of_who_knows_the_epoch_break_nothing(fields, kept):
     a, _ = pair()
     a.send("b", "x")
-    valid = json.loads(packet("x", 7, 0, "a", 1, 1, 0, [1, 0, "n", "p"]))
+    valid = json.loads(packet("x", 7, 0, "a", 1, 1, 0, [1, "n", ["token", "p", 1, None]]))
     a.link.hear(json.dumps(valid[:kept] + fields))
     a.link.tick()
     assert link_state(a.reborn("a").link) == link_state(a.link)
@@ -364,9 +379,9 @@ def test_a_flood_of_senders_and_of_numbers_is_bounded():
     assert len(link_state(a.link)["peers"]) == MOST_PEERS
     c = End("c", 1)
     for number in range(2, 10 * WINDOW):
-        c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [number, 0, "net", "p"]))
+        c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [number, "net", ["token", "p", 1, None]]))
     assert c.got == []
-    c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [1, 0, "net", "p"]))
+    c.link.hear(packet("x", 7, 0, "c", 1, 1, 0, [1, "net", ["token", "p", 1, None]]))
     assert len(c.got) == WINDOW
     for _ in range(1000):
         b.link.hear(packet("x", 7, 0, "b", 1, 1, [12345, []]))
@@ -379,9 +394,9 @@ def test_a_flood_of_senders_and_of_numbers_is_bounded():
 NUMBERS = st.sampled_from([0, 1, 2, 3, WINDOW, WINDOW + 5, 10**9, 2**62 - 1, 2**64, MOST_EPOCH - 1]) | st.integers(0, 8)
 ACKS = st.sampled_from([0, 1]) | st.tuples(NUMBERS, st.lists(st.tuples(NUMBERS, st.just("no")), max_size=2))
 MESSAGES = st.lists(
-    st.tuples(NUMBERS, st.just(0), st.just("net"), st.just("forged"))
-    | st.tuples(NUMBERS, st.just(2), st.just("net"), st.just(""), st.just("r-1"), st.just(""), st.just(""), st.just(0))
-    | st.tuples(NUMBERS, st.just(3)),
+    st.tuples(NUMBERS, st.just("net"), st.just(["token", "forged", 1, None]))
+    | st.tuples(NUMBERS, st.just("net"), st.just(["reply", "r-1", None, {}]))
+    | st.tuples(NUMBERS, st.just(""), st.none()),
     max_size=3,
 )
 EPOCHS = NUMBERS | st.builds(lambda ahead: new_epoch() + (ahead << SECRET_BITS), st.integers(0, 10**12))
@@ -423,7 +438,19 @@ def test_the_packets_that_once_did_harm_do_none_and_are_told_of():
     a.send("b", "x")
     exchange(a, b)
     for epoch in (2**62 - 1, MOST_EPOCH - 1, new_epoch(a.link.epoch)):
-        b.link.hear(packet("a", epoch, 1, "b", 0, 1, 0, [1, 0, "net", "forged"], [2, 0, "net", "forged"]))
+        b.link.hear(
+            packet(
+                "a",
+                epoch,
+                1,
+                "b",
+                0,
+                1,
+                0,
+                [1, "net", ["token", "forged", 1, None]],
+                [2, "net", ["token", "forged", 1, None]],
+            )
+        )
         b.link.hear(packet("a", epoch, 1, "b", 0, 10**9))
         a.link.hear(packet("b", 2**62 - 1, 1, "a", epoch, 1, [1, [[1, "no"]]]))
     assert "names a life that begins" in b.observer.texts[0]
@@ -446,11 +473,11 @@ def test_many_packets_that_prove_nothing_are_told_of_once_and_make_nobody_known(
 
 def test_a_base_beyond_what_was_sent_is_refused_and_told_of():
     _, b = met()
-    b.link.hear(packet("a", 1, 1, "b", 1, 1, 0, [1, 0, "net", "p"]))
-    b.link.hear(packet("a", 1, 1, "b", 1, 10**9, 0, [2, 0, "net", "p"]))
+    b.link.hear(packet("a", 1, 1, "b", 1, 1, 0, [1, "net", ["token", "p", 1, None]]))
+    b.link.hear(packet("a", 1, 1, "b", 1, 10**9, 0, [2, "net", ["token", "p", 1, None]]))
     assert b.taken() == ["p"]
     assert "it lacks 999999998 messages that a has sent" in b.observer.texts[0]
-    b.link.hear(packet("a", 1, 1, "b", 1, 2, 0, [2, 0, "net", "q"]))
+    b.link.hear(packet("a", 1, 1, "b", 1, 2, 0, [2, "net", ["token", "q", 1, None]]))
     assert b.taken() == ["p", "q"]
 
 
@@ -472,11 +499,11 @@ def test_an_old_journal_of_a_sender_is_noticed_and_no_new_message_is_lost():
     exchange(a, b)
     a = old_copy(a, journal)
     a.send("b", *"45678")  # numbers that b has seen, and some that it has not
-    a.link.send("b", Message(MessageKind.REQUEST, "net", "I.s", "r-1"))
+    a.link.send("b", request("r-1"))
     a.link.flush()
     assert a.packets == []  # nothing leaves before it is sure what b has
     exchange(a, b)
-    assert [message.place for message in b.got if message.kind is MessageKind.TOKEN] == list("12345678")
+    assert [place_of(message) for message in b.got if place_of(message)] == list("12345678")
     assert (
         "the journal of a was an old copy, or has lost its end: b has taken 3 messages, and it knows of 1"
         in (a.observer.texts[0])
@@ -626,14 +653,15 @@ def test_messages_are_what_they_were_after_crossing():
     messages = [
         token('p\n"ü\ud800'),
         VOID,
-        Message(MessageKind.REQUEST, "n", "I.s", "r", "c", "t", 7, None, {"arguments": {"x": [1, None]}}),
-        Message(MessageKind.REPLY, "n", "", "r", error=error, payload={"results": {}}),
+        request("r", x=[1, None]),
+        Message("net", RequestHeld("r", True)),
+        Message("net", JobUpdateArrived(JobKey("p", "n", 1), False, JobUpdate.SETTLED, "m")),
     ]
     for message in messages:
-        back = decode_message(json.loads(f"[{encode_message(message)}]"))
-        assert back[:7] == message[:7]
-        assert dict(back.payload) == dict(message.payload)
-    assert (back.error.code, back.error.message, back.error.facts) == (
+        assert decode_message(json.loads(f"[{encode_message(message)}]")) == message
+    reply = Message("n", ReplyArrived("r", error, {}))
+    back = decode_message(json.loads(f"[{encode_message(reply)}]")).event.error
+    assert (back.code, back.message, back.facts) == (
         "data", "no spot", {"camera": "wall", "size": [1, 2]},
     )  # fmt: skip
 
@@ -652,8 +680,8 @@ def test_of_packets_that_make_no_sense_the_first_is_told_and_then_how_many_there
 
 def test_a_payload_that_is_not_json_is_refused_before_it_is_numbered():
     a, _ = pair()
-    with pytest.raises(NetError, match="request r to net n is not JSON data: Object of type object"):
-        a.link.send("b", Message(MessageKind.REQUEST, "n", "I.s", "r", payload={"x": object()}))
+    with pytest.raises(NetError, match=r"request r to net net is not JSON data: arguments\.x is <object"):
+        a.link.send("b", request("r", x=object()))
     assert a.entries == []
     assert a.link.idle()
 

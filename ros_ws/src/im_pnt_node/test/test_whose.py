@@ -26,8 +26,8 @@ from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.net import Guard, Net, Place, RemotePlace, Transition
 from im_pnt.model.resources import resource_places
 from im_pnt.netfile import parse_net
+from im_pnt_node.distributed.codec import NET_ENTRY
 from im_pnt_node.distributed.packets import Message, decode_message, numbered
-from im_pnt_node.journal.codec import decode_net_entry, net_encoder
 from im_pnt_node.journal.state import net_state
 from support.journalled import JournalledProcess
 from support.memory_files import MemoryFiles
@@ -212,8 +212,8 @@ class Run:
         self.process = self.nodes["near"]
         self.entries: dict[str, list[str]] = {"n": [], "server": [], "m": []}
         for name, executor in self.nets().items():
-            encode, entries = net_encoder(name), self.entries[name]
-            executor.rule.record = lambda entry, encode=encode, entries=entries: entries.append(encode(entry))
+            entries = self.entries[name]
+            executor.rule.record = lambda entry, entries=entries: entries.append(NET_ENTRY.encode(entry))
 
     def nets(self) -> dict[str, Executor]:
         return {name: executor for node in self.nodes.values() for name, executor in node.exchange.nets.items()}
@@ -318,7 +318,7 @@ class Run:
         for name, executor in self.nets().items():
             again = Process([executor.written], self.process.functions.actions).exchange.nets[name]
             for text in self.entries[name]:
-                again.replay(decode_net_entry(json.loads(text)[2]))
+                again.replay(NET_ENTRY.decode(json.loads(text)))
             again.rule.record = executor.record
             assert net_state(again) == net_state(executor)
 
@@ -736,7 +736,7 @@ def test_a_journal_brings_words_back():
     run = Confirmed(CONFIRMED.replace("of: command", "of: command, expires: 2"))
     executor = run.process.exchange.nets["n"]
     entries: list[str] = []
-    encode = net_encoder("n")
+    encode = NET_ENTRY.encode
     executor.rule.record = lambda entry: entries.append(encode(entry))
     for step in ("confirm", "move", "move", "move"):
         run.process.command("n", step)
@@ -748,6 +748,6 @@ def test_a_journal_brings_words_back():
     again = Process([executor.written], run.process.functions.actions, {"open": lambda ctx: False})
     replayed = again.exchange.nets["n"]
     for text in entries:
-        replayed.replay(decode_net_entry(json.loads(text)[2]))
+        replayed.replay(NET_ENTRY.decode(json.loads(text)))
     replayed.rule.record = executor.record
     assert net_state(replayed) == net_state(executor)

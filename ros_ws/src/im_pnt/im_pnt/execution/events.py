@@ -66,9 +66,15 @@ class CommandHeld:
 
 @dataclass(frozen=True, slots=True)
 class RequestArrived:
-    """A request arrives at a service."""
+    """A request arrives at a service.
+
+    Attributes:
+        request: The request.
+        held: Whether nothing is begun for it, since the caller is paused.
+    """
 
     request: Request
+    held: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ The ``record`` of an executor (None: no journal) is called with one entry *befor
 move, before an action begins, before tokens and replies leave, before a client is answered. Where it raises, nothing
 was done. An entry is an event of the inbox when it is taken, a firing of the expanded net, or what a net decides beside
 firing. Applying the entries in their order (:meth:`.firing.FiringRule.apply`) gives the same marking, lineages, tape,
-jobs, activities and numbers; how they are written down is the business of :mod:`im_pnt_node.journal.codec`.
+jobs, activities and numbers; how they are written down is the business of :mod:`im_pnt_node.distributed.codec`.
 
 1. A state is restored where there is one, and each entry since is replayed, before anything is posted. That starts
    nothing, asks no guard, sends nothing and tells no observer.

@@ -1,7 +1,8 @@
-"""Entries of an exchange in the journal (:data:`ExchangeEntry`), written before the effect."""
+"""Entries of an exchange and of a link in the journal, written before the effect."""
 
-from typing import NamedTuple
+from typing import NamedTuple, NewType
 
+from im_core.errors import ImError
 from im_pnt.execution.events import (
     CommandHeld,
     JobUpdateArrived,
@@ -18,6 +19,20 @@ Arrival = (
 )
 Delivery = Arrival | ActivityEnded
 """An event for a net, as the net that takes it records it: so it is known when it was."""
+
+
+class ReplyArrived(NamedTuple):
+    """The reply to a request arrives from another process.
+
+    Attributes:
+        request_id: The request.
+        error: Why it failed, None if it has not.
+        results: What was done for it.
+    """
+
+    request_id: str
+    error: ImError | None
+    results: dict[str, object]
 
 
 class EventPosted(NamedTuple):
@@ -71,3 +86,73 @@ class TokenKept(NamedTuple):
 
 
 ExchangeEntry = EventPosted | RequestAsked | RequestAnswered | RequestClosed | RequestsRenamed | TokenKept
+
+
+# Of a link; ``node`` is the other process.
+
+Json = NewType("Json", str)
+"""JSON text, which is embedded as it is."""
+
+
+class MessageSent(NamedTuple):
+    """A message gets the next number of the stream to a process; ``text`` is both."""
+
+    node: str
+    number: int
+    text: Json
+
+
+class MessageTaken(NamedTuple):
+    """The next message of a process was taken, or refused if ``refusal`` says why."""
+
+    node: str
+    number: int
+    refusal: str
+
+
+class MessagesAcknowledged(NamedTuple):
+    """A process has acknowledged all messages up to a number."""
+
+    node: str
+    floor: int
+
+
+class MessageRefused(NamedTuple):
+    """A process has refused a message."""
+
+    node: str
+    number: int
+
+
+class MessageVoided(NamedTuple):
+    """Entry: an unacknowledged message is needed no more."""
+
+    node: str
+    number: int
+
+
+class LifeBegun(NamedTuple):
+    """Entry: a process is in another incarnation, with or without a journal."""
+
+    node: str
+    epoch: int
+    journal: bool
+
+
+class NumbersSkipped(NamedTuple):
+    """Nothing up to a number is waited for any more."""
+
+    node: str
+    floor: int
+
+
+class EpochRaised(NamedTuple):
+    """Entry: the process is in another incarnation."""
+
+    epoch: int
+
+
+PeerEntry = (
+    MessageSent | MessageTaken | MessagesAcknowledged | MessageRefused | MessageVoided | LifeBegun | NumbersSkipped
+)
+LinkEntry = PeerEntry | EpochRaised

@@ -12,7 +12,17 @@ from typing import Protocol
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError, nearest
 from im_pnt.errors import NetError
-from im_pnt.execution.events import ActionEnded, CommandHeld, JobUpdate, JobUpdateArrived, NodeForgotten, RequestArrived
+from im_pnt.execution.events import (
+    ActionEnded,
+    CommandHeld,
+    JobUpdate,
+    JobUpdateArrived,
+    NodeForgotten,
+    RequestArrived,
+    RequestCancelled,
+    RequestHeld,
+    TokenArrived,
+)
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Job, JobKey, Owner, Request, TokenContext, scope_of
 from im_pnt.execution.notification import Departure, Observer
@@ -21,6 +31,7 @@ from im_pnt.model.net import RemotePlace
 from im_pnt_node.distributed.entries import (
     EventPosted,
     ExchangeEntry,
+    ReplyArrived,
     RequestAnswered,
     RequestAsked,
     RequestClosed,
@@ -28,17 +39,7 @@ from im_pnt_node.distributed.entries import (
     TokenKept,
 )
 from im_pnt_node.distributed.inboxes import Inboxes
-from im_pnt_node.distributed.messages import (
-    cancel_message,
-    carried_by,
-    hold_message,
-    request_message,
-    request_of,
-    tiding_message,
-    tiding_of,
-    token_of_job,
-)
-from im_pnt_node.distributed.packets import VOID, Message, MessageKind, began_at, token_message
+from im_pnt_node.distributed.packets import VOID, Message, began_at, token_message
 from im_pnt_node.distributed.requests import RequestBook, Waiting
 
 RETURN_TIMEOUT_S = 60.0
@@ -55,7 +56,7 @@ class Transport(Protocol):
         """Send a message, to arrive once, some time, and in order.
 
         Raises:
-            NetError: Its payload is not JSON data.
+            NetError: JSON cannot carry a part of it.
         """
 
     def forget(self, request_id: str) -> None:
@@ -132,7 +133,7 @@ class Exchange:
         message, context = token_message(target.net, target.place), None
         if departure is not None:
             context = self._carried(net, target.net, departure)
-            message = token_of_job(target, context)
+            message = Message(target.net, TokenArrived(target.place, 1, context))
         for _ in range(count):
             if target.net in self.nets:
                 self._kept(message, self.inboxes.token(target.net, target.place, context))
@@ -182,7 +183,7 @@ class Exchange:
 
     def _send_tiding(self, node: str, to: str, told: JobUpdateArrived) -> None:
         if node and self._transport is not None:
-            self._transport.send(node, tiding_message(to, told))
+            self._transport.send(node, Message(to, told))
         elif to in self.nets:
             self.inboxes.post(self.nets[to], replace(told, home=self._is_home(told.key, to)))
 
@@ -202,22 +203,16 @@ class Exchange:
         self._happens(RequestAsked(request_id, activity.net, activity.number, action.net, node))
         try:
             if local:
-                refusal = self._take_request(request, held)
+                refusal = self.inboxes.request(request, held)
                 if refusal:
                     self._answer(request_id, NetError(refusal), {})
             elif self._transport is None or not node:
                 error = LinkError(f"there is no net {action.net}{nearest(action.net, self.nets)}")
                 self._answer(request_id, error, {})
             else:
-                self._transport.send(node, request_message(request, held))
+                self._transport.send(node, Message(action.net, RequestArrived(request, held)))
         except NetError as error:
             self._answer(request_id, error, {})
-
-    def _take_request(self, request: Request, held: bool) -> str:
-        refusal = self.inboxes.request(request)
-        if held:
-            self.inboxes.hold(request.id, True)
-        return refusal
 
     def awaits_reply(self, activity: Activity) -> bool:
         """Return whether the request of an activity still awaits the reply."""
@@ -237,9 +232,7 @@ class Exchange:
                 waiter = f"{request.caller_net}.{request.caller_transition}"
                 self._dropped(f"nobody waits for the reply to {waiter} any more")
         elif self._transport is not None:
-            message = Message(
-                MessageKind.REPLY, request.caller_net, "", request.id, error=error, payload={"results": results}
-            )
+            message = Message(request.caller_net, ReplyArrived(request.id, error, results))
             self._transport.send(request.caller_node, message)
 
     def _cancel_request(self, activity: Activity) -> None:
@@ -250,7 +243,8 @@ class Exchange:
         if request_id in self.inboxes.in_work:
             self.inboxes.cancel(self.inboxes.in_work[request_id], cancelled_by(activity.net))
         elif self._transport is not None:
-            self._transport.send(waiting.node, cancel_message(request_id, waiting.net, activity.net))
+            unwanted = RequestCancelled(request_id, cancelled_by(activity.net))
+            self._transport.send(waiting.node, Message(waiting.net, unwanted))
 
     def _release_request(self, activity: Activity) -> None:
         found = self.book.of_activity(activity)
@@ -260,7 +254,7 @@ class Exchange:
         if request_id in self.inboxes.in_work:
             self.inboxes.hold(request_id, False)
         elif self._transport is not None:
-            self._transport.send(waiting.node, hold_message(request_id, waiting.net, activity.net, False))
+            self._transport.send(waiting.node, Message(waiting.net, RequestHeld(request_id, False)))
 
     def hold_all(self, held: bool) -> None:
         """Have nothing begun for any job of the nets and any arrived work; or have everything go on."""
@@ -277,52 +271,51 @@ class Exchange:
             return error.message
 
     def _receive(self, sender: str, message: Message) -> str:
-        kind = message.kind
-        if kind is MessageKind.TOKEN and message.net in self.nets:
-            return self._token_from(sender, message)
-        if kind is MessageKind.VOID:
+        net, event = message
+        if event is None:
             return ""
-        if kind is MessageKind.REPLY:
-            results = message.payload.get("results")
-            try:
-                found = self._answer(message.request_id, message.error, results if isinstance(results, dict) else {})
-            except NetError as unfit:
-                found = self._answer(message.request_id, unfit, {})
-            if not found:
-                self._dropped(f"nobody waits for reply {message.request_id} of {sender} any more")
+        if isinstance(event, ReplyArrived):
+            self._take_reply(sender, event)
             return ""
-        if message.net not in self.nets:
-            return f"there is no net {message.net} here{nearest(message.net, self.nets)}"
-        if kind is MessageKind.TIDING:
-            told = tiding_of(message)
-            self.inboxes.post(self.nets[message.net], replace(told, home=self._is_home(told.key, message.net)))
-            return ""
-        if message.payload.get("cancel") is True:
-            request = self.inboxes.in_work.get(message.request_id)
-            if request is not None and request.caller_node == sender:
-                self.inboxes.cancel(request, cancelled_by(message.caller_net))
-            return ""
-        held = message.payload.get("held")
-        if held is not None and not message.place:
-            request = self.inboxes.in_work.get(message.request_id)
-            if request is not None and request.caller_node == sender:
-                self.inboxes.hold(request.id, held is True)
-            return ""
-        if message.request_id in self.inboxes.in_work:
-            return f"request {message.request_id} is in work already"
-        return self._take_request(request_of(sender, message), held is True)
+        if net not in self.nets:
+            return f"there is no net {net} here{nearest(net, self.nets)}"
+        match event:
+            case TokenArrived(place, _, context):
+                if context is not None:
+                    context = replace(context, node=sender, home=self._is_home(context.owner.key, net))
+                return self.inboxes.token(net, place, context)
+            case JobUpdateArrived():
+                self.inboxes.post(self.nets[net], replace(event, home=self._is_home(event.key, net)))
+            case RequestArrived(request, held):
+                if request.id in self.inboxes.in_work:
+                    return f"request {request.id} is in work already"
+                return self.inboxes.request(replace(request, net=net, caller_node=sender), held)
+            case RequestCancelled(request_id, error):
+                if self._asked_by(sender, request_id):
+                    self.inboxes.cancel(self.inboxes.in_work[request_id], error)
+            case RequestHeld(request_id, held):
+                if self._asked_by(sender, request_id):
+                    self.inboxes.hold(request_id, held)
+        return ""
 
-    def _token_from(self, sender: str, message: Message) -> str:
-        context = carried_by(sender, message)
-        if context is not None:
-            context = replace(context, home=self._is_home(context.owner.key, message.net))
-        return self.inboxes.token(message.net, message.place, context)
+    def _asked_by(self, sender: str, request_id: str) -> bool:
+        """Whether a request is in work, and is that of a process."""
+        return request_id in self.inboxes.in_work and self.inboxes.in_work[request_id].caller_node == sender
+
+    def _take_reply(self, sender: str, reply: ReplyArrived) -> None:
+        try:
+            found = self._answer(*reply)
+        except NetError as unfit:
+            found = self._answer(reply.request_id, unfit, {})
+        if not found:
+            self._dropped(f"nobody waits for reply {reply.request_id} of {sender} any more")
 
     def refused(self, message: Message, why: str) -> None:
         """Take back a refused message; a token is kept as undeliverable."""
-        if message.kind is MessageKind.TOKEN:
+        asks = isinstance(message.event, RequestArrived | RequestCancelled | RequestHeld)
+        if isinstance(message.event, TokenArrived):
             self._kept(message, why)
-        elif message.kind is not MessageKind.REQUEST or not self._answer(message.request_id, NetError(why), {}):
+        elif not asks or not self._answer(message.request_id, NetError(why), {}):
             self._dropped(f"{message} was refused: {why}")
 
     # Processes that die and return.
@@ -374,7 +367,8 @@ class Exchange:
         for request_id, waiting in self.book.of_node(node):
             if self._transport is not None:
                 self._transport.forget(request_id)
-                self._transport.send(node, cancel_message(request_id, waiting.net, waiting.activity.net))
+                unwanted = RequestCancelled(request_id, cancelled_by(waiting.activity.net))
+                self._transport.send(node, Message(waiting.net, unwanted))
             self._answer(request_id, LinkError(why, node=node), {})
         for request in list(self.inboxes.in_work.values()):
             if request.caller_node == node:
@@ -432,10 +426,10 @@ class Exchange:
 
     def _kept(self, message: Message, why: str) -> None:
         """Keep an undeliverable token, visible and counted."""
-        if why:
-            self._happens(TokenKept(message.net, message.place))
+        if why and isinstance(message.event, TokenArrived):
+            self._happens(TokenKept(message.net, message.event.place))
             self._dropped(f"{message} is undeliverable and kept: {why}")
-            context = carried_by("", message)
+            context = message.event.context
             if context is not None:
                 self.send_settled(message.net, context.owner.key, "", context.net, NetError(why), {})
 

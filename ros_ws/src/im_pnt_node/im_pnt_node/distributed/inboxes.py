@@ -144,8 +144,8 @@ class Inboxes:
         self.post(executor, event)
         return ""
 
-    def request(self, request: Request) -> str:
-        """Deliver a request; return the reason of a failure, empty without one.
+    def request(self, request: Request, held: bool) -> str:
+        """Deliver a request, which may be held; return the reason of a failure, empty without one.
 
         Raises:
             NetError: A journal cannot keep it.
@@ -161,7 +161,7 @@ class Inboxes:
             except DataError as error:
                 return error.message
             request = replace(request, arguments=taken)
-        self.post(executor, RequestArrived(request))
+        self.post(executor, RequestArrived(request, held))
         self.in_work[request.id] = request
         return ""
 

@@ -19,23 +19,9 @@ from collections.abc import Callable
 
 from im_core.clock import monotonic, wall
 from im_pnt.errors import NetError
+from im_pnt.execution.events import TokenArrived
 from im_pnt.execution.notification import Observer
-from im_pnt_node.distributed.messages import with_hold
-from im_pnt_node.distributed.packets import (
-    MOST_EPOCH,
-    REMEMBERED,
-    Message,
-    MessageKind,
-    Packet,
-    began_at,
-    decode_message,
-    encode_message,
-    new_epoch,
-    numbered,
-    read_packet,
-)
-from im_pnt_node.distributed.streams import (
-    WINDOW,
+from im_pnt_node.distributed.entries import (
     EpochRaised,
     LifeBegun,
     LinkEntry,
@@ -45,9 +31,22 @@ from im_pnt_node.distributed.streams import (
     MessageTaken,
     MessageVoided,
     NumbersSkipped,
-    Peer,
     PeerEntry,
 )
+from im_pnt_node.distributed.packets import (
+    MOST_EPOCH,
+    REMEMBERED,
+    Message,
+    Packet,
+    began_at,
+    decode_message,
+    encode_message,
+    new_epoch,
+    numbered,
+    read_packet,
+    with_hold,
+)
+from im_pnt_node.distributed.streams import WINDOW, Peer, Sent
 
 MOST_PEERS = 1024
 MOST_PACKET_MESSAGES = 64
@@ -68,8 +67,8 @@ _NO_ACKNOWLEDGEMENT = ",0,["
 class Express:
     """Express lane of a link: the next token from a known process is recognised by the spelling.
 
-    Nearly every packet between running nets is ``[sender, epoch, journal, receiver, known, base, 0, [number, 0, net,
-    place]]``, and only the number differs from the packet before. What comes before and after it is kept here as text
+    Nearly every packet between running nets is ``[sender, epoch, journal, receiver, known, base, 0, [number, net,
+    token]]``, and only the number differs from the packet before. What comes before and after it is kept here as text
     when it was read in full, so that it need not be read as JSON again: a tenth of a round trip's CPU time. Every
     packet that is not spelled so goes the long way.
     """
@@ -99,7 +98,8 @@ class Express:
 
     def keep_token(self, message: Message) -> None:
         """Keep the spelling of an accepted token."""
-        if message.kind is MessageKind.TOKEN and not message.payload and len(self._tokens) < MOST_TOKENS:
+        event = message.event
+        if isinstance(event, TokenArrived) and event.context is None and len(self._tokens) < MOST_TOKENS:
             self._tokens[f"{encode_message(message)}]]"] = message
 
     def forget_heads(self) -> None:
@@ -166,7 +166,7 @@ class Link:
         """Number a message; the message leaves with the next :meth:`flush`, and arrives once.
 
         Raises:
-            NetError: Its payload is not JSON data.
+            NetError: JSON cannot carry a part of it.
         """
         peer = self.peers.get(node)
         if peer is None:
@@ -175,7 +175,7 @@ class Link:
         number = outgoing.last + 1
         try:
             text = numbered(number, message)
-        except (TypeError, ValueError, RecursionError) as error:
+        except NetError as error:
             raise NetError(f"{message} is not JSON data: {error}", net=message.net) from error
         self._happens(peer, MessageSent(node, number, text))
         if outgoing.last <= outgoing.floor + WINDOW and outgoing.question is None:
@@ -411,8 +411,8 @@ class Link:
                 refusal = self.accept(sender, message)
                 if not refusal:
                     self._express.keep_token(message)
-            except ValueError as error:
-                refusal = str(error)
+            except NetError as error:
+                refusal = error.message
             self._happens(peer, MessageTaken(sender, incoming.floor + 1, refusal))
 
     def _acknowledged(self, sender: str, peer: Peer, ack: object) -> None:
@@ -459,7 +459,7 @@ class Link:
     def _part(self, peer: Peer, why: str) -> None:
         """Give up everything between two processes of different memory, except tokens under way."""
         in_flight = peer.in_flight()
-        self._void(peer, [number for number, message in in_flight if message.kind is not MessageKind.TOKEN])
+        self._void(peer, [number for number, message in in_flight if not isinstance(message.event, TokenArrived)])
         self._reset(peer.name, why, [message for _, message in in_flight])
 
     def _fall_back(self, why: str, after: int) -> None:
@@ -510,8 +510,11 @@ class Link:
         """Apply an entry again; messages owed to a process are due at once.
 
         Raises:
+            NetError: It holds no message.
             ValueError: It does not fit the streams.
         """
+        if isinstance(entry, MessageSent):
+            Sent(entry.text).message()  # which is read again only when it is sent
         if isinstance(entry, EpochRaised):
             self.epoch = entry.epoch
             for peer in self.peers.values():

@@ -4,24 +4,32 @@ A packet is ``[sender, epoch, journal, receiver, known, base, ack, message, ...]
 one; ``known`` the receiver's epoch as the sender knows it (0: never heard); ``base`` the first number that was not
 acknowledged to the sender; ``ack`` is 0 or ``[number, [[refused number, why], ...]]``: everything up to that number was
 taken, but for what was refused; or 1: the sender has believed ``known``, which is later than the life in which it hears
-the receiver now. A message is its number and what :func:`encode_message` writes.
+the receiver now. A message is ``[number, net, event]``, the event as :mod:`.codec` writes it.
 
 An *epoch* names a life of a process: when it began, and a secret of 64 bits (:func:`new_epoch`). It is told to nobody
 but those whom the process writes to, so a packet with the right ``known`` comes from one of them. Any other packet
 changes nothing: it is answered with the epoch that it claims, so that an honest sender learns and tries again.
 """
 
-import enum
 import functools
 import json
 import secrets
-from collections.abc import Mapping
-from types import MappingProxyType
+from dataclasses import replace
 from typing import NamedTuple
 
 from im_core.clock import wall
-from im_core.errors import ImError
-from im_pnt.errors import decode_error, encode_error
+from im_pnt.errors import NetError
+from im_pnt.execution.events import (
+    JobUpdate,
+    JobUpdateArrived,
+    RequestArrived,
+    RequestCancelled,
+    RequestHeld,
+    TokenArrived,
+)
+from im_pnt.execution.jobs import TokenContext
+from im_pnt_node.distributed.codec import Codec
+from im_pnt_node.distributed.entries import Json, ReplyArrived
 
 MOST_NUMBER = 2**62
 """Numbers of messages and commands are smaller."""
@@ -34,99 +42,94 @@ REMEMBERED = 1
 MOST_NAME = 200
 """Characters of the name of a process."""
 
-_NOTHING: Mapping[str, object] = MappingProxyType({})
-_encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
-
-
-class MessageKind(enum.IntEnum):
-    """Kind of a message."""
-
-    TOKEN = 0
-    REQUEST = 1
-    REPLY = 2
-    VOID = 3
-    """In the place of a message that nobody needs any more."""
-    TIDING = 4
-    """What becomes of a job whose tokens have crossed."""
-
-
-_TOKEN = MessageKind.TOKEN
-_FULL = (MessageKind.REQUEST, MessageKind.REPLY, MessageKind.TOKEN, MessageKind.TIDING)
-"""Messages that are written with all their fields."""
-
 
 class Message(NamedTuple):
-    """A token, request, reply or tiding for a net of another process.
+    """A message to a net of another process.
 
     Attributes:
-        kind: What it is.
         net: Net that gets it.
-        place: Place that is marked.
-        request_id: Of a request and its reply.
-        caller_net: Net that asks, for a request; that sends, for a token of a job and a tiding.
-        caller_transition: Transition that waits, for a request.
-        command_id: Command it is done for.
-        error: Why a request failed, for its reply; the failure that a token or a tiding tells of.
-        payload: Arguments, results, or whose a token is, as plain JSON data.
+        event: Event of that net; None: nothing, in the place of a message that nobody needs any more.
     """
 
-    kind: MessageKind
     net: str
-    place: str
-    request_id: str = ""
-    caller_net: str = ""
-    caller_transition: str = ""
-    command_id: int = 0
-    error: ImError | None = None
-    payload: Mapping[str, object] = _NOTHING
+    event: TokenArrived | JobUpdateArrived | RequestArrived | RequestCancelled | RequestHeld | ReplyArrived | None
+
+    @property
+    def request_id(self) -> str:
+        """Name of the request that it is about; empty: none."""
+        match self.event:
+            case RequestArrived(request):
+                return request.id
+            case RequestCancelled(request_id) | RequestHeld(request_id) | ReplyArrived(request_id):
+                return request_id
+        return ""
 
     def __str__(self) -> str:
-        if self.kind is MessageKind.TOKEN:
-            return f"a token for {self.net}.{self.place}"
-        if self.kind is MessageKind.REPLY:
-            return f"the reply to request {self.request_id} of net {self.net}"
-        if self.kind is MessageKind.TIDING:
-            return f"word to net {self.net} of a job whose tokens have crossed"
-        what = "the end of request" if self.payload.get("cancel") is True else "request"
-        return "nothing" if self.kind is MessageKind.VOID else f"{what} {self.request_id} to net {self.net}"
+        match self.event:
+            case TokenArrived(place):
+                return f"a token for {self.net}.{place}"
+            case ReplyArrived(request_id):
+                return f"the reply to request {request_id} of net {self.net}"
+            case JobUpdateArrived():
+                return f"word to net {self.net} of a job whose tokens have crossed"
+            case RequestCancelled(request_id):
+                return f"the end of request {request_id} to net {self.net}"
+            case None:
+                return "nothing"
+        return f"request {self.request_id} to net {self.net}"
 
 
-VOID = Message(MessageKind.VOID, "", "")
+VOID = Message("", None)
+_MESSAGE: Codec[Message] = Codec(Message, "message")
 
 
 @functools.lru_cache(maxsize=4096)
 def token_message(net: str, place: str) -> Message:
     """Return the message of a token for a place of a net."""
-    return Message(_TOKEN, net, place)
+    return Message(net, TokenArrived(place, 1))
+
+
+def with_hold(message: Message, held: bool) -> Message:
+    """Return a not yet taken message, adapted to the job's pause or release.
+
+    What is done for nobody is as it was: nobody could resume it.
+    """
+    match message.event:
+        case JobUpdateArrived(update=JobUpdate.HELD | JobUpdate.RELEASED) as told:
+            return Message(message.net, replace(told, update=JobUpdate.HELD if held else JobUpdate.RELEASED))
+        case TokenArrived(place, count, TokenContext() as context):
+            return Message(message.net, TokenArrived(place, count, replace(context, held=held)))
+        case RequestArrived(request, was_held) if was_held or request.command.id != 0:
+            return Message(message.net, RequestArrived(request, held))
+        case RequestHeld(request_id):
+            return Message(message.net, RequestHeld(request_id, held))
+    return message
 
 
 def encode_message(message: Message) -> str:
-    """Write a message as the inside of a JSON list; a token without a job is the kind, net and place, and no more.
+    """Write a message as the inside of a JSON list.
 
     Raises:
-        TypeError: The payload is not JSON data.
-        ValueError: Likewise.
+        NetError: JSON cannot carry a part of it.
     """
-    if message.kind is _TOKEN and not message.payload:
-        return _encode_token(message.net, message.place)
-    kind, net, place, request_id, caller_net, caller_transition, command_id, error, payload = message
-    names = (net, place, request_id, caller_net, caller_transition)
-    return _encode([int(kind), *names, command_id, encode_error(error), dict(payload)])[1:-1]
+    event = message.event
+    if isinstance(event, TokenArrived) and event.context is None:
+        return _encode_token(message.net, event.place)
+    return _MESSAGE.encode(message)[1:-1]
 
 
-def numbered(number: int, message: Message) -> str:
-    """Write a message with the number in a stream, as JSON.
+def numbered(number: int, message: Message) -> Json:
+    """Write a message with the number in a stream.
 
     Raises:
-        TypeError: The payload is not JSON data.
-        ValueError: Likewise.
+        NetError: JSON cannot carry a part of it.
     """
-    return f"[{number},{encode_message(message)}]"
+    return Json(f"[{number},{encode_message(message)}]")
 
 
 @functools.lru_cache(maxsize=4096)
 def _encode_token(net: str, place: str) -> str:
-    return f"0,{_encode(net)},{_encode(place)}"
+    return _MESSAGE.encode(token_message(net, place))[1:-1]
 
 
 def decode_message(fields: list[object]) -> Message:
@@ -136,22 +139,23 @@ def decode_message(fields: list[object]) -> Message:
         fields: What :func:`encode_message` wrote, read as JSON.
 
     Raises:
-        ValueError: It is none.
+        NetError: It is none.
     """
-    if len(fields) == 3 and fields[0] == 0:
-        _, net, place = fields
-        if isinstance(net, str) and isinstance(place, str):
-            return Message(_TOKEN, net, place)
-    match fields:
-        case [
-            int(kind), str(net), str(place), str(request), str(caller), str(transition), int(command), error, dict(data)
-        ]:  # fmt: skip
-            if kind in _FULL and is_number(command):
-                reason = decode_error(error)
-                return Message(MessageKind(kind), net, place, request, caller, transition, command, reason, data)
-            if kind == MessageKind.VOID:
-                return VOID
-    raise ValueError(f"{str(fields)[:200]} is no message")
+    message = _MESSAGE.decode(fields)
+    match message.event:
+        case TokenArrived(_, 1, None):
+            return message
+        case TokenArrived(_, 1, TokenContext(owner)):
+            number = owner.command.id
+        case RequestArrived(request):
+            number = request.command.id
+        case TokenArrived():
+            raise NetError(f"{str(fields)[:200]} is no message: it is not one token")
+        case _:
+            return message
+    if not is_number(number):
+        raise NetError(f"{str(fields)[:200]} is no message: its command is none")
+    return message
 
 
 def is_number(value: object) -> bool:

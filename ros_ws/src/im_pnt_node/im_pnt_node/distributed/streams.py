@@ -1,15 +1,25 @@
 """The two streams between the own process and another one: unacknowledged messages, and taken ones.
 
-A link tells its journal what happens to them as one of :data:`LinkEntry`, before it is done; :meth:`Peer.apply` does
-it, now and when a journal is replayed.
+A link tells its journal what happens to them as one of :data:`.entries.LinkEntry`, before it is done;
+:meth:`Peer.apply` does it, now and when a journal is replayed.
 """
 
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
-from im_pnt_node.distributed.packets import VOID, Message, MessageKind, decode_message, numbered
+from im_pnt_node.distributed.entries import (
+    Json,
+    LifeBegun,
+    MessageRefused,
+    MessagesAcknowledged,
+    MessageSent,
+    MessageTaken,
+    MessageVoided,
+    NumbersSkipped,
+    PeerEntry,
+)
+from im_pnt_node.distributed.packets import VOID, Message, decode_message, numbered
 
 RESEND_AFTER_S = 0.25
 RESEND_AT_MOST_S = 2.0
@@ -24,73 +34,6 @@ MOST_REASON = 500
 """Characters of a refusal."""
 
 
-# What a link tells its journal; ``node`` is the other process.
-
-
-class MessageSent(NamedTuple):
-    """A message gets the next number of the stream to a process; ``text`` is both, as JSON."""
-
-    node: str
-    number: int
-    text: str
-
-
-class MessageTaken(NamedTuple):
-    """The next message of a process was taken, or refused if ``refusal`` says why."""
-
-    node: str
-    number: int
-    refusal: str
-
-
-class MessagesAcknowledged(NamedTuple):
-    """A process has acknowledged all messages up to a number."""
-
-    node: str
-    floor: int
-
-
-class MessageRefused(NamedTuple):
-    """A process has refused a message."""
-
-    node: str
-    number: int
-
-
-class MessageVoided(NamedTuple):
-    """Entry: an unacknowledged message is needed no more."""
-
-    node: str
-    number: int
-
-
-class LifeBegun(NamedTuple):
-    """Entry: a process is in another incarnation, with or without a journal."""
-
-    node: str
-    epoch: int
-    journal: bool
-
-
-class NumbersSkipped(NamedTuple):
-    """Nothing up to a number is waited for any more."""
-
-    node: str
-    floor: int
-
-
-class EpochRaised(NamedTuple):
-    """Entry: the process is in another incarnation."""
-
-    epoch: int
-
-
-PeerEntry = (
-    MessageSent | MessageTaken | MessagesAcknowledged | MessageRefused | MessageVoided | LifeBegun | NumbersSkipped
-)
-LinkEntry = PeerEntry | EpochRaised
-
-
 @dataclass(slots=True)
 class Sent:
     """Message without an acknowledgement.
@@ -101,7 +44,7 @@ class Sent:
         interval: Time between this repetition and the next [s].
     """
 
-    text: str
+    text: Json
     due: float = 0.0
     interval: float = RESEND_AFTER_S
 
@@ -269,7 +212,7 @@ class Peer:
     def in_flight(self) -> list[tuple[int, Message]]:
         """Return the unacknowledged messages, with the numbers."""
         messages = ((number, sent.message()) for number, sent in self.outgoing.waiting.items())
-        return [(number, message) for number, message in messages if message.kind is not MessageKind.VOID]
+        return [(number, message) for number, message in messages if message.event is not None]
 
     def apply(self, entry: PeerEntry, clock: Callable[[], float]) -> None:
         """Apply an entry.

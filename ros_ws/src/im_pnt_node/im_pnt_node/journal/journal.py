@@ -23,21 +23,13 @@ from im_pnt.execution.journal_entries import EndFired, NetEntry, Record, Transit
 from im_pnt.execution.notification import Observer
 from im_pnt.model.action import Action, RequestAction
 from im_pnt.model.net import Net, ObjectScope
-from im_pnt_node.distributed.entries import ExchangeEntry
+from im_pnt_node.distributed.codec import EXCHANGE_ENTRY, LINK_ENTRY, NET_ENTRY, encode_json
+from im_pnt_node.distributed.entries import ExchangeEntry, LinkEntry
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.distributed.link import Link
 from im_pnt_node.distributed.packets import new_epoch
-from im_pnt_node.distributed.streams import LinkEntry
-from im_pnt_node.journal.codec import (
-    decode_exchange_entry,
-    decode_link_entry,
-    decode_net_entry,
-    encode_exchange_entry,
-    encode_link_entry,
-    net_encoder,
-)
 from im_pnt_node.journal.folder import Files, Folder
-from im_pnt_node.journal.log import DISCARD, MOST_BYTES, Log, Recovered, Sync, discard, encode_json, set_aside
+from im_pnt_node.journal.log import DISCARD, MOST_BYTES, Log, Recovered, Sync, discard, set_aside
 from im_pnt_node.journal.state import exchange_state, link_state, net_state, restore_exchange, restore_link, restore_net
 
 COMPACT_BYTES = 8_000_000
@@ -115,10 +107,10 @@ class Journal:
             net: Its net.
             told: Is told each as it is written.
         """
-        encode, append = net_encoder(net), self._entries.append
+        begin, encode, append = f'["net",{encode_json(net)},', NET_ENTRY.encode, self._entries.append
 
         def record(entry: NetEntry) -> None:
-            text = encode(entry)
+            text = f"{begin}{encode(entry)}]"
             append(text)
             told(text)
             if type(entry) not in _FIRINGS and self._exchange is not None:
@@ -341,10 +333,10 @@ class Journal:
         return {"node": self._node, "nets": nets, **({"run": self._run} if self._run else {})}
 
     def _record_exchange(self, entry: ExchangeEntry) -> None:
-        self._entries.append(encode_exchange_entry(entry))
+        self._entries.append(f'["exchange",{EXCHANGE_ENTRY.encode(entry)}]')
 
     def _record_link(self, entry: LinkEntry) -> None:
-        self._entries.append(encode_link_entry(entry))
+        self._entries.append(f'["link",{LINK_ENTRY.encode(entry)}]')
 
 
 class GuardedRunner:
@@ -426,14 +418,14 @@ def _restore(state: Mapping[str, object], exchange: Exchange, link: Link, store:
 
 def _replay(entry: object, exchange: Exchange, link: Link, store: SeenStore) -> None:
     match entry:
-        case ["net", str(net), list(content)]:
-            happened = decode_net_entry(content)
+        case ["net", str(net), content]:
+            happened = NET_ENTRY.decode(content)
             exchange.nets[net].replay(happened)
             exchange.inboxes.deliveries.taken(net, happened)
-        case ["exchange", list(content)]:
-            exchange.replay(decode_exchange_entry(content))
-        case ["link", list(content)]:
-            link.replay(decode_link_entry(content))
+        case ["exchange", content]:
+            exchange.replay(EXCHANGE_ENTRY.decode(content))
+        case ["link", content]:
+            link.replay(LINK_ENTRY.decode(content))
         case ["store", str(mark)]:
             store.mark = StoreMark.of(mark)
         case _:

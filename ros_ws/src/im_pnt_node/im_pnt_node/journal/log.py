@@ -20,10 +20,11 @@ from dataclasses import dataclass
 
 from im_core.clock import stamp_name
 from im_pnt.errors import DamagedJournalError, JournalError
+from im_pnt_node.distributed.codec import encode_json
 from im_pnt_node.journal.folder import Files, Growing
 
 FORMAT = "im_pnt journal"
-VERSION = 2
+VERSION = 3
 HEAD_BYTES = 18
 _SECTOR = 512
 _MOST_DIGITS = 8
@@ -32,8 +33,6 @@ MOST_BYTES = 10**_MOST_DIGITS - 1
 _HEAD = re.compile(rb"[0-9]{8} [0-9a-f]{8} ")
 _NAME = re.compile(r"(\d{6,})\.(journal|new)")
 DISCARD = "move the journal aside with scripts/im pnt journal discard NODE and begin anew"
-
-encode_json = json.JSONEncoder(separators=(",", ":")).encode
 
 # Records.
 

@@ -7,25 +7,16 @@ from im_core.errors import StateError
 from im_pnt.errors import NetError, decode_error, encode_error
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import FiringRule
-from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage, Reply, Visit
+from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage
 from im_pnt.execution.journal_entries import data_of, plain, recorded_data, take_data
 from im_pnt.execution.operator import Mode
 from im_pnt.model.net import Net, RemotePlace
+from im_pnt_node.distributed.codec import COMMAND, DELIVERY, REPLY, REQUEST, VISIT
 from im_pnt_node.distributed.entries import RequestAsked
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.distributed.link import Link
 from im_pnt_node.distributed.packets import decode_message, is_epoch, is_number, numbered
 from im_pnt_node.distributed.streams import Peer, Sent
-from im_pnt_node.journal.codec import (
-    decode_command,
-    decode_delivery,
-    decode_owner,
-    decode_request,
-    encode_command,
-    encode_delivery,
-    encode_owner,
-    encode_request,
-)
 
 # Nets.
 
@@ -69,7 +60,7 @@ def restore_net(executor: Executor, state: Mapping[str, object]) -> None:
     """
     try:
         _restore(executor, state)
-    except (LookupError, TypeError, ValueError, AssertionError) as error:
+    except (NetError, LookupError, TypeError, ValueError, AssertionError) as error:
         raise NetError(f"this is no state of net {executor.net.name}: {error!r}", net=executor.net.name) from error
 
 
@@ -142,10 +133,10 @@ def _lineage_of(known: Mapping[object, Job], content: object) -> Lineage:
 
 
 def _job(rule: FiringRule, job: Job) -> list[object]:
-    asked = encode_command(job.command) if job.request is None else encode_request(job.request)
+    asked = COMMAND.content(job.command) if job.request is None else REQUEST.content(job.request)
     crossed: dict[str, object] = {}
     if job.visit is not None:
-        crossed["visit"] = [*encode_owner(job.visit.owner), job.visit.node, job.visit.net]
+        crossed["visit"] = VISIT.content(job.visit)
     if job.away:
         crossed["away"] = dict(job.away)
     if job.told:
@@ -163,8 +154,8 @@ def _job_of(content: object) -> tuple[Job, bool]:
             int(number), list(flags), asked, [dict(memory), dict(results), float(progress)], dict(replies), error, *rest
         ]:  # fmt: skip
             is_open, requested, from_tape, cancelled, unwanted = (flag is True for flag in flags)
-            request = decode_request(asked) if requested else None
-            command = request.command if request is not None else decode_command(asked)
+            request = REQUEST.decode(asked) if requested else None
+            command = request.command if request is not None else COMMAND.decode(asked)
             arguments = request.arguments if request is not None else command.arguments
             job = Job(command, arguments, request, number=number, from_tape=from_tape, cancelled=cancelled)
             for crossed in rest:
@@ -187,11 +178,9 @@ def _cross(job: Job, content: object) -> None:
     match content.get("visit"):
         case None:
             pass
-        case [key, symbol, command, arguments, str(node), str(net)]:
-            job.visit = Visit(decode_owner([key, symbol, command, arguments]), node, net)
+        case visit:
+            job.visit = VISIT.decode(visit)
             job.arguments = job.visit.owner.arguments
-        case other:
-            raise ValueError(f"{str(other)[:80]} is no visit")
     job.away = {str(net): int(count) for net, count in content.get("away", {}).items()}
     job.told = {str(net): dict(results) for net, results in content.get("told", {}).items()}
 
@@ -200,7 +189,7 @@ def _activity(activity: Activity) -> list[object]:
     lineage = activity.lineage
     reply = None
     if activity.reply is not None:
-        reply = [encode_error(activity.reply.error), plain(activity.reply.results, "a reply")]
+        reply = REPLY.content(activity.reply)
     return [
         activity.number,
         activity.transition,
@@ -215,14 +204,14 @@ def _activity(activity: Activity) -> list[object]:
 
 def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object) -> Activity:
     match content:
-        case [int(number), str(transition), str(state), job, failure, doubt, None | list() as reply, *life]:
+        case [int(number), str(transition), str(state), job, failure, doubt, reply, *life]:
             lineage = _lineage_of(known, [job, failure])
             activity = rule.new_activity(transition, number, lineage)
             rule.set_state(activity, ActivityState(state))
             activity.cancelled = activity.state is not ActivityState.ACTIVE
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:
-                activity.reply = Reply(decode_error(reply[0]), dict(reply[1]))
+                activity.reply = REPLY.decode(reply)
             activity.life = str(life[0]) if life else ""
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
@@ -262,9 +251,9 @@ def exchange_state(exchange: Exchange) -> dict[str, object]:
     return {
         "requests": [book.prefix, book.count, *([book.life] if book.life != book.prefix else [])],
         "asked": [[name, w.executor.net.name, w.activity.number, w.net, w.node] for name, w in book.items()],
-        "in_work": [encode_request(request) for request in inboxes.in_work.values()],
+        "in_work": [REQUEST.content(request) for request in inboxes.in_work.values()],
         "undeliverable": [[net, place, count] for (net, place), count in exchange.undeliverable.items()],
-        "posted": {net: [encode_delivery(event) for event in events] for net, events in posted.items()},
+        "posted": {net: [DELIVERY.content(event) for event in events] for net, events in posted.items()},
     }
 
 
@@ -292,11 +281,11 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
                         raise ValueError(f"{str(fields)[:200]} is no request")
             exchange.book.prefix, exchange.book.count = prefix, count
             exchange.book.life = str(life[0]) if life else prefix
-            for request in map(decode_request, in_work):
+            for request in map(REQUEST.decode, in_work):
                 exchange.inboxes.in_work[request.id] = request
             for net, events in posted.items():
                 for event in events:
-                    exchange.inboxes.deliveries.put_delivery(net, decode_delivery(event))
+                    exchange.inboxes.deliveries.put_delivery(net, DELIVERY.decode(event))
             for net, place, tokens in undeliverable:
                 exchange.undeliverable[RemotePlace(net, place)] = tokens
         case _:

@@ -2,13 +2,21 @@
 
 from collections.abc import Sequence
 
+from im_pnt.errors import encode_error
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage
-from im_pnt.execution.journal_entries import NetEntry
+from im_pnt.execution.journal_entries import (
+    ActivityEnded,
+    EndFired,
+    MessageBuilt,
+    NetEntry,
+    PhaseFired,
+    TransitionFired,
+)
 from im_pnt.model.net import Net
-from im_pnt_node.journal.codec import encode_net_entry
+from im_pnt_node.distributed.codec import NET_ENTRY
 from im_pnt_node.rerun.difference import Difference, first_difference
-from im_pnt_node.rerun.entries import INPUTS, Entries, left_of, plain, shown, transition_of
+from im_pnt_node.rerun.entries import Entries, Input, left_of, shown, transition_of
 from im_pnt_node.rerun.stream import NodeStream
 
 
@@ -17,6 +25,9 @@ class Life:
 
     Args:
         stream: What was recorded.
+
+    Raises:
+        NetError: An entry makes no sense.
 
     Attributes:
         node: Full name of the node.
@@ -36,8 +47,8 @@ class Life:
         for turn in stream.turns:
             for item in turn.items:
                 match item:
-                    case ["net", str(net), list(content)]:
-                        self.entries.setdefault(net, Entries()).recorded.append((content, turn))
+                    case ["net", str(net), content]:
+                        self.entries.setdefault(net, Entries()).recorded.append((NET_ENTRY.decode(content), turn))
                     case ["state", str(net), *_]:
                         self.entries.setdefault(net, Entries())
 
@@ -60,26 +71,26 @@ class Life:
         for activity in executor.activities:
             self.gone[executor.net.name, activity.number] = activity
 
-    def compare(self, name: str, entry: NetEntry) -> None:
+    def compare(self, name: str, now: NetEntry) -> None:
         """Compare the present event of a net with the recorded one.
 
         Raises:
             Difference: It is something else.
         """
-        entries, now = self.entries[name], plain(encode_net_entry(entry))
+        entries = self.entries[name]
         recorded = entries.next()
         if entries.advance(now):
             return
-        if recorded is None and now[0] == "built":
+        if recorded is None and isinstance(now, MessageBuilt):
             return  # a message is made after the turn in which its action begins, where the recording may end
         executor = self.executors[name]
         if recorded is None:
             then, why = "nothing more", ""
-        elif recorded[0] in INPUTS and not _ends_too(recorded, now):
+        elif isinstance(recorded, Input) and not _ends_too(recorded, now):
             then, why = f"goes on with what arrives: {shown(recorded)}", ""
         else:
             then, why = shown(recorded), self._reason(executor, recorded, now)
-        transition = transition_of(recorded or now) or transition_of(now)
+        transition = transition_of(recorded) or transition_of(now)
         raise self._difference(name, transition, executor, recorded or now, then, shown(now), why)
 
     def missing(self, name: str) -> Difference:
@@ -93,14 +104,13 @@ class Life:
         return self._difference(name, transition, executor, recorded, shown(recorded), "nothing fires", why)
 
     def _difference(
-        self, name: str, transition: str, executor: Executor, content: Sequence[object], then: str, now: str, why: str
+        self, name: str, transition: str, executor: Executor, entry: NetEntry, then: str, now: str, why: str
     ) -> Difference:
-        command = 0
-        match content:
-            case ["end" | "ended" | "phase", int(number), *_] if (found := self.gone.get((name, number))) is not None:
-                transition, command = transition or found.transition, _command(found.lineage)
-            case _:
-                command = _next_command(executor, transition)
+        number = entry.number if isinstance(entry, EndFired | ActivityEnded | PhaseFired) else None
+        if number is not None and (found := self.gone.get((name, number))) is not None:
+            transition, command = transition or found.transition, _command(found.lineage)
+        else:
+            command = _next_command(executor, transition)
         return Difference(self.node, name, transition, command, self.turn.stamp, then, now, why)
 
     def differs(self, activity: Activity | None, then: str, now: str, why: str) -> Difference:
@@ -110,33 +120,33 @@ class Life:
         command = _command(activity.lineage)
         return Difference(self.node, activity.net, activity.transition, command, self.turn.stamp, then, now, why)
 
-    def _reason(self, executor: Executor, recorded: list[object], now: list[object] | None) -> str:
-        if now is not None and recorded[:3] == now[:3] and recorded[0] == "end":
-            if recorded[3] != now[3]:
-                return f"the action ends otherwise: {first_difference(recorded[3], now[3], 'failure')}"
-            return f"its function leaves something else: {first_difference(left_of(recorded[4]), left_of(now[4]))}"
-        if now is not None and _ends_too(recorded, now):
-            then, again = (left_of(each[4]) if len(each) > 4 else None for each in (recorded, now))
-            return f"its function leaves something else: {first_difference(then, again)}"
-        if now is not None and recorded[0] == "end":
-            return "the action ends otherwise"
-        if recorded[0] == "built":
-            left = left_of(now[2]) if now is not None and now[:2] == recorded[:2] else None
-            return f"its builder leaves something else: {first_difference(left_of(recorded[2]), left)}"
-        first = f"{transition_of(now)} goes first now" if now is not None and now[0] == "fire" else ""
+    def _reason(self, executor: Executor, recorded: NetEntry, now: NetEntry | None) -> str:
+        match recorded, now:
+            case EndFired(number, name, error, data), EndFired(again, name_now, error_now, data_now) if (
+                number == again and name == name_now
+            ):
+                if told := first_difference(encode_error(error), encode_error(error_now), "failure"):
+                    return f"the action ends otherwise: {told}"
+                return f"its function leaves something else: {first_difference(left_of(data), left_of(data_now))}"
+            case ActivityEnded(number, _, _, data), ActivityEnded(again, _, _, data_now) if number == again:
+                return f"its function leaves something else: {first_difference(left_of(data), left_of(data_now))}"
+            case EndFired(), _ if now is not None:
+                return "the action ends otherwise"
+            case MessageBuilt(number, data), _:
+                left = left_of(now.data) if isinstance(now, MessageBuilt) and now.number == number else None
+                return f"its builder leaves something else: {first_difference(left_of(data), left)}"
+        first = f"{now.transition} goes first now" if isinstance(now, TransitionFired) else ""
         return executor.hindrance(transition_of(recorded)) or first
 
     def drawn(self, name: str, names: Sequence[str]) -> int:
         """Return the recorded choice among several transitions; the first one without a record."""
-        match self.entries[name].next():
-            case ["fire", str(taken), *_] if taken in names:
-                return names.index(taken)
-        return 0
+        entry = self.entries[name].next()
+        return names.index(entry.transition) if isinstance(entry, TransitionFired) and entry.transition in names else 0
 
 
-def _ends_too(recorded: list[object], now: list[object]) -> bool:
+def _ends_too(recorded: NetEntry, now: NetEntry) -> bool:
     """Return whether the same action ends: kind and answer of the end were compared then."""
-    return recorded[0] == now[0] == "ended" and recorded[1] == now[1]
+    return isinstance(recorded, ActivityEnded) and isinstance(now, ActivityEnded) and recorded.number == now.number
 
 
 def in_doubt(executor: Executor, number: int) -> bool:

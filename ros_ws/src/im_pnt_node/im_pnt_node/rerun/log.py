@@ -4,7 +4,7 @@ Items are JSON lists::
 
     ["node", name, functions]              who tells, and what makes its functions (``module:function``, or empty)
     ["state", net, state, yaml]            a net as recording begins, or as it is loaded, and the text of its file
-    ["net", net, entry]                    an entry of its journal (:mod:`im_pnt_node.journal.codec`)
+    ["net", net, entry]                    an entry of its journal (:mod:`im_pnt_node.distributed.codec`)
     ["heard", topic, type, CDR]            a message of a topic that guards look at
     ["object", name, valid]                a data object that has changed
     ["noted", key, value, error]           what a function has read, at once: a time, a file
@@ -25,7 +25,7 @@ from im_pnt.execution.actions import Ask, Requests
 from im_pnt.execution.events import Answer
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
-from im_pnt_node.journal.log import encode_json
+from im_pnt_node.distributed.codec import ANSWER, encode_json
 
 ValueT = TypeVar("ValueT")
 Key = Sequence[object]
@@ -119,11 +119,6 @@ def noted_answers(ask: Ask, log: MissionLog) -> Ask:
             found = ask(activity, context)
             return await found if inspect.isawaitable(found) else found
 
-        return await log.read(["asked", activity.net, activity.number], work(), told_answer)
+        return await log.read(["asked", activity.net, activity.number], work(), ANSWER.content)
 
     return asked
-
-
-def told_answer(answer: Answer) -> list[object]:
-    """Return the outcome of an action as JSON data."""
-    return [answer.outcome.value, encode_error(answer.error), dict(answer.results), answer.asked]

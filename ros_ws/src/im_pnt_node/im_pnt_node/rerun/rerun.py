@@ -15,18 +15,17 @@ from im_pnt.execution.events import ActionEnded, GuardsChanged, ObjectInvalidate
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activity, Reply
-from im_pnt.execution.journal_entries import ActivityEnded
+from im_pnt.execution.journal_entries import ActivityEnded, EndFired, MessageBuilt, PhaseFired
 from im_pnt.execution.notification import Nowhere, Observer
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
-from im_pnt_node.journal.codec import decode_net_entry
 from im_pnt_node.journal.journal import fingerprint
 from im_pnt_node.journal.state import restore_net
 from im_pnt_node.rerun.difference import Difference, first_difference
 from im_pnt_node.rerun.engine import ENDED, ActionsAgain, Labelled, NotDoneAgain, RerunExecutor
-from im_pnt_node.rerun.entries import INPUTS, Entries, error_of, reply_difference, told_of
+from im_pnt_node.rerun.entries import Entries, Input, error_of, reply_difference, told_of
 from im_pnt_node.rerun.life import Life, in_doubt
 from im_pnt_node.rerun.script import Messages, Script, ScriptHost
 from im_pnt_node.rerun.stream import Item, NodeStream, Turn
@@ -66,6 +65,7 @@ class NodeRerun:
 
     Raises:
         DataError: What was recorded makes no sense.
+        NetError: Likewise.
     """
 
     def __init__(self, stream: NodeStream, world: ActionsAgain, messages: Messages, nets: Mapping[str, Net]) -> None:
@@ -193,8 +193,8 @@ class NodeRerun:
 
     def _take(self, item: Item) -> None:
         match item:
-            case ["net", str(net), [str(kind), *_] as content]:
-                self._take_entry(net, kind, list(content))
+            case ["net", str(net), _]:
+                self._take_entry(net)
             case ["read", list(key), value, error]:
                 self._script.resume(key, value, error_of(error))
             case ["heard", str(topic), str(kind), str(data)]:
@@ -218,23 +218,22 @@ class NodeRerun:
         for executor in self._life.executors.values():
             executor.post(GuardsChanged())
 
-    def _take_entry(self, name: str, kind: str, content: list[object]) -> None:
+    def _take_entry(self, name: str) -> None:
         executor, entries = self._life.executors.get(name), self._life.entries[name]
         if executor is None:
             raise DataError(f"net {name} fires in the bag before its state is told", net=name)
         number = entries.seen
+        event, _ = entries.recorded[number]
         entries.seen += 1
-        arrives = kind in INPUTS
-        self._compared.inputs += arrives
-        self._compared.firings += not arrives and kind != "built"
+        self._compared.inputs += isinstance(event, Input)
+        self._compared.firings += not isinstance(event, Input | MessageBuilt)
         if entries.reached > number:
             return
-        if not arrives:
+        if not isinstance(event, Input):
             self._fire(executor, entries, number)
             return
-        event = decode_net_entry(content)
         if not isinstance(event, ActivityEnded):
-            executor.post(event)  # type: ignore[arg-type]  # the others are firings
+            executor.post(event)
         elif executor.due and in_doubt(executor, event.number):
             self._fire(executor, entries, number)
         else:
@@ -288,10 +287,10 @@ class NodeRerun:
             self._time = max(self._time, at)
             if self._life.pump(executor):
                 return True
-        match entries.next():
-            case ["end" | "phase" | "built", int(number), *_] as content if number in self._before[executor.net.name]:
-                executor.replay(decode_net_entry(content))
-                return entries.advance(content)
+        entry = entries.next()
+        if isinstance(entry, EndFired | PhaseFired | MessageBuilt) and entry.number in self._before[executor.net.name]:
+            executor.replay(entry)
+            return entries.advance(entry)
         return False
 
     # What the nets send.

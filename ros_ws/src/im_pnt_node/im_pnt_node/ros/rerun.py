@@ -14,7 +14,6 @@ from im_bag.reading import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.ros.interfaces import decoded, interface_class
-from im_pnt.errors import decode_error
 from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext, Functions
@@ -24,6 +23,7 @@ from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAct
 from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
+from im_pnt_node.distributed.codec import ANSWER
 from im_pnt_node.rerun.difference import Difference, first_difference
 from im_pnt_node.rerun.rerun import Compared, NodeRerun
 from im_pnt_node.rerun.script import Script, ScriptHost
@@ -136,8 +136,7 @@ class RosWorld:
             return await handled(functions, action, context, decoded(b64decode(data), interface_class(action.type)))
 
         async def asked(activity: Activity, _: ActionContext) -> Answer:
-            outcome, error, results, by = await script.wait(["asked", activity.net, activity.number])
-            return Answer(Outcome(outcome), decode_error(error), results, by)
+            return ANSWER.decode(await script.wait(["asked", activity.net, activity.number]))
 
         def waited(activity: Activity, _: ActionContext) -> Answer:
             return Answer(Outcome.FAILED, activity.doubt, asked="nobody: it only waited")

@@ -80,8 +80,10 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             if job.symbol not in rule.readers:
                 raise ValueError(f"the net does not know the command {job.symbol}")
             rule.write(job)
-        case RequestArrived(request):
+        case RequestArrived(request, held):
             rule.take_request(request)
+            if held:
+                _hold_request(rule, request.id, True)
         case CommandCancelled(command_id, error):
             rule.cancel(rule.ledger.of_command(command_id), error)
         case RequestCancelled(request_id, error):
@@ -95,8 +97,7 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
         case CommandHeld(int(command_id), held, scope):
             rule.hold(command_id, held, rule.ledger.of_command(command_id), scope)
         case RequestHeld(request_id, held):
-            for job in rule.ledger.of_request(request_id):
-                rule.hold(-job.number, held, [job])
+            _hold_request(rule, request_id, held)
         case GuardBroke(number, error):
             _open_job(rule, number).last_failure = error
         case JobForgotten(number, error):
@@ -105,6 +106,11 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             rule.close(job, error)
         case ModeSet() | PauseSet():
             raise ValueError("mode and pause are set by the operator, not by a rule")
+
+
+def _hold_request(rule: FiringRule, request_id: str, held: bool) -> None:
+    for job in rule.ledger.of_request(request_id):
+        rule.hold(-job.number, held, [job])
 
 
 def _fire_again(rule: FiringRule, name: str, number: int | None) -> None:

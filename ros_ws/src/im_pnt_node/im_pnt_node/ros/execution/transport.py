@@ -85,7 +85,7 @@ class DdsTransport:
         """Send a message, to arrive once, some time, and in order.
 
         Raises:
-            NetError: Its payload is not JSON data.
+            NetError: JSON cannot carry a part of it.
         """
         if node not in self._watched:
             self._watch(node)

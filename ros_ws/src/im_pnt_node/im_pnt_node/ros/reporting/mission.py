@@ -14,7 +14,7 @@ from im_core.ros.dom import DomClient
 from im_core.ros.node import ManagedNode
 from im_pnt.execution.executor import Executor
 from im_pnt.netfile import yaml_text
-from im_pnt_node.journal.log import encode_json
+from im_pnt_node.distributed.codec import encode_json
 from im_pnt_node.journal.state import net_state
 from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.messages import packed_message
