@@ -355,7 +355,7 @@ def test_a_dom_that_hears_first_that_a_net_has_gone_waits_for_who_may_have_taken
 ):
     dom, mine, other = three
     wait_until(lambda: dom.ready, "the store")
-    for name in ("cell.there", "gone.there"):  # objects of a former life
+    for name in ("cell.there", "gone.there"):  # objects of a former incarnation
         dom.store.put(name, "std_msgs/msg/String", b"", name, "other", 0)
     monkeypatch.setattr("im_dom.ros.node.DESCRIBED_S", 1.0)
     former = mine.create_publisher(NetDescription, "/pnt/nets", qos.LATCHED_MANY)

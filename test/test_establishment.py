@@ -1,4 +1,4 @@
-"""What a command has established goes with the life of who keeps it, also where a coordinator has just begun."""
+"""What a command has established goes with the incarnation of who keeps it, also where a coordinator has just begun."""
 
 import asyncio
 
@@ -38,7 +38,7 @@ class Coordinator:
     def __init__(self, *lives):
         self.name, self.dom, self._lives = "/coordinator", Objects(), list(lives)
 
-    def life(self, task):
+    def incarnation(self, task):
         return self._lives[0]
 
     async def pause(self, seconds):
@@ -82,7 +82,7 @@ def test_what_was_reserved_in_a_life_that_was_not_heard_of_yet_is_established_wh
     command = Command(group="left")
 
     async def mission():
-        await actions["to_reserve"](command)  # the new life answers, of which the coordinator has not heard
+        await actions["to_reserve"](command)  # the new incarnation answers, of which the coordinator has not heard
         await host.pause(1.0)
         with pytest.raises(StateError, match="begun anew"):
             await actions["while_reserved"](command)

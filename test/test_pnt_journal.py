@@ -147,7 +147,7 @@ class Machine:
         self.processes[name] = self.start(name)
 
     def attach(self) -> Trigger.Response:
-        """Asks for the command; a request that meets the server of the former life is made again."""
+        """Asks for the command; a request that meets the server of the former incarnation is made again."""
         client = self.arm.create_client(Trigger, "/front/attach")
         for _ in range(30):
             with contextlib.suppress(WaitTimeoutError):

@@ -177,7 +177,7 @@ class Doubtful:
     """An action of which it is not known what became."""
 
     def __init__(self, action):
-        self.action, self.life, self.net, self.number = action, "before", "worker", 1
+        self.action, self.incarnation, self.net, self.number = action, "before", "worker", 1
 
 
 def path(ctx):
@@ -258,7 +258,7 @@ def test_a_goal_that_its_server_has_already_is_followed_not_lost(machine, monkey
 
 
 def test_a_goal_that_its_server_has_forgotten_names_who_did(machine, monkeypatch):
-    """Whoever asks for the result again may meet the next life of the server before it is heard of."""
+    """Whoever asks for the result again may meet the next incarnation of the server before it is heard of."""
     forget(monkeypatch, 1)
     outcome = run(machine[0], "move", speed=0.1)
     assert (outcome.success, outcome.status.code) == (False, "link")

@@ -98,7 +98,7 @@ def _load(draw: Random, among: tuple[str, ...]) -> Fault:
 
 def _standstill(draw: Random, among: tuple[str, ...]) -> Fault:
     pauses = [(draw.uniform(0.0, 1.0), draw.uniform(0.05, LONGEST_STANDSTILL_S)) for _ in range(STANDSTILLS)]
-    words = ("deadlines", "has not ticked", "sign of life")
+    words = ("deadlines", "has not ticked", "heartbeat")
     return Fault("all stands still", (), lambda _: outside.stand_still(pauses), words)
 
 

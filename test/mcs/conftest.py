@@ -159,7 +159,7 @@ class Client:
 
 @pytest.fixture(scope="module")
 def owner_silence_s():
-    """For how long the servo waits for signs of life of MCS [s]: here that shares its interpreter with its clients."""
+    """For how long the servo waits for heartbeats of MCS [s]: here that shares its interpreter with its clients."""
     return 60.0
 
 

@@ -38,9 +38,9 @@ def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(cl
 
     client.mcs.spawn(hang())
     answer = result()
-    assert "the process that owns the servo gave no sign of life for 3" in answer.status.message
+    assert "the process that owns the servo gave no heartbeat for 3" in answer.status.message
     client.until(lambda: client.state() == "reserved" and not client.states[-1].power)
-    assert "gave no sign of life" in client.states[-1].reason
+    assert "gave no heartbeat" in client.states[-1].reason
     assert client.lifecycle() == "inactive"
     stopped = client.group_state().q
     assert client.trigger("power_on").success
@@ -51,7 +51,7 @@ def test_a_node_whose_loop_stands_still_is_stopped_for_and_goes_on_afterwards(cl
 
 
 def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
-    sentence = "the servo process hangs: it has given no sign of life for 3 s"
+    sentence = "the servo process hangs: it has given no heartbeat for 3 s"
     client.to_motion()
     _, result = client.start_far_move(**SLOW)
     pid = servo()
@@ -77,7 +77,7 @@ def test_a_servo_that_hangs_is_named_and_waited_for_by_nobody(client, servo):
 
 def test_a_servo_that_lives_and_hears_nothing_is_named_and_waited_for_by_nobody(client, monkeypatch):
     """Here no tick comes in which it would hear, for nobody asks for the time of one."""
-    sentence = "the servo process hangs: it gives signs of life, and has heard no request for 1 s"
+    sentence = "the servo process hangs: it gives heartbeats, and has heard no request for 1 s"
     monkeypatch.setattr(servo_keeper, "_UNHEARD_S", 1.0)
     servo = client.mcs._mcs.client()
     with monkeypatch.context() as deaf:

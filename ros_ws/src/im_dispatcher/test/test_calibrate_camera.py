@@ -224,7 +224,7 @@ def test_what_is_gone_again_and_again_is_not_established_for_ever(play: Play) ->
 def test_time_without_a_machine_counts_for_nothing(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
     play.now = lambda: 12.0
     play.pose()
-    play.now = lambda: 1.0  # the testbed of the next life began at 0, and the command goes on at 1 s
+    play.now = lambda: 1.0  # the testbed of the next incarnation began at 0, and the command goes on at 1 s
     play.pose()
     play.now = lambda: 4.0
     play("note_failure", LinkError("the arm is gone"))

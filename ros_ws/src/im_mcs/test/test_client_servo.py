@@ -1,4 +1,4 @@
-"""The owner's end of the channel: signs of life, and a servo process that hangs."""
+"""The owner's end of the channel: heartbeats, and a servo process that hangs."""
 
 import os
 

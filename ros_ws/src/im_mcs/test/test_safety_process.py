@@ -1,4 +1,4 @@
-"""The servo process around MCS, turn by turn: drivers that fail, signs of life, what it shows."""
+"""The servo process around MCS, turn by turn: drivers that fail, heartbeats, what it shows."""
 
 import os
 import sys
@@ -232,7 +232,7 @@ def test_a_silent_owner_is_stopped_for_and_power_goes(turns):
         turn(turns, beat=False)
     assert turns._mcs.manager.state is State.RESERVED
     told = [event for event in turns.seen if event["event"] == "state"][-1]
-    assert told["reason"] == "the process that owns the servo gave no sign of life for 0.2 s"
+    assert told["reason"] == "the process that owns the servo gave no heartbeat for 0.2 s"
     assert ask(turns, 5, "power_on")["success"]
     assert turns.seen[-2]["reason"] == ""  # the owner is there again, and knows
     turn(turns)

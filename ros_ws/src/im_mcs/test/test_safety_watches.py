@@ -206,7 +206,7 @@ def test_without_its_owner_the_machine_stops_and_switches_itself_off(moving):
         if mcs.manager.state is State.MOTION:
             assert not moving.driver.drive.brakes[LEFT].all() or not np.abs(mcs.setpoint[1]).any()
     assert mcs.manager.state is State.RESERVED
-    assert "no sign of life for 60 s" in moving.reply(moving.goal)["error"]["message"]
+    assert "no heartbeat for 60 s" in moving.reply(moving.goal)["error"]["message"]
     assert moving.driver.drive.brakes.all()
     assert not moving.driver.drive.power
     assert not mcs.wants_time

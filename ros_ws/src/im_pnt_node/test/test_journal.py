@@ -332,7 +332,7 @@ def test_no_request_has_the_name_of_one_that_an_old_copy_of_the_journal_has_forg
     let_go(pair)
     pair.run()
     old = pair.files["front"].reborn()
-    first = pair.alive["front"].exchange.book.life
+    first = pair.alive["front"].exchange.book.incarnation
     pair.alive["front"].exchange.nets["front"].command(Command(2, "go"))
     pair.run()
     forgotten = next(name for name, asked in pair.alive["front"].exchange.book.items() if asked.net == "back")
@@ -349,9 +349,9 @@ def test_no_request_has_the_name_of_one_that_an_old_copy_of_the_journal_has_forg
         exchange.receive("back", late)
         pair.run()
         assert pair.marking("front") == {"ask.active": 1}
-        lives = {name: [activity.life for activity in net.activities] for name, net in exchange.nets.items()}
+        lives = {name: [activity.incarnation for activity in net.activities] for name, net in exchange.nets.items()}
         assert lives == {"front": [""], "waiter": [first]}  # what had begun before keeps its name
-        assert exchange.book.life != first
+        assert exchange.book.incarnation != first
         pair.kill("front")
         pair.start("front")
         pair.run()

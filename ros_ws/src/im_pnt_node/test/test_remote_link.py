@@ -244,7 +244,10 @@ def test_who_lost_its_journal_begins_anew_and_the_other_side_says_what_was_in_fl
     exchange(a, late)
     assert a.resets[0][:2] == ("b", "b came back without its journal")
     assert [str(message) for message in a.resets[0][2]] == ["a token for net.y", "request r-1 to net net"]
-    assert late.taken() == ["y", ""]  # the token is given to its new life, and nothing in the place of the request
+    assert late.taken() == [
+        "y",
+        "",
+    ]  # the token is given to its new incarnation, and nothing in the place of the request
     assert late.got[1] == VOID
     assert a.taken() == ["u", "v"]
 
@@ -453,7 +456,7 @@ def test_the_packets_that_once_did_harm_do_none_and_are_told_of():
         )
         b.link.hear(packet("a", epoch, 1, "b", 0, 10**9))
         a.link.hear(packet("b", 2**62 - 1, 1, "a", epoch, 1, [1, [[1, "no"]]]))
-    assert "names a life that begins" in b.observer.texts[0]
+    assert "names an incarnation that begins" in b.observer.texts[0]
     a.send("b", "y")
     exchange(a, b)
     assert b.taken() == ["x", "y"]
@@ -464,7 +467,7 @@ def test_many_packets_that_prove_nothing_are_told_of_once_and_make_nobody_known(
     for number in range(10 * MANY_UNPROVED):
         b.link.hear(packet(f"x{number}", 7, 0, "b"))
     assert len(b.observer.texts) == 1
-    why = f"{MANY_UNPROVED} packets were not taken: who sent them does not know the present life of b"
+    why = f"{MANY_UNPROVED} packets were not taken: who sent them does not know the present incarnation of b"
     assert why in b.observer.texts[0]
     assert b.link.peers == {}
     b.link.flush()

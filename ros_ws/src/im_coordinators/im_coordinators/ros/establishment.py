@@ -13,7 +13,8 @@ BEGUN_ANEW = "begun_anew"
 HEARD_S, PAUSE_S = 10.0, 0.02
 
 FRESH_S = 1.0
-"""How long one who has begun anew has to say how it is now [s]: what it said in its former life is heard until then."""
+"""How long one who has begun anew has to say how it is now [s]: what it said in its former incarnation is heard until
+then."""
 
 
 class Establishment:
@@ -38,18 +39,18 @@ class Establishment:
         Raises:
             WaitTimeoutError: The task is not heard.
         """
-        await self._host.dom.put(self._object(ctx, name), UInt64(data=await self._life()))
+        await self._host.dom.put(self._object(ctx, name), UInt64(data=await self._incarnation()))
 
     async def require(self, ctx: ActionContext, name: str) -> None:
         """Check the establishment of a command for loss; a command without an establishment may go on.
 
         Raises:
-            StateError: It went with the life in which it was; of code :data:`BEGUN_ANEW`.
+            StateError: It went with the incarnation in which it was; of code :data:`BEGUN_ANEW`.
             WaitTimeoutError: The task is not heard.
         """
         if not await self._host.dom.is_valid(noted := self._object(ctx, name)):
             return
-        if (await self._host.dom.get(noted, UInt64)).data != await self._life():
+        if (await self._host.dom.get(noted, UInt64)).data != await self._incarnation():
             await self._host.pause(FRESH_S)  # nets establish it again, and look at its state for that
             since = f"has begun anew since {name} was {self._what} for this command, and knows nothing of that"
             raise StateError(
@@ -64,11 +65,11 @@ class Establishment:
     def _object(self, ctx: ActionContext, name: str) -> str:
         return ctx.object(f"{self._what}/{name}")
 
-    async def _life(self) -> int:
+    async def _incarnation(self) -> int:
         """Return the present incarnation of the task; a coordinator just started waits for the first heartbeat."""
         deadline = clock.monotonic() + HEARD_S
-        while (life := self._host.life(self._task)) is None:
+        while (incarnation := self._host.incarnation(self._task)) is None:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the heartbeat of {self._task}", seconds=HEARD_S)
             await self._host.pause(PAUSE_S)
-        return life
+        return incarnation

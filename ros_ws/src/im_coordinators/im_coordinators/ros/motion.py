@@ -87,7 +87,8 @@ class MotionFunctions:
     async def note_held(self, ctx: ActionContext) -> None:
         """Note the held slots and power as established in the present incarnation of MCS.
 
-        Another may have been noted when it was reserved: a life is heard of later than it gives its first answers.
+        Another may have been noted when it was reserved: an incarnation is heard of later than it gives its first
+        answers.
         """
         await self._powered.note(ctx, _group(ctx))
 

@@ -32,7 +32,7 @@ POSES = "calibration_poses"
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT = "im_msgs/msg/CalibrationReport"
 
-#: Code of the failure of whoever needs what was established in a former life of the task that kept it.
+#: Code of the failure of whoever needs what was established in a former incarnation of the task that kept it.
 BEGUN_ANEW = "begun_anew"
 
 #: How often in a row, without a pose in between, what was established is established again.
@@ -296,7 +296,7 @@ class CalibrateCamera:
                 now = self._clocks_ms()
             case _:
                 raise StateError("no calibrate_camera command is running")
-        # a clock that is before where it was seen last is another one, of the next life of computer or testbed
+        # a clock that is before where it was seen last is another one, of the next incarnation of computer or testbed
         shifts = [min(0, after - before) for after, before in zip(now, seen, strict=True)]
         begun = [start + shift for start, shift in zip(begun, shifts, strict=True)]
         ctx.memory["begun_ms"], ctx.memory["seen_ms"] = begun, now

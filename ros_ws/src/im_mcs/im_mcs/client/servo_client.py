@@ -61,7 +61,7 @@ OnProgress = Callable[[MotionProgress], None]
 class ServoClient:
     """Client of the servo process: requests and the answers.
 
-    A thread of its own waits for events and calls back from there. Signs of life are given by :meth:`beat`, which
+    A thread of its own waits for events and calls back from there. Heartbeats are given by :meth:`beat`, which
     whoever answers for the machine calls from where it would notice a stop: a thread of its own would hide a hang.
 
     Args:
@@ -142,11 +142,11 @@ class ServoClient:
         return self._records.read(number)
 
     def beat(self) -> None:
-        """Give the servo a sign of life; after the first one the servo watches for the next."""
+        """Give the servo a heartbeat; after the first one the servo watches for the next."""
         self._channel.heartbeat.beat()
 
     def silence_s(self) -> float:
-        """For how long the servo process has given no sign of life, wall time [s]."""
+        """For how long the servo process has given no heartbeat, wall time [s]."""
         return self._channel.heartbeat.silence_s()
 
     def unheard_s(self) -> float:

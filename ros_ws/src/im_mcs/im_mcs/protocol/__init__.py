@@ -1,1 +1,1 @@
-"""Shared parts of node and servo process: requests, channel, samples, signs of life."""
+"""Shared parts of node and servo process: requests, channel, samples, heartbeats."""

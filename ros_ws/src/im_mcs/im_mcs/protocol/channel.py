@@ -104,7 +104,7 @@ class ServoChannel(SharedRecord):
         samples: Servo to owner: what the joints do; dropped when the owner is slow.
         snapshot: Newest state; the servo writes.
         bell: Rung by the servo when there are events.
-        heartbeat: Signs of life, both ways.
+        heartbeat: Heartbeats, both ways.
         evidence: Records of aborts, for :class:`~im_mcs.protocol.evidence.Recorder` and ``Records``.
     """
 

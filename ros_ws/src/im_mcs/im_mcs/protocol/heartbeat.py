@@ -1,4 +1,4 @@
-"""Signs of life of two processes to each other."""
+"""Heartbeats of two processes to each other."""
 
 import os
 from typing import Any
@@ -36,7 +36,7 @@ class ServoHeartbeat:
         self._since = self._next_look = clock.monotonic()
 
     def beat(self) -> None:
-        """Give a sign of life."""
+        """Give a heartbeat."""
         self._counters[self._mine] += 1
 
     def silence_s(self) -> float:

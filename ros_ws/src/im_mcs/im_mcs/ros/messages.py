@@ -203,7 +203,7 @@ def servo_missing(state: State, reason: str) -> DiagnosticStatus:
 
 
 def servo_status(state: State, snapshot: NDArray[np.void], silence_s: float) -> DiagnosticStatus:
-    """Return the timing of the servo loop; ``silence_s``: since the last sign of life [s]."""
+    """Return the timing of the servo loop; ``silence_s``: since the last heartbeat [s]."""
     status = DiagnosticStatus(name="mcs: servo", hardware_id="testbed", message=state.value)
     linked = bool(snapshot["linked"])
     status.level = DiagnosticStatus.OK if linked and state is not State.ESTOPPED else DiagnosticStatus.ERROR
@@ -211,7 +211,7 @@ def servo_status(state: State, snapshot: NDArray[np.void], silence_s: float) -> 
         status.message = f"{state.value}; the testbed does not answer"
     if silence_s > _SILENCE_S:
         status.level = DiagnosticStatus.ERROR
-        status.message = f"{state.value}; the servo has given no sign of life for {silence_s:.1f} s"
+        status.message = f"{state.value}; the servo has given no heartbeat for {silence_s:.1f} s"
     for key in ("tick", "ticks", "missed_deadlines"):
         status.values.append(KeyValue(key=key, value=str(int(snapshot[key]))))
     for kind, counts in zip(KINDS, snapshot["saturations"], strict=True):

@@ -1,4 +1,4 @@
-"""The servo process in the life of the node: start, signs of life, end, and changes of the state."""
+"""The servo process in the life of the node: start, heartbeats, end, and changes of the state."""
 
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -113,7 +113,7 @@ class ServoKeeper:
         node: The node.
         lifecycle: Of the node; follows what happens in the servo.
         config_file: Configuration of the servo; None: that of the package.
-        silence_s: Wall time without a sign of life of the servo, after which requests are refused [s].
+        silence_s: Wall time without a heartbeat of the servo, after which requests are refused [s].
         circuits: The second way to the power.
         changed: Called in the node's loop after every change of state.
     """
@@ -326,7 +326,7 @@ class ServoKeeper:
     def poll(self) -> None:
         """Look after everything; to be called every :data:`POLL_S` in the node's loop.
 
-        The sign of life to the servo is given here, so that a node whose loop stands still is noticed.
+        The heartbeat to the servo is given here, so that a node whose loop stands still is noticed.
         """
         self._await_start()
         owner = self._owner
@@ -390,17 +390,17 @@ class ServoKeeper:
             raise LinkError(f"the servo process cannot be started: {error}") from error
 
     def _listen_to(self, client: ServoClient) -> None:
-        """Refuse requests while the running servo gives or hears no sign of life; no client waits for the servo."""
+        """Refuse requests while the running servo gives or hears no heartbeat; no client waits for the servo."""
         why = ""
         if client.silence_s() > self._silence_s:
-            why = f"it has given no sign of life for {self._silence_s:g} s"
+            why = f"it has given no heartbeat for {self._silence_s:g} s"
         elif client.unheard_s() > _UNHEARD_S:
-            why = f"it gives signs of life, and has heard no request for {_UNHEARD_S:g} s"
+            why = f"it gives heartbeats, and has heard no request for {_UNHEARD_S:g} s"
         if not why:
             if self._hang is not None:
                 self._hang = None
                 client.resume()
-                self._node.get_logger().warning("the servo process gives signs of life again, and hears requests")
+                self._node.get_logger().warning("the servo process gives heartbeats again, and hears requests")
                 self._changed()
             return
         if self._hang is None:

@@ -84,7 +84,7 @@ class Situation:
         power: Whether power is commanded.
         brakes: Which brakes are commanded to hold, shape (n,).
         groups: Groups of the preset in force.
-        owner_silence_s: For how long the owner process has given no sign of life, wall time [s].
+        owner_silence_s: For how long the owner process has given no heartbeat, wall time [s].
         overruns: Servo deadlines missed in a row.
     """
 
@@ -289,7 +289,7 @@ class OverrunWatch:
 
 
 class OwnerWatch:
-    """Watch over signs of life of the servo's owner (the ``mcs`` node).
+    """Watch over heartbeats of the servo's owner (the ``mcs`` node).
 
     Args:
         bound_s: Wall time without one [s].
@@ -304,7 +304,7 @@ class OwnerWatch:
             return None
         silent = "is gone"
         if math.isfinite(now.owner_silence_s):
-            silent = f"gave no sign of life for {now.owner_silence_s:.2g} s, {self._bound_s:g} s are allowed"
+            silent = f"gave no heartbeat for {now.owner_silence_s:.2g} s, {self._bound_s:g} s are allowed"
         return SafetyFinding(Reaction.END, LinkError(f"the process that owns the servo {silent}"))
 
 

@@ -302,7 +302,7 @@ class Mcs:
             self.answers.drop_goal(goal, reason, self.measured.tick)
 
     def _watch(self) -> bool:
-        """Run the watches; return whether the owner gives no sign of life, so power must go."""
+        """Run the watches; return whether the owner gives no heartbeat, so power must go."""
         now = self.situation
         now.measured, now.v = self.measured, self.v
         now.power, now.brakes = self.manager.power, self.manager.brakes
@@ -310,7 +310,7 @@ class Mcs:
             self._react(finding)
         bound_s = self.config.safety.owner_silence_s
         if abandoned := now.owner_silence_s > bound_s:
-            self.manager.shut_down(f"the process that owns the servo gave no sign of life for {bound_s:g} s")
+            self.manager.shut_down(f"the process that owns the servo gave no heartbeat for {bound_s:g} s")
         return abandoned
 
     def _hold(self, busy: set[str], urgent: bool) -> bool:

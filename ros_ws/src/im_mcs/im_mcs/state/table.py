@@ -66,7 +66,7 @@ TRANSITIONS = frozenset({Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, E
 """Requests that change power and brakes of groups, over several ticks."""
 
 ANYTIME = frozenset({Event.ESTOP, Event.PROTECTIVE_STOP, Event.PAUSE, Event.CANCEL, Event.RENEW})
-"""Requests that are heard while a transition is under way: whatever stops, and signs of life."""
+"""Requests that are heard while a transition is under way: whatever stops, and heartbeats."""
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,8 @@ class Command:
         symbol: Its symbol.
         arguments: What it was given.
         priority: Larger goes first, where commands wait for the same.
-        scope: Begins the names of its data objects, ``<node>/<life of the node>-<id>``: no other command has the same,
-            also after a restart. Empty: :func:`scope_of` gives one.
+        scope: Begins the names of its data objects, ``<node>/<incarnation of the node>-<id>``: no other command has the
+            same, also after a restart. Empty: :func:`scope_of` gives one.
     """
 
     id: int = 0
@@ -99,7 +99,7 @@ class JobKey(NamedTuple):
     """Identity of a job among all nets and processes.
 
     Attributes:
-        process: Name of the life of the process where it was begun, as the names of its requests begin.
+        process: Name of the incarnation of the process where it was begun, as the names of its requests begin.
         net: Its net.
         number: Its number there.
     """
@@ -315,7 +315,7 @@ class Activity:
         timer: What strikes next: its deadline, or the next question about it.
         on_cancel: Called when it is asked to end early.
         on_release: Called when its job is not held any more.
-        life: As requests were named when it began, if they are named otherwise since; empty: they are not.
+        incarnation: As requests were named when it began, if they are named otherwise since; empty: they are not.
     """
 
     number: int
@@ -337,7 +337,7 @@ class Activity:
     timer: Timer | None = None
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
     on_release: list[Callable[[], None]] = field(default_factory=list)
-    life: str = ""
+    incarnation: str = ""
 
     def when_cancelled(self, callback: Callable[[], None]) -> None:
         """Call a function at the request to end early; at once if the action has got one."""

@@ -36,8 +36,8 @@ def fire(nets: Sequence[Net], firings: int, seconds: float, seed: int) -> tuple[
     """
     deadline = thread_cpu() + seconds
     fired, used = 0, 0.0
-    for life in range(firings):
-        players = _Players(nets, seed + life)
+    for run in range(firings):
+        players = _Players(nets, seed + run)
         in_vain = 0
         while fired + players.fired < firings and in_vain < _TRIES and thread_cpu() < deadline:
             began, before = cpu(), players.fired

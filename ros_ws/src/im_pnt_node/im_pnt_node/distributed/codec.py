@@ -58,7 +58,7 @@ TAGS: Mapping[type, str] = {
     entries.MessagesAcknowledged: "acked",
     entries.MessageRefused: "refused",
     entries.MessageVoided: "void",
-    entries.LifeBegun: "begin",
+    entries.IncarnationBegun: "begin",
     entries.NumbersSkipped: "move",
     entries.EpochRaised: "epoch",
 }

@@ -75,7 +75,7 @@ class RequestClosed(NamedTuple):
 class RequestsRenamed(NamedTuple):
     """Entry: requests, and other names made from the incarnation of the process, change from here on."""
 
-    life: str
+    incarnation: str
 
 
 class TokenKept(NamedTuple):
@@ -131,7 +131,7 @@ class MessageVoided(NamedTuple):
     number: int
 
 
-class LifeBegun(NamedTuple):
+class IncarnationBegun(NamedTuple):
     """Entry: a process is in another incarnation, with or without a journal."""
 
     node: str
@@ -153,6 +153,12 @@ class EpochRaised(NamedTuple):
 
 
 PeerEntry = (
-    MessageSent | MessageTaken | MessagesAcknowledged | MessageRefused | MessageVoided | LifeBegun | NumbersSkipped
+    MessageSent
+    | MessageTaken
+    | MessagesAcknowledged
+    | MessageRefused
+    | MessageVoided
+    | IncarnationBegun
+    | NumbersSkipped
 )
 LinkEntry = PeerEntry | EpochRaised

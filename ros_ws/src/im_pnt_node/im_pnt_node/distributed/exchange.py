@@ -333,7 +333,7 @@ class Exchange:
         transport.send(node, VOID)  # it is repeated until the node acknowledges it, which shows that it is back
 
     def node_returned(self, node: str) -> None:
-        """Note a sign of life of a node."""
+        """Note a heartbeat of a node."""
         self._lost.pop(node, None)
 
     def node_reset(self, node: str, why: str, in_flight: list[Message]) -> None:
@@ -351,7 +351,7 @@ class Exchange:
         self._lost.pop(node, None)
         self._give_up(node, why)
 
-    def begin_life(self, epoch: int) -> None:
+    def begin_incarnation(self, epoch: int) -> None:
         """Begin an incarnation after a loss of memory: no later request has the name of a forgotten one.
 
         Args:
@@ -459,11 +459,11 @@ class Exchange:
                 self.book.close(request_id)
             case RequestClosed(request_id):
                 del self.inboxes.in_work[request_id]
-            case RequestsRenamed(life):
+            case RequestsRenamed(incarnation):
                 for executor in self.nets.values():
                     for activity in executor.activities:
-                        activity.life = activity.life or self.book.life
-                self.book.life = life
+                        activity.incarnation = activity.incarnation or self.book.incarnation
+                self.book.incarnation = incarnation
             case TokenKept(net, place):
                 self.undeliverable[RemotePlace(net, place)] += 1
 

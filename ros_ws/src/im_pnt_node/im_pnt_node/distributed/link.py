@@ -23,7 +23,7 @@ from im_pnt.execution.events import TokenArrived
 from im_pnt.execution.notification import Observer
 from im_pnt_node.distributed.entries import (
     EpochRaised,
-    LifeBegun,
+    IncarnationBegun,
     LinkEntry,
     MessageRefused,
     MessagesAcknowledged,
@@ -57,7 +57,7 @@ MOST_STRANGERS = 64
 MANY_UNPROVED = 20
 REPORT_EVERY_S = 5.0
 MOST_AHEAD_S = 86_400.0
-"""A life that is said to begin later than this from now is told of: a clock is wrong, or somebody makes epochs up."""
+"""Tell of an incarnation that begins later than this from now: a clock is wrong, or the epoch is made up."""
 UNREACHED_S = 10.0
 """A process that acknowledges nothing for so long, while messages to it wait, is told of."""
 MOST_TOKENS = 4096
@@ -103,7 +103,7 @@ class Express:
             self._tokens[f"{encode_message(message)}]]"] = message
 
     def forget_heads(self) -> None:
-        """Another life has begun, here or there."""
+        """Another incarnation has begun, here or there."""
         self._peers.clear()
         self._heads.clear()
 
@@ -119,7 +119,7 @@ class Link:
         returned: Takes back a message that its receiver refused, with the reason.
         reset: Is told that a process and this one do not remember the same: its name, why, and the messages to it that
             were in flight.
-        heard: Is told of each process that gives a sign of life.
+        heard: Is told of each process that gives a heartbeat.
         transmit: Sends a packet to a process; it may get lost.
         observer: Is told of packets that make no sense, and of streams that wait in vain.
         clock: Present time [s].
@@ -242,7 +242,7 @@ class Link:
     def _send_packets(self, node: str, peer: Peer, texts: list[str], now: float) -> None:
         incoming = peer.incoming
         ack = incoming.acknowledgement() if incoming.ack_at is not None and incoming.owes(now) else "0"
-        head = f"{self._life(peer.quoted, incoming.epoch)},{peer.outgoing.floor + 1},{ack}"
+        head = f"{self._head(peer.quoted, incoming.epoch)},{peer.outgoing.floor + 1},{ack}"
         if len(texts) == 1:
             self._transmit(node, f"{head},{texts[0]}]")
             return
@@ -254,11 +254,11 @@ class Link:
         answers, self._answers = self._answers, {}
         for node, (heard, later) in answers.items():
             base = self.peers[node].outgoing.floor + 1 if node in self.peers else 1
-            self._transmit(node, f"{self._life(json.dumps(node), heard)},{base},0]")
+            self._transmit(node, f"{self._head(json.dumps(node), heard)},{base},0]")
             if later:
-                self._transmit(node, f"{self._life(json.dumps(node), later)},{base},{REMEMBERED}]")
+                self._transmit(node, f"{self._head(json.dumps(node), later)},{base},{REMEMBERED}]")
 
-    def _life(self, quoted: str, known: int) -> str:
+    def _head(self, quoted: str, known: int) -> str:
         """Return the beginning of a packet: the incarnations of sender and receiver."""
         return f"[{self._quoted},{self.epoch},{0 if self.record is None else 1},{quoted},{known}"
 
@@ -336,14 +336,14 @@ class Link:
         if jumps and not self._came_back:
             self._observer.troubled("", f"a packet of {sender} was dropped: {self.name} has not come back, and {why}")
             return
-        life = self.epoch
+        epoch = self.epoch
         if packet.ack and packet.ack != REMEMBERED:
             self._acknowledged(sender, peer, packet.ack)
         if jumps and self._came_back:
             if peer.outgoing.question is not None:  # how far the other has taken is to be known before
                 return
             self._fall_back(why, self.epoch)
-        if self.epoch != life:  # the other sends again what it sent to the former life
+        if self.epoch != epoch:  # the other sends again what it sent to the former incarnation
             return
         if missed > 0 or (parted and not begins):
             self._happens(peer, NumbersSkipped(sender, max(base - 1, incoming.floor)))
@@ -370,10 +370,10 @@ class Link:
         if now < self._report_at or (self._unproved < MANY_UNPROVED and ahead_s <= MOST_AHEAD_S):
             return
         self._report_at = now + REPORT_EVERY_S
-        later = f", and names a life that begins {ahead_s:.3g} s from now" if ahead_s > MOST_AHEAD_S else ""
+        later = f", and names an incarnation that begins {ahead_s:.3g} s from now" if ahead_s > MOST_AHEAD_S else ""
         self._observer.troubled(
             "",
-            f"{self._unproved} packets were not taken: who sent them does not know the present life of {self.name}; "
+            f"{self._unproved} packets were not taken: who sent them does not know the incarnation of {self.name}; "
             f"the last says that it comes from {packet.sender}{later}",
         )
         self._unproved = 0
@@ -449,7 +449,7 @@ class Link:
         """Note another incarnation of a process: the first one heard, or one without the journal."""
         lost = peer.incoming.epoch != 0
         self._express.forget_heads()
-        self._happens(peer, LifeBegun(node, epoch, journal))
+        self._happens(peer, IncarnationBegun(node, epoch, journal))
         peer.outgoing.hurry()
         if lost:
             why = f"{node} came back without its journal"
@@ -463,10 +463,10 @@ class Link:
         self._reset(peer.name, why, [message for _, message in in_flight])
 
     def _fall_back(self, why: str, after: int) -> None:
-        """Begin a life later than another: the others remember more than the journal."""
+        """Begin an incarnation later than another: the others remember more than the journal."""
         text = f"the journal of {self.name} was an old copy, or has lost its end: {why}"
         self._observer.forgot(f"{text}; what happened since is forgotten, and what was asked is given up")
-        self._live_anew(after)
+        self._begin_incarnation(after)
         self._came_back = False
         self.fell_back(self.epoch)
         for peer in list(self.peers.values()):
@@ -474,20 +474,20 @@ class Link:
                 self._part(peer, text)
 
     def _overtake(self, sender: str, known: int) -> None:
-        """Begin a life later than one remembered by another process."""
+        """Begin an incarnation later than one remembered by another process."""
         now = self._clock()
         if now < self._overtake_at or began_at(known) + 1 >= began_at(MOST_EPOCH):
             return
         self._overtake_at = now + OVERTAKE_EVERY_S
-        why = f"{self.name} was known to {sender} in a later life than this one"
+        why = f"{self.name} was known to {sender} in a later incarnation than this one"
         if self._came_back:
             self._fall_back(why, known)
         else:
             self._observer.troubled("", f"{why} (clock gone back, or a twin)")
-            self._live_anew(known)
+            self._begin_incarnation(known)
 
-    def _live_anew(self, after: int) -> None:
-        """Begin a life later than another, and tell all processes."""
+    def _begin_incarnation(self, after: int) -> None:
+        """Begin an incarnation later than another, and tell all processes."""
         self._express.forget_heads()
         raised = EpochRaised(new_epoch(after))
         if self.record is not None:

@@ -3,12 +3,12 @@
 A packet is ``[sender, epoch, journal, receiver, known, base, ack, message, ...]``: ``journal`` is 1 if the sender keeps
 one; ``known`` the receiver's epoch as the sender knows it (0: never heard); ``base`` the first number that was not
 acknowledged to the sender; ``ack`` is 0 or ``[number, [[refused number, why], ...]]``: everything up to that number was
-taken, but for what was refused; or 1: the sender has believed ``known``, which is later than the life in which it hears
-the receiver now. A message is ``[number, net, event]``, the event as :mod:`.codec` writes it.
+taken, but for what was refused; or 1: the sender has believed ``known``, which is later than the incarnation in which
+it hears the receiver now. A message is ``[number, net, event]``, the event as :mod:`.codec` writes it.
 
-An *epoch* names a life of a process: when it began, and a secret of 64 bits (:func:`new_epoch`). It is told to nobody
-but those whom the process writes to, so a packet with the right ``known`` comes from one of them. Any other packet
-changes nothing: it is answered with the epoch that it claims, so that an honest sender learns and tries again.
+An *epoch* names an incarnation of a process: when it began, and a secret of 64 bits (:func:`new_epoch`). It is told to
+nobody but those whom the process writes to, so a packet with the right ``known`` comes from one of them. Any other
+packet changes nothing: it is answered with the epoch that it claims, so that an honest sender learns and tries again.
 """
 
 import functools
@@ -164,7 +164,7 @@ def is_number(value: object) -> bool:
 
 
 def is_epoch(value: object) -> bool:
-    """Whether something is the epoch of a life, or 0 for none."""
+    """Whether something is the epoch of an incarnation, or 0 for none."""
     return type(value) is int and 0 <= value < MOST_EPOCH
 
 
@@ -172,7 +172,7 @@ def new_epoch(after: int = 0) -> int:
     """Return an unguessable epoch for an incarnation from now on.
 
     Args:
-        after: Epoch of an earlier life, which it is later than even if the clock has gone back.
+        after: Epoch of an earlier incarnation, which it is later than even if the clock has gone back.
     """
     return max(int(wall() * 1e6), began_at(after) + 1) << SECRET_BITS | secrets.randbits(SECRET_BITS)
 

@@ -32,20 +32,20 @@ class RequestBook:
 
     Attributes:
         prefix: Names the process, as long as it has its journal.
-        life: Begins the name of every request: that of the process, or another one since it was found out that its
-            journal has forgotten requests: what answers one of these answers no later one.
+        incarnation: Begins the name of every request: that of the process, or another one since it was found out that
+            its journal has forgotten requests: what answers one of these answers no later one.
         count: Requests asked so far.
     """
 
     def __init__(self, node: str, epoch: int) -> None:
-        self.prefix = self.life = f"{node}-{epoch:x}"
+        self.prefix = self.incarnation = f"{node}-{epoch:x}"
         self.count = 0
         self._waiting: dict[str, Waiting] = {}
         self._name: dict[Activity, str] = {}
 
     def next_name(self) -> str:
         """Return the name of the next request, unique over all processes and the restarts."""
-        return f"{self.life}-{self.count + 1}"
+        return f"{self.incarnation}-{self.count + 1}"
 
     def open(self, request_id: str, waiting: Waiting) -> None:
         """Enter a request."""

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from im_pnt_node.distributed.entries import (
+    IncarnationBegun,
     Json,
-    LifeBegun,
     MessageRefused,
     MessagesAcknowledged,
     MessageSent,
@@ -126,8 +126,8 @@ class Incoming:
         early: Messages that came before others of smaller numbers; not taken yet.
         untold: Messages taken since the last acknowledgement.
         ack_at: When an acknowledgement is due [s], None: nothing to tell.
-        parted: Whether this process has begun another life and has not heard the sender since: the sender may have
-            counted further than this process remembers.
+        parted: Whether this process has begun another incarnation and has not heard the sender since: the sender may
+            have counted further than this process remembers.
     """
 
     epoch: int = 0
@@ -240,7 +240,7 @@ class Peer:
                 del outgoing.waiting[number]
             case MessageVoided(_, number) if number in outgoing.waiting:
                 outgoing.void(number)
-            case LifeBegun(_, epoch, journal):
+            case IncarnationBegun(_, epoch, journal):
                 self.keeps_journal = journal
                 incoming.begin(epoch)
             case NumbersSkipped(_, floor) if floor >= incoming.floor:

@@ -147,7 +147,7 @@ class Journal:
         exchange.inboxes.record = self._record_exchange
         link.record = self._record_link
         link.held = lambda: self.unwritten
-        link.fell_back = exchange.begin_life
+        link.fell_back = exchange.begin_incarnation
         if recovered is not None:
             link.come_back()
             if held is not None:
@@ -161,7 +161,7 @@ class Journal:
     def _recover(self) -> Recovered | None:
         """Return the content of the folder; set a damaged journal aside and begin without one.
 
-        The others learn from the new life of this process that it has forgotten what they asked each other.
+        The others learn from the new incarnation of this process that it has forgotten what they asked each other.
         """
         try:
             return self._log.recover()

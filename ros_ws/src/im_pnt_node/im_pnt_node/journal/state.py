@@ -198,13 +198,13 @@ def _activity(activity: Activity) -> list[object]:
         encode_error(lineage.failure),
         encode_error(activity.doubt),
         reply,
-        *([activity.life] if activity.life else []),
+        *([activity.incarnation] if activity.incarnation else []),
     ]
 
 
 def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object) -> Activity:
     match content:
-        case [int(number), str(transition), str(state), job, failure, doubt, reply, *life]:
+        case [int(number), str(transition), str(state), job, failure, doubt, reply, *renamed]:
             lineage = _lineage_of(known, [job, failure])
             activity = rule.new_activity(transition, number, lineage)
             rule.set_state(activity, ActivityState(state))
@@ -212,7 +212,7 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:
                 activity.reply = REPLY.decode(reply)
-            activity.life = str(life[0]) if life else ""
+            activity.incarnation = str(renamed[0]) if renamed else ""
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
 
@@ -249,7 +249,7 @@ def exchange_state(exchange: Exchange) -> dict[str, object]:
     book, inboxes = exchange.book, exchange.inboxes
     posted = {net: inboxes.not_late(net, events) for net, events in inboxes.deliveries.waiting().items()}
     return {
-        "requests": [book.prefix, book.count, *([book.life] if book.life != book.prefix else [])],
+        "requests": [book.prefix, book.count, *([book.incarnation] if book.incarnation != book.prefix else [])],
         "asked": [[name, w.executor.net.name, w.activity.number, w.net, w.node] for name, w in book.items()],
         "in_work": [REQUEST.content(request) for request in inboxes.in_work.values()],
         "undeliverable": [[net, place, count] for (net, place), count in exchange.undeliverable.items()],
@@ -267,7 +267,7 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
     """
     match state:
         case {
-            "requests": [str(prefix), int(count), *life],
+            "requests": [str(prefix), int(count), *renamed],
             "asked": list(asked),
             "in_work": list(in_work),
             "undeliverable": list(undeliverable),
@@ -280,7 +280,7 @@ def restore_exchange(exchange: Exchange, state: Mapping[str, object]) -> None:
                     case _:
                         raise ValueError(f"{str(fields)[:200]} is no request")
             exchange.book.prefix, exchange.book.count = prefix, count
-            exchange.book.life = str(life[0]) if life else prefix
+            exchange.book.incarnation = str(renamed[0]) if renamed else prefix
             for request in map(REQUEST.decode, in_work):
                 exchange.inboxes.in_work[request.id] = request
             for net, events in posted.items():

@@ -12,7 +12,7 @@ from im_pnt.execution.jobs import Activity, Reply
 from im_pnt.execution.journal_entries import ActivityEnded, take_data
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import FunctionAction
-from im_pnt_node.rerun.life import Life
+from im_pnt_node.rerun.progress import RerunProgress
 from im_pnt_node.rerun.script import Reading, Script, ScriptHost
 
 ENDED = "its recorded end"
@@ -57,14 +57,14 @@ class NotDoneAgain:
     """Stand-in for actions named as ``module:function``: a repeat may move something, so recorded results are reused.
 
     Args:
-        life: The nets.
+        progress: The nets.
 
     Attributes:
         known: Their names.
     """
 
-    def __init__(self, life: Life) -> None:
-        self._life = life
+    def __init__(self, progress: RerunProgress) -> None:
+        self._progress = progress
         self.known: set[str] = set()
 
     def functions(self, *, others_made: bool) -> dict[str, Callable[..., object]]:
@@ -77,14 +77,14 @@ class NotDoneAgain:
             DataError: It does not, and a net names one.
         """
         found: dict[str, Callable[..., object]] = {}
-        for net in self._life.nets.values():
+        for net in self._progress.nets.values():
             for transition in net.transitions.values():
                 if not isinstance(action := transition.action, FunctionAction):
                     continue
                 if action.is_imported:
                     found[action.function] = forever
                 elif not others_made:
-                    text = f"net {net.name} calls {action.function}; {self._life.node} does not say by made_by"
+                    text = f"net {net.name} calls {action.function}; {self._progress.node} does not say by made_by"
                     raise DataError(f"{text} what makes its functions", net=net.name)
         self.known |= found.keys()
         return found

@@ -58,7 +58,7 @@ class Host(Protocol):
     def parameter(self, name: str) -> Any:
         """Return a parameter of the node."""
 
-    def life(self, task: str) -> int | None:
+    def incarnation(self, task: str) -> int | None:
         """Return the present incarnation of a task, None before the first heartbeat."""
 
     async def ask(self, service_type: type, service: str, request: object, task: str, what: str) -> Any:

@@ -26,7 +26,7 @@ from im_pnt_node.journal.state import restore_net
 from im_pnt_node.rerun.difference import Difference, first_difference
 from im_pnt_node.rerun.engine import ENDED, ActionsAgain, Labelled, NotDoneAgain, RerunExecutor
 from im_pnt_node.rerun.entries import Entries, Input, error_of, reply_difference, told_of
-from im_pnt_node.rerun.life import Life, in_doubt
+from im_pnt_node.rerun.progress import RerunProgress, in_doubt
 from im_pnt_node.rerun.script import Messages, Script, ScriptHost
 from im_pnt_node.rerun.stream import Item, NodeStream, Turn
 
@@ -55,7 +55,7 @@ class Compared:
 
 
 class NodeRerun:
-    """The nets of a life of a node, run again.
+    """The nets of an incarnation of a node, run again.
 
     Args:
         stream: What was recorded.
@@ -70,11 +70,11 @@ class NodeRerun:
 
     def __init__(self, stream: NodeStream, world: ActionsAgain, messages: Messages, nets: Mapping[str, Net]) -> None:
         self._stream, self._world, self._given = stream, world, nets
-        self._life = Life(stream)
-        self._script = Script(stream, self._life.differs, messages)
-        self._host = ScriptHost(stream.node, self._script, messages, self._life.executors, self._life.nets)
+        self._progress = RerunProgress(stream)
+        self._script = Script(stream, self._progress.differs, messages)
+        self._host = ScriptHost(stream.node, self._script, messages, self._progress.executors, self._progress.nets)
         self._host.values = world.objects(self._host, self._script.spawn, self._guards_changed)
-        self._not_again = NotDoneAgain(self._life)
+        self._not_again = NotDoneAgain(self._progress)
         self._time = 0.0
         self._before: dict[str, set[int]] = {}
         self._checks: list[tuple[tuple[str, ...], Callable[[ImError | None], None]]] = []
@@ -94,28 +94,30 @@ class NodeRerun:
         try:
             return self._run()
         except (LookupError, TypeError, ValueError, AssertionError) as error:
-            text = f"what {self._stream.node} told at {self._life.turn.stamp:.3f} s cannot be run again: {error!r}"
+            text = f"what {self._stream.node} told at {self._progress.turn.stamp:.3f} s cannot be run again: {error!r}"
             raise DataError(text, node=self._stream.node) from error
 
     def _run(self) -> Compared:
         for number, turn in enumerate(self._stream.turns):
-            self._life.turn = turn
+            self._progress.turn = turn
             self._time = max(self._time, turn.at - SLACK_S)
             self._load(turn)
             self._script.step()
             for rank, item in enumerate(turn.items):
                 self._script.at = number, rank
                 self._take(item)
-            for executor in self._life.executors.values():
-                while executor.due and self._life.pump(executor):
+            for executor in self._progress.executors.values():
+                while executor.due and self._progress.pump(executor):
                     pass
         self._script.step()
-        for name, entries in self._life.entries.items():
+        for name, entries in self._progress.entries.items():
             if entries.next() is not None:
-                raise self._life.missing(name)
+                raise self._progress.missing(name)
         if self._all_again and (left := self._script.never_sent(STORED)) is not None:
             what, content = left
-            raise self._life.differs(None, f"{what}: {str(content)[:160]}", "nothing of that kind", "another function")
+            raise self._progress.differs(
+                None, f"{what}: {str(content)[:160]}", "nothing of that kind", "another function"
+            )
         return self._compared
 
     @property
@@ -127,9 +129,9 @@ class NodeRerun:
 
     def _load(self, turn: Turn) -> None:
         """Take in the nets of a turn; for running nets the turn only repeats the state."""
-        again = bool(self._life.executors) and any(item[:1] == ["node"] for item in turn.items)
+        again = bool(self._progress.executors) and any(item[:1] == ["node"] for item in turn.items)
         states = [
-            item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._life.executors)
+            item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._progress.executors)
         ]
         found: list[tuple[Net, Net, dict[str, object]]] = []
         for item in states:
@@ -139,7 +141,7 @@ class NodeRerun:
                     net = self._given.get(name, recorded)
                     if fingerprint(net) != fingerprint(recorded):
                         self._compared.changed.add(name)
-                    self._life.nets[name] = net
+                    self._progress.nets[name] = net
                     found.append((net, recorded, state))
                 case _:
                     raise DataError(f"{str(item)[:100]} is no state of a net")
@@ -174,19 +176,21 @@ class NodeRerun:
             Observer(),
             check_objects=check,
             clock=lambda: self._time,
-            record=lambda entry: self._life.compare(net.name, entry),
+            record=lambda entry: self._progress.compare(net.name, entry),
             objects=self._host.values,
-            draw=lambda names: self._life.drawn(net.name, names),
+            draw=lambda names: self._progress.drawn(net.name, names),
         )
         executor.completions = {}
         fresh = state.get("sequence") == 0 and not state.get("jobs")
         if fresh and (what := first_difference(expand(recorded).initial_marking(), executor.marking())):
             then, _, now = what.rpartition(", now ")
             why = "another initial marking"
-            raise Difference(self._stream.node, net.name, "", 0, self._life.turn.stamp, f"begins with {then}", now, why)
+            raise Difference(
+                self._stream.node, net.name, "", 0, self._progress.turn.stamp, f"begins with {then}", now, why
+            )
         restore_net(executor, state)
         self._before[net.name] = set(executor.rule.activities)
-        self._life.executors[net.name] = executor
+        self._progress.executors[net.name] = executor
         self._compared.nets.add(net.name)
 
     # What was recorded, in its order.
@@ -202,7 +206,7 @@ class NodeRerun:
                 self._wake(f"topic:{topic}")
             case ["object", str(name), bool(valid)]:
                 self._wake(f"data:{name}")
-                for executor in () if valid else self._life.executors.values():
+                for executor in () if valid else self._progress.executors.values():
                     executor.post(ObjectInvalidated(name))
             case ["node" | "state" | "noted" | "sent", *_]:
                 pass
@@ -210,16 +214,16 @@ class NodeRerun:
                 raise DataError(f"{str(item)[:100]} is nothing that a node tells")
 
     def _wake(self, source: str) -> None:
-        for name, executor in self._life.executors.items():
-            if self._functions is not None and source in self._functions.wakes(self._life.nets[name]):
+        for name, executor in self._progress.executors.items():
+            if self._functions is not None and source in self._functions.wakes(self._progress.nets[name]):
                 executor.post(GuardsChanged(source))
 
     def _guards_changed(self) -> None:
-        for executor in self._life.executors.values():
+        for executor in self._progress.executors.values():
             executor.post(GuardsChanged())
 
     def _take_entry(self, name: str) -> None:
-        executor, entries = self._life.executors.get(name), self._life.entries[name]
+        executor, entries = self._progress.executors.get(name), self._progress.entries[name]
         if executor is None:
             raise DataError(f"net {name} fires in the bag before its state is told", net=name)
         number = entries.seen
@@ -243,7 +247,7 @@ class NodeRerun:
         """End an action now, if the end equals the recorded one."""
         assert isinstance(executor, RerunExecutor)
         name, number = executor.net.name, event.number
-        activity = executor.rule.activities.get(number) or self._life.gone.get((name, number))
+        activity = executor.rule.activities.get(number) or self._progress.gone.get((name, number))
         if activity is None:
             raise DataError(f"action {number} of net {name} ends in the bag, and did not begin", net=name)
         check = next((each for each in self._checks if each[0] is activity.objects), None)
@@ -260,32 +264,32 @@ class NodeRerun:
             if begun_before or waits == ENDED:
                 self._not_again.leave(activity, event)
             elif waits and not isinstance(activity.action, RequestAction):
-                raise self._life.differs(
+                raise self._progress.differs(
                     activity, f"ends {told_of(event.error)}", f"waits for {waits}", "another function"
                 )
             now = recorded
         if told := reply_difference(recorded, now):
-            raise self._life.differs(activity, f"ends {told_of(event.error)}", f"ends {told_of(now.error)}", told)
+            raise self._progress.differs(activity, f"ends {told_of(event.error)}", f"ends {told_of(now.error)}", told)
         for kind in ("request", "action"):
             if (left := self._script.left_unsent(kind, activity)) is not None and executor.rule.activities.get(number):
-                raise self._life.differs(activity, f"asks {str(left)[:160]}", "asks nothing", "another request")
+                raise self._progress.differs(activity, f"asks {str(left)[:160]}", "asks nothing", "another request")
         executor.post(ActionEnded(activity, now.error, now.results))
 
     def _fire(self, executor: Executor, entries: Entries, number: int) -> None:
         """Let a net repeat a recorded firing."""
         while entries.reached <= number:
-            if not (self._life.pump(executor) or self._pump_stuck(executor, entries)):
-                raise self._life.missing(executor.net.name)
+            if not (self._progress.pump(executor) or self._pump_stuck(executor, entries)):
+                raise self._progress.missing(executor.net.name)
 
     def _pump_stuck(self, executor: Executor, entries: Entries) -> bool:
         """Ask guards again, then let timers strike, then end actions of a former incarnation as recorded."""
         executor.post(GuardsChanged())
-        if self._life.pump(executor):
+        if self._progress.pump(executor):
             return True
         at = executor.next_wakeup()
-        if at is not None and at <= self._life.turn.at + SLACK_S:
+        if at is not None and at <= self._progress.turn.at + SLACK_S:
             self._time = max(self._time, at)
-            if self._life.pump(executor):
+            if self._progress.pump(executor):
                 return True
         entry = entries.next()
         if isinstance(entry, EndFired | PhaseFired | MessageBuilt) and entry.number in self._before[executor.net.name]:
@@ -297,7 +301,7 @@ class NodeRerun:
 
     def _keep(self, activity: Activity) -> None:
         """Compare the notes of a builder with the recorded ones."""
-        self._life.executors[activity.net].built(activity)
+        self._progress.executors[activity.net].built(activity)
 
     def send_request(self, activity: Activity, arguments: dict[str, object]) -> None:
         """Compare a request with the recorded one."""

@@ -263,10 +263,10 @@ class ScriptHost:
         """Return a recorded parameter."""
         return self._script.noted(["parameter", name])
 
-    def life(self, task: str) -> int | None:
+    def incarnation(self, task: str) -> int | None:
         """Return the recorded incarnation of a task."""
-        life: int | None = self._script.noted(["life", task])
-        return life
+        found: int | None = self._script.noted(["life", task])
+        return found
 
     async def ask(self, service_type: type, service: str, request: object, task: str, what: str) -> Any:
         """Return the recorded answer, for an unchanged question."""

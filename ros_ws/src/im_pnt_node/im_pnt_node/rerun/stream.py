@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from im_core.bounded_json import read_json
 from im_core.errors import DataError
@@ -17,7 +17,7 @@ class _Told(BaseModel):
 
     model_config = ConfigDict(strict=True)
     node: str
-    life: str
+    incarnation: str = Field(alias="life")
     number: int
     at: float
     stamp: float
@@ -63,37 +63,37 @@ def streams_of(texts: Iterable[str]) -> list[NodeStream]:
     Raises:
         DataError: One is no such message, or some are missing.
     """
-    lives: dict[str, NodeStream] = {}
+    incarnations: dict[str, NodeStream] = {}
     numbers: dict[str, int] = {}
-    before: dict[str, str] = {}  # nodes, by their lives, that were told of: where others listen, the state comes later
+    before: dict[str, str] = {}  # nodes, by incarnation, that were told of: where others listen, the state comes later
     for text in texts:
         told = read_json(_Told, text, "a message of /pnt/events")
-        items, stream = told.items, lives.get(told.life)
+        items, stream = told.items, incarnations.get(told.incarnation)
         if stream is None:
             begins = next((rank for rank, item in enumerate(items) if item[:1] == ["node"]), None)
             if begins is None:
-                before[told.life] = told.node
+                before[told.incarnation] = told.node
                 continue
             match items[begins]:
                 case ["node", str(node), str(functions)]:
-                    stream = lives[told.life] = NodeStream(node, functions)
+                    stream = incarnations[told.incarnation] = NodeStream(node, functions)
                 case _:
                     raise DataError(f"{str(items[begins])[:100]} is not what a node tells of itself")
             items = items[begins:]
-        elif told.number != (last := numbers[told.life]) + 1:
+        elif told.number != (last := numbers[told.incarnation]) + 1:
             raise DataError(
                 f"messages {last + 1} to {told.number - 1} of {told.node} on /pnt/events are not in the bag: without "
                 "them its nets cannot be run again",
                 node=told.node,
             )
-        numbers[told.life] = told.number
+        numbers[told.incarnation] = told.number
         stream.turns.append(Turn(told.at, told.stamp, items))
-    if never := sorted(before[life] for life in before.keys() - lives.keys()):
+    if never := sorted(before[each] for each in before.keys() - incarnations.keys()):
         raise DataError(
             f"the recording of {never[0]} does not begin with the state of its nets: its beginning is missing",
             node=never[0],
         )
-    return list(lives.values())
+    return list(incarnations.values())
 
 
 def named(key: Key) -> str:

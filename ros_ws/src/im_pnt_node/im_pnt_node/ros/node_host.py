@@ -48,7 +48,7 @@ class NodeHost:
         """Return a parameter of the node."""
         return self._log.noted(["parameter", name], lambda: self._node.get_parameter(name).value)
 
-    def life(self, task: str) -> int | None:
+    def incarnation(self, task: str) -> int | None:
         """Return the present incarnation of a task."""
         return self._log.noted(["life", task], lambda: self._node.heartbeats.incarnation(task))
 

@@ -91,7 +91,7 @@ class Commands:
         run_dir: Folder of the machine, where commands that have not ended are noted; None: nowhere.
 
     Attributes:
-        lost: Why commands of a former life of the node are forgotten, a clause; empty if they are not.
+        lost: Why commands of a former incarnation of the node are forgotten, a clause; empty if they are not.
         ended: Those that have ended.
     """
 
@@ -104,7 +104,7 @@ class Commands:
         self.lost = ""
         self.ended = EndedCommands()
         self._count = 0
-        self._life = stamp_name()
+        self._incarnation = stamp_name()
         self._open: dict[int, OpenCommand] = {}
         self._events: dict[int, list[str]] = {}  # while a command was under way, by its number
         self._waiting: dict[int, list[Promise]] = {}
@@ -261,7 +261,7 @@ class Commands:
         """
         executor = self.reader(symbol, arguments)
         number = self._count + 1
-        scope = f"{self._node.task_name}/{self._life}-{number}"
+        scope = f"{self._node.task_name}/{self._incarnation}-{number}"
         command = Command(number, symbol, dict(arguments), priority=priority, scope=scope)
         job = executor.command(command, self._closing(number, symbol))
         self._count = number

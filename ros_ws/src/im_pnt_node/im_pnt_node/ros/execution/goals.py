@@ -1,7 +1,7 @@
 """Action goals as actions of transitions.
 
-The id of a goal follows from the life of the process in which its activity began and the number of that, which the
-journal brings back: a node that died asks the server about the goals that it had sent.
+The id of a goal follows from the incarnation of the process in which its activity began and the number of that, which
+the journal brings back: a node that died asks the server about the goals that it had sent.
 """
 
 import uuid
@@ -51,12 +51,12 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
 
     Args:
         surroundings: Reaches other tasks.
-        life: Names the life of the process.
+        incarnation: Names the incarnation of the process.
     """
 
-    def __init__(self, surroundings: Surroundings, life: Callable[[], str]) -> None:
+    def __init__(self, surroundings: Surroundings, incarnation: Callable[[], str]) -> None:
         super().__init__(surroundings)
-        self._life = life
+        self._incarnation = incarnation
         self._results: dict[Activity, Any] = {}
         self._performed: set[Activity] = set()
 
@@ -86,7 +86,8 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
             asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
             accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
             handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
-            # A server rejects a goal that it has already, of a former life of this process that forgot it: that counts.
+            # A server rejects a goal that it has already, of a former incarnation of this process that forgot it: that
+            # counts.
             known = handle if handle.accepted else self._handle(client, activity)
             waited = f"the result of {action.name} (transition {activity.transition})"
             result = self._follow(activity, known)
@@ -161,7 +162,7 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
         return ClientGoalHandle(client, self._goal_id(activity), accepted)
 
     def _goal_id(self, activity: Activity) -> UUID:
-        name = f"{activity.life or self._life()}/{activity.net}/{activity.number}"
+        name = f"{activity.incarnation or self._incarnation()}/{activity.net}/{activity.number}"
         return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
 
     def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:

@@ -48,7 +48,7 @@ class NodeRunner(FunctionRunner):
     ) -> None:
         self._node, self._exchange, self._loop = node, exchange, loop
         around = Surroundings(node, functions, heartbeats, log, self._keep)
-        goals, awaits = GoalActions(around, lambda: exchange.book.life), AwaitActions(around)
+        goals, awaits = GoalActions(around, lambda: exchange.book.incarnation), AwaitActions(around)
         self._kinds: dict[type, RosActions[Any]] = {
             ServiceAction: ServiceActions(around),
             GoalAction: goals,

@@ -45,7 +45,7 @@ class MissionPublisher:
         sources: Callable[[], None],
     ) -> None:
         self._node, self._log, self._functions, self._nets, self._sources = node, log, functions, nets, sources
-        self._life, self._number = uuid.uuid4().hex, 0
+        self._incarnation, self._number = uuid.uuid4().hex, 0
         self._anew, self._begun = False, False
         matched = PublisherEventCallbacks(matched=node.guarded(f"publisher {TOPIC} (who listens)", self._matched))
         self._publisher = node.create_publisher(String, TOPIC, qos.EVENTS, event_callbacks=matched)
@@ -77,7 +77,7 @@ class MissionPublisher:
         if self._log.items:
             self._number += 1
             stamp = self._node.get_clock().now().nanoseconds * 1e-9
-            head = {"life": self._life, "number": self._number, "at": monotonic(), "stamp": stamp}
+            head = {"life": self._incarnation, "number": self._number, "at": monotonic(), "stamp": stamp}
             head_text = json.dumps({"node": self._node.get_fully_qualified_name(), **head})
             self._publisher.publish(String(data=f'{head_text[:-1]}, "items": [{",".join(self._log.items)}]}}'))
             self._log.items.clear()

@@ -20,7 +20,7 @@ from im_pnt_node.rerun.entries import Entries, Input, left_of, shown, transition
 from im_pnt_node.rerun.stream import NodeStream
 
 
-class Life:
+class RerunProgress:
     """Recorded entries of the nets of a node, and the repeated ones among the entries.
 
     Args:
