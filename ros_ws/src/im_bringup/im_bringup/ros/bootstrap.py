@@ -30,6 +30,7 @@ from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.repeated_warnings import Reminders
 from im_core.ros.run import main as spin
+from im_core.ros.stamps import wall_stamp
 from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
@@ -157,10 +158,8 @@ class BootstrapNode(GuardedNode):
         self.log.info(f"phase {phase.name}")
 
     def _show(self) -> None:
-        message = TaskRegistry(tasks=[self._told(record) for record in self._bootstrap.registry.records()])
-        seconds = clock.wall()
-        message.stamp.sec, message.stamp.nanosec = int(seconds), int(seconds % 1.0 * 1e9)
-        self._tasks_publisher.publish(message)
+        tasks = [self._told(record) for record in self._bootstrap.registry.records()]
+        self._tasks_publisher.publish(TaskRegistry(stamp=wall_stamp(), tasks=tasks))
         self._write_record(self._bootstrap.state)
 
     def _told(self, record: TaskRecord) -> TaskRecordMessage:

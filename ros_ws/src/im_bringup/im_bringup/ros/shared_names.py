@@ -10,6 +10,7 @@ from im_core.ros.failures import few
 from im_core.ros.guard import GuardedNode
 from im_core.ros.heartbeats import LEASE_S
 from im_core.ros.servers import servers_of
+from im_core.ros.stamps import wall_stamp
 
 #: How often the graph is looked at [s].
 LOOK_S = 5.0
@@ -59,6 +60,5 @@ class SharedNames:
         name = self._node.get_name()
         status = DiagnosticStatus(level=level, name=f"{name}: served names", hardware_id=name, message=words)
         message = DiagnosticArray(status=[status])
-        seconds = clock.wall()
-        message.header.stamp.sec, message.header.stamp.nanosec = int(seconds), int(seconds % 1.0 * 1e9)
+        message.header.stamp = wall_stamp()
         self._publisher.publish(message)

@@ -259,39 +259,46 @@ class Intrinsics(Model):
     cy: Number
 
 
-def facing(position: Vector, target: Vector, up: Vector) -> NDArray[np.float64]:
-    """Compute axes at ``position``, looking at ``target``: right, down and forward as columns, shape (3, 3).
+class Mount(Model):
+    """Mount of a device at ``position`` [m], looking at ``target`` [m], with ``up`` as top of its view."""
 
-    Raises:
-        ValueError: Its target is where it is, or ``up`` is along its view.
-    """
-    forward = np.array(target) - np.array(position)
-    distance, length = np.linalg.norm(forward), np.linalg.norm(up)
-    if distance < _SAME_M or length < _SAME_M:
-        raise ValueError(f"target {target} and position {position} must differ [m], and up {up} must not be zero")
-    forward /= distance
-    right = np.cross(forward, np.array(up) / length)
-    if (across := np.linalg.norm(right)) < _PARALLEL:
-        raise ValueError(f"up, {up}, is along its view, from {position} to {target}")
-    right /= across
-    return np.stack([right, np.cross(forward, right), forward], axis=1)
-
-
-class Camera(Model):
-    """Nominal mount and lens of a camera at ``position``, looking at ``target``, with ``up`` as top of the image."""
-
-    parent: str
     position: Vector
     target: Vector
     up: Vector
-    intrinsics: Intrinsics
 
     @model_validator(mode="after")
-    def _stands(self) -> Self:
-        facing(self.position, self.target, self.up)
+    def _has_axes(self) -> Self:
+        self.axes()
         return self
+
+    def axes(self) -> NDArray[np.float64]:
+        """Compute right, down and forward in the frame of the mount, as columns, shape (3, 3).
+
+        Raises:
+            ValueError: The target is at the position, or ``up`` is along the view.
+        """
+        forward = np.array(self.target) - np.array(self.position)
+        distance, length = np.linalg.norm(forward), np.linalg.norm(self.up)
+        if distance < _SAME_M or length < _SAME_M:
+            text = (
+                f"target {self.target} and position {self.position} must differ [m], and up {self.up} must not be zero"
+            )
+            raise ValueError(text)
+        forward /= distance
+        right = np.cross(forward, np.array(self.up) / length)
+        if (across := np.linalg.norm(right)) < _PARALLEL:
+            raise ValueError(f"up, {self.up}, is along its view, from {self.position} to {self.target}")
+        right /= across
+        return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+
+class Camera(Mount):
+    """Nominal mount and lens of a camera."""
+
+    parent: str
+    intrinsics: Intrinsics
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Nominal R, shape (3, 3), and t, shape (3,) [m], with ``x_optical = R x_parent + t``."""
-        rotation = facing(self.position, self.target, self.up).T
+        rotation = self.axes().T
         return rotation, -rotation @ np.array(self.position)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from im_cell.robot.parameters import NonNegative, Positive, Vector, facing
+from im_cell.robot.parameters import Mount, NonNegative, Positive, Vector
 from im_core.config import Model
 
 
@@ -124,7 +124,7 @@ class LaserTolerance(Model):
     gap: Positive
 
 
-class LaserScanner(Model):
+class LaserScanner(Mount):
     """A laser scanner with two mirrors, as drawn; see :class:`im_cell.laser_model.LaserModel`.
 
     Attributes:
@@ -141,9 +141,6 @@ class LaserScanner(Model):
         speckle: Standard deviation of a pixel's brightness by speckle, relative to its mean.
     """
 
-    position: Vector
-    target: Vector
-    up: Vector
     range: Annotated[float, Field(gt=0.0, lt=0.5)]
     rate: Positive
     gap: Positive
@@ -153,11 +150,6 @@ class LaserScanner(Model):
     brightness: Positive
     speckle: NonNegative
 
-    @model_validator(mode="after")
-    def _stands(self) -> Self:
-        facing(self.position, self.target, self.up)
-        return self
-
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation scanner -> world, shape (3, 3), and position in the world, shape (3,) [m]."""
-        return facing(self.position, self.target, self.up), np.array(self.position)
+        return self.axes(), np.array(self.position)

@@ -14,7 +14,6 @@ from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
-from im_core import clock
 from im_core.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 from im_core.bounded_json import member
 from im_core.errors import ImError
@@ -24,6 +23,7 @@ from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
 from im_core.ros.failures import sentence
 from im_core.ros.guard import INTERNAL, GuardedNode
 from im_core.ros.parameters import DeclaredParameters
+from im_core.ros.stamps import wall_stamp
 from im_core.startup import STATUS_TOPIC, StartupPhase
 from im_msgs.msg import TaskStatus
 
@@ -249,10 +249,8 @@ class ManagedNode(GuardedNode):
             incarnation=self.incarnation,
             phase=self._phase,
             detail=self._detail,
+            stamp=wall_stamp(),
         )
-        seconds = clock.wall()
-        message.stamp.sec = int(seconds)
-        message.stamp.nanosec = int((seconds % 1.0) * 1e9)
         self._status_publisher.publish(message)
         if self._agent is not None:
             self._agent.report(TaskReport(self.task_name, self.incarnation, self._phase, self._detail, self.nets))

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from im_core.ros.stamps import to_stamp
 from im_mcs.client.groups import GroupState
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS
@@ -25,11 +26,6 @@ from im_msgs.msg import GroupState as GroupStateMessage
 _SILENCE_S = 1.0
 # as many of the points of a trajectory are shown
 _MOST_SHOWN = 200
-
-
-def time(stamp_ns: int) -> Time:
-    """Return a stamp from nanoseconds."""
-    return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
 
 
 def duration(seconds: float) -> Duration:
@@ -48,13 +44,13 @@ def pose(placement: pin.SE3) -> Pose:
 def group_state(state: GroupState) -> GroupStateMessage:
     """Return an ``im_msgs/GroupState``."""
     message = GroupStateMessage(
-        stamp=time(state.stamp_ns),
+        stamp=to_stamp(state.stamp_ns),
         group=state.group,
         joints=list(state.joints),
         q=state.q.tolist(),
         v=state.v.tolist(),
         at_rest=state.at_rest,
-        rest_since=time(state.rest_since_ns),
+        rest_since=to_stamp(state.rest_since_ns),
         rest_window=state.rest_window,
         q_rest=state.q_rest.tolist(),
         q_rest_covariance=state.covariance.ravel().tolist(),
@@ -68,13 +64,13 @@ def group_state(state: GroupState) -> GroupStateMessage:
 def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
     """Return a ``sensor_msgs/JointState`` of a sample of the servo."""
     message = JointState(name=list(names), position=sample["q"], velocity=sample["v"], effort=sample["tau"])
-    message.header.stamp = time(int(sample["stamp_ns"]))
+    message.header.stamp = to_stamp(int(sample["stamp_ns"]))
     return message
 
 
 def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> GroupPath:
     """Return the ``path`` of a MOVE request as ``im_msgs/GroupPath``, a long trajectory at equal distances."""
-    message = GroupPath(stamp=time(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
+    message = GroupPath(stamp=to_stamp(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
     if path["kind"] == "line":
         for values in path["poses"]:
             passed = Pose()
@@ -130,7 +126,7 @@ def mcs_state(
         if text(row["name"]) in config.groups
     ]
     held = snapshot["brakes"][snapshot["reserved"]]
-    message.stamp = time(int(snapshot["stamp_ns"]))
+    message.stamp = to_stamp(int(snapshot["stamp_ns"]))
     if past is None:
         message.power = bool(snapshot["power"])
         message.brakes = bool(held.all()) if held.size else bool(snapshot["brakes"].all())

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -22,6 +21,7 @@ from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
+from im_core.ros.stamps import to_stamp
 from im_core.shm_names import remove_all
 from im_core.startup import patience_s
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
@@ -124,7 +124,7 @@ class TestbedNode(ManagedNode):
         ticked = tick != self._published_tick
         if ticked or now - self._published_at > CLOCK_REPEAT_S:
             self._published_tick, self._published_at = tick, now
-            self._clock_publisher.publish(Clock(clock=_time(tick * self._link.period_ns)))
+            self._clock_publisher.publish(Clock(clock=to_stamp(tick * self._link.period_ns)))
         self._ticked_at = now if ticked else self._ticked_at
         self._poll_every(CLOCK_POLL_S if now - self._ticked_at < STANDING_S else STANDING_POLL_S)
 
@@ -160,7 +160,7 @@ class TestbedNode(ManagedNode):
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         message = DiagnosticArray(status=[status])
-        message.header.stamp = _time(tick * self._link.period_ns)
+        message.header.stamp = to_stamp(tick * self._link.period_ns)
         self._diagnostics_publisher.publish(message)
 
     def _set_light(self, request: SetLight.Request, response: SetLight.Response) -> SetLight.Response:
@@ -215,7 +215,7 @@ class TestbedNode(ManagedNode):
             return response
         response.success = True
         response.message = f"{ticks} ticks have passed"
-        response.stamp = _time(tick * link.period_ns)
+        response.stamp = to_stamp(tick * link.period_ns)
         return response
 
 
@@ -231,10 +231,6 @@ def _number(value: Any, name: str, lowest: float, highest: float = math.inf) -> 
     if not lowest <= value <= highest:
         raise DataError(f"{name} {value} of /testbed is not between {lowest:g} and {highest:g}", name=name, value=value)
     return value
-
-
-def _time(nanoseconds: int) -> Time:
-    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
 
 
 def main() -> int:

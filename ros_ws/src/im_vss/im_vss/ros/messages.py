@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
@@ -14,6 +13,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB, lens_of
 from im_cell.rotations import quaternion_of_matrix
 from im_core.errors import DataError
+from im_core.ros.stamps import to_stamp
 from im_msgs.msg import Spot, SpotCandidates
 from im_vss.camera_book import CameraEntry
 from im_vss.services.spot import CameraSpot
@@ -24,14 +24,9 @@ Array = NDArray[np.float64]
 _ENCODINGS = {2: "mono8", 3: "rgb8"}
 
 
-def to_time(stamp_ns: int) -> Time:
-    """Testbed time [ns] as a message."""
-    return Time(sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
-
-
 def to_header(frame: str, stamp_ns: int) -> Header:
     """Header of an image or camera info."""
-    return Header(stamp=to_time(stamp_ns), frame_id=frame)
+    return Header(stamp=to_stamp(stamp_ns), frame_id=frame)
 
 
 def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
@@ -102,7 +97,7 @@ def to_pose(position: Array, rotation: Array) -> Pose:
 
 def to_spot(seen: CameraSpot) -> Spot:
     """Convert the finding of a camera to a message."""
-    message = Spot(camera=seen.camera, stamp=to_time(seen.stamp_ns), cause=seen.finding.cause, snr=seen.finding.snr)
+    message = Spot(camera=seen.camera, stamp=to_stamp(seen.stamp_ns), cause=seen.finding.cause, snr=seen.finding.snr)
     spot = seen.finding.spot
     if spot is not None:
         message.found = True
@@ -116,7 +111,7 @@ def to_spot(seen: CameraSpot) -> Spot:
 def to_candidates(seen: CameraSpot) -> SpotCandidates:
     """Convert the candidates of the search in one camera to a message."""
     finding = seen.finding
-    message = SpotCandidates(camera=seen.camera, stamp=to_time(seen.stamp_ns), refused=list(finding.refused))
+    message = SpotCandidates(camera=seen.camera, stamp=to_stamp(seen.stamp_ns), refused=list(finding.refused))
     for candidate in finding.candidates:
         message.candidates.append(to_spot(replace(seen, finding=replace(finding, spot=candidate, cause=""))))
     if finding.region is not None:

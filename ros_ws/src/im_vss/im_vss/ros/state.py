@@ -2,17 +2,16 @@
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from im_core import clock
 from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
+from im_core.ros.stamps import wall_stamp
 from im_core.ros.status import ok_status, to_status
 from im_msgs.msg import VisionModuleState
 from im_msgs.msg import VisionState as VisionStateMessage
 from im_msgs.srv import VisionCancel, VisionQuery
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
-from im_vss.ros.messages import to_time
 from im_vss.vsm import VisionServicesManager, VisionState
 
 STATE_PERIOD_S = 0.2
@@ -56,7 +55,7 @@ class StatePort:
     def _message(self) -> VisionStateMessage:
         state = self._vsm.state()
         return VisionStateMessage(
-            stamp=to_time(int(clock.wall() * 1e9)),
+            stamp=wall_stamp(),
             services=list(state.services),
             tools=list(state.tools),
             requests=list(state.requests),

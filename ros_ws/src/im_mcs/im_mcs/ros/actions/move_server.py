@@ -7,6 +7,7 @@ from geometry_msgs.msg import Pose
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import DataError, ImError
+from im_core.ros.stamps import to_stamp
 from im_core.ros.status import ok_status, to_status
 from im_mcs.client.groups import group_state
 from im_mcs.client.kinematics import wrist_pose
@@ -91,7 +92,7 @@ class MoveServer:
 
     def _feedback(self, handle: ServerGoalHandle, progress: MotionProgress) -> None:
         message = Move.Feedback(progress=progress.share, point=progress.point)
-        message.stamp = messages.time(int(self._mcs.client().snapshot()["stamp_ns"]))
+        message.stamp = to_stamp(int(self._mcs.client().snapshot()["stamp_ns"]))
         handle.publish_feedback(message)
 
 

@@ -10,6 +10,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from im_core.errors import ImError
 from im_core.ros import qos
+from im_core.ros.stamps import to_stamp
 from im_mcs.client.servo_client import MotionProgress
 from im_mcs.client.trajectory import Accepted, Present, joint_ranks, trajectory_path
 from im_mcs.ros import messages
@@ -128,7 +129,7 @@ class TrajectoryServer:
         description = self._mcs.group(group)
         index = self._mcs.index(description)
         message = FollowJointTrajectory.Feedback(joint_names=list(description.joints))
-        message.header.stamp = messages.time(int(snapshot["stamp_ns"]))
+        message.header.stamp = to_stamp(int(snapshot["stamp_ns"]))
         wanted = [snapshot[name][index] for name in ("setpoint", "setpoint_v", "setpoint_a")]
         actual = [snapshot[name][index] for name in ("q", "v")]
         message.desired = messages.trajectory_point(wanted)

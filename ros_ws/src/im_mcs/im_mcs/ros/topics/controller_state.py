@@ -7,7 +7,7 @@ from control_msgs.msg import JointTrajectoryControllerState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core.ros import qos
-from im_mcs.ros import messages
+from im_core.ros.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
 
 _RATE = "controller_state_rate"
@@ -71,7 +71,7 @@ class ControllerStates:
             [sample[name][i] for i in index] for name in ("setpoint_q", "setpoint_v", "setpoint_a", "q", "v", "tau")
         )
         message = JointTrajectoryControllerState(joint_names=list(description.joints), speed_scaling_factor=speed)
-        message.header.stamp = messages.time(sample["stamp_ns"])
+        message.header.stamp = to_stamp(sample["stamp_ns"])
         message.reference = JointTrajectoryPoint(positions=q, velocities=v, accelerations=a)
         message.feedback = JointTrajectoryPoint(positions=measured_q, velocities=measured_v)
         message.error = JointTrajectoryPoint(positions=_less(q, measured_q), velocities=_less(v, measured_v))

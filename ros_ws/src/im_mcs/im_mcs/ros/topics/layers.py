@@ -7,7 +7,7 @@ from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.publisher import Publisher
 
 from im_core.ros import qos
-from im_mcs.ros import messages
+from im_core.ros.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
 from im_msgs.msg import GroupSetpoints, GroupTorques, SlotStates
 
@@ -65,7 +65,7 @@ class Layers:
 
     def _slot_states(self, sample: Sample) -> SlotStates:
         return SlotStates(
-            stamp=messages.time(sample["stamp_ns"]),
+            stamp=to_stamp(sample["stamp_ns"]),
             tick=sample["tick"],
             joints=self._names,
             drivers=self._drivers,
@@ -83,21 +83,19 @@ class Layers:
 
     def _wrench(self, rank: int, sample: Sample) -> WrenchStamped:
         message = WrenchStamped()
-        message.header.stamp, message.header.frame_id = messages.time(sample["stamp_ns"]), self._wrists[rank]
+        message.header.stamp, message.header.frame_id = to_stamp(sample["stamp_ns"]), self._wrists[rank]
         _fill(message.wrench, sample["wrench"][rank])
         return message
 
     def _group_torques(self, group: str, sample: Sample, law: str) -> GroupTorques:
         joints, index = self._joints(group)
         tau = [sample["tau"][i] for i in index]
-        return GroupTorques(stamp=messages.time(sample["stamp_ns"]), controller=law, joints=joints, torque=tau)
+        return GroupTorques(stamp=to_stamp(sample["stamp_ns"]), controller=law, joints=joints, torque=tau)
 
     def _group_setpoints(self, group: str, sample: Sample) -> GroupSetpoints:
         joints, index = self._joints(group)
         q, v, a = ([sample[f"setpoint_{name}"][i] for i in index] for name in "qva")
-        return GroupSetpoints(
-            stamp=messages.time(sample["stamp_ns"]), joints=joints, position=q, velocity=v, acceleration=a
-        )
+        return GroupSetpoints(stamp=to_stamp(sample["stamp_ns"]), joints=joints, position=q, velocity=v, acceleration=a)
 
     def _joints(self, group: str) -> tuple[list[str], list[int]]:
         description = self._mcs.config.groups[group]

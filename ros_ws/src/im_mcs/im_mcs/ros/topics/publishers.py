@@ -16,6 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from im_cell.robot import Cell, urdf
 from im_core.ros import qos
+from im_core.ros.stamps import to_stamp
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -64,7 +65,7 @@ class Publishers:
     def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish ``/diagnostics``."""
         message = DiagnosticArray(status=list(statuses))
-        message.header.stamp = messages.time(stamp_ns)
+        message.header.stamp = to_stamp(stamp_ns)
         self._diagnostics.publish(message)
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from typing import ClassVar
 
+from im_core.ros.stamps import to_stamp
 from im_msgs.msg import Ellipse, Fiducial, LineSegment
 from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo, SpotLook
 from im_vss.edges import EllipseFit, LineFit
@@ -15,7 +16,6 @@ from im_vss.ros.messages import (
     to_image,
     to_pose,
     to_spot,
-    to_time,
 )
 from im_vss.ros.ports.port import Port
 from im_vss.services.features import (
@@ -124,7 +124,7 @@ class CircleFindPort(Port):
 
     def answer(self, result: CircleFindResult, response: CircleFind.Response) -> None:
         """The ellipses."""
-        response.stamp = to_time(result.stamp_ns)
+        response.stamp = to_stamp(result.stamp_ns)
         response.circles = [to_ellipse(circle) for circle in result.found]
         response.cause = "" if result.found else "nothing in the image is a circle of the given size"
         response.timing_json = json.dumps(result.timing)
@@ -156,7 +156,7 @@ class LineFindPort(Port):
 
     def answer(self, result: LineFindResult, response: LineFind.Response) -> None:
         """The lines."""
-        response.stamp = to_time(result.stamp_ns)
+        response.stamp = to_stamp(result.stamp_ns)
         response.lines = [to_segment(line) for line in result.found]
         response.cause = "" if result.found else "nothing in the image is a straight edge of the given length"
         response.status.message = result.remark

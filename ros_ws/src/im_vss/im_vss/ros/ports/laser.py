@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
+from im_core.ros.stamps import to_stamp
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
-from im_vss.ros.messages import to_header, to_pose, to_spot, to_time
+from im_vss.ros.messages import to_header, to_pose, to_spot
 from im_vss.ros.ports.port import Port
 from im_vss.services.laser import (
     LaserCalibrateRequest,
@@ -42,7 +43,7 @@ class LaserPointPort(Port):
         response.angles = [result.beam.mirror1, result.beam.mirror2]
         response.lit = result.beam.power > 0.0
         response.calibrated = result.calibrated
-        response.stamp = to_time(result.stamp_ns)
+        response.stamp = to_stamp(result.stamp_ns)
 
 
 class LaserSpot3dPort(Port):
