@@ -157,6 +157,8 @@ Record = Callable[[NetEntry], None]
 
 # JSON data.
 
+_ATOMS, _LISTS = (bool, int, str), (list, tuple)  # as tuples: every command's token has arguments to be checked
+
 
 def plain(value: object, where: str) -> object:
     """Return a copy of a value as JSON data; a tuple becomes a list.
@@ -175,11 +177,11 @@ def plain(value: object, where: str) -> object:
 
 
 def _plain(value: object, where: str) -> object:
-    if value is None or isinstance(value, bool | int | str):
+    if value is None or isinstance(value, _ATOMS):
         return value
     if isinstance(value, float) and math.isfinite(value):
         return float(value)
-    if isinstance(value, list | tuple):
+    if isinstance(value, _LISTS):
         return [_plain(item, f"{where}[{number}]") for number, item in enumerate(value)]
     if isinstance(value, dict):
         for key in value:

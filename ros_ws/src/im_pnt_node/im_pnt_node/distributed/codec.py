@@ -192,7 +192,7 @@ def _sequence(item: _Form) -> _Form:
 
 
 def _checked(name: str, form: _Form) -> _Form:
-    return _Form(lambda value: form.write(plain_dict(value, name)), form.read)
+    return _Form(lambda value: form.write(plain_dict(value, name)) if value else "{}", form.read)
 
 
 def _scalar(kind: type, write: Callable[[Any], str]) -> _Form:
