@@ -30,7 +30,11 @@ from support.mcs_config import write_mcs_config
 CELL = load_cell()
 
 
-def wait(future, seconds=60.0):
+#: So long a thousand goals take on a slow computer, whose states rclpy tells again with each that ends [s].
+PATIENCE_S = 600.0
+
+
+def wait(future, seconds=PATIENCE_S):
     """The result of a future of rclpy."""
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
@@ -55,7 +59,7 @@ class Client:
         self._clients = {}
 
     @staticmethod
-    def until(condition, seconds=60.0):
+    def until(condition, seconds=PATIENCE_S):
         """Wait until a condition is true; returns its value."""
         deadline = clock.monotonic() + seconds
         while not (value := condition()):
@@ -67,7 +71,7 @@ class Client:
         """Call a service of ``/mcs``."""
         client = self._clients.get(name) or self.node.create_client(service_type, f"/mcs/{name}")
         self._clients[name] = client
-        return call_blocking(client, service_type.Request(**fields), 60.0, name)
+        return call_blocking(client, service_type.Request(**fields), PATIENCE_S, name)
 
     def trigger(self, name):
         return self.call(Trigger, name)
