@@ -23,6 +23,6 @@ setup(
             "pnt_display = im_pnt_display.ros.node:main",
         ],
         "im_pnt.commands": ["display = im_pnt_display.cli:add_display", "draw = im_pnt_display.cli:add"],
-        "im_pnt.counterexamples": ["drawings = im_pnt_display.page.counterexample:drawn_counterexample"],
+        "im_pnt.counterexamples": ["drawings = im_pnt_display.page.messages:drawn_counterexample"],
     },
 )

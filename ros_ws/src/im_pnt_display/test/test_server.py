@@ -353,7 +353,10 @@ def children(module_name):
     """Processes that this one has started to run a module."""
     found = []
     for task in Path("/proc/self/task").iterdir():
-        for number in (task / "children").read_text().split():
+        numbers = ""
+        with contextlib.suppress(OSError):  # a thread may end meanwhile, and so may a child
+            numbers = (task / "children").read_text()
+        for number in numbers.split():
             with contextlib.suppress(OSError):
                 if module_name.encode() in Path(f"/proc/{number}/cmdline").read_bytes():
                     found.append(int(number))

@@ -467,7 +467,7 @@ def test_many_packets_that_prove_nothing_are_told_of_once_and_make_nobody_known(
     for number in range(10 * MANY_UNPROVED):
         b.link.hear(packet(f"x{number}", 7, 0, "b"))
     assert len(b.observer.texts) == 1
-    why = f"{MANY_UNPROVED} packets were not taken: who sent them does not know the present incarnation of b"
+    why = f"{MANY_UNPROVED} packets were not taken: who sent them does not know the incarnation of b"
     assert why in b.observer.texts[0]
     assert b.link.peers == {}
     b.link.flush()
