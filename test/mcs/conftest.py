@@ -89,23 +89,31 @@ class Client:
         self.until(publisher.get_subscription_count)
         return publisher
 
-    def act(self, action_type, name, goal, feedback=None):
-        """Send a goal; its handle, and a function that waits for the result."""
+    def send(self, action_type, name, goal, feedback=None):
+        """Send a goal; its handle."""
         if name not in self._clients:
             self._clients[name] = GuardedActionClient(self.node, action_type, name)
             assert self._clients[name].wait_for_server(60.0), f"no server of {name}"
             clock.sleep(0.5)  # the server must have discovered the client, too, or its answer is lost; nothing tells
-        client = self._clients[name]
-        handle = wait(client.send_goal_async(goal, feedback_callback=feedback))
+        return wait(self._clients[name].send_goal_async(goal, feedback_callback=feedback))
+
+    def act(self, action_type, name, goal, feedback=None):
+        """Send a goal; its handle, and a function that waits for the result."""
+        handle = self.send(action_type, name, goal, feedback)
         result = handle.get_result_async()
         return handle, lambda: wait(result)
 
-    def start_move(self, *points, group="left", names=(), feedback=None, **fields):
-        """Begin a move; its handle, and a function that waits for the result."""
+    @staticmethod
+    def move_goal(*points, names=(), **fields):
+        """A goal of a move through some points of joints."""
         goal = Move.Goal(**fields)
         goal.path.joint_names = list(names)
         goal.path.points = [JointTrajectoryPoint(positions=[float(x) for x in point]) for point in points]
-        handle, result = self.act(Move, f"/{group}/move", goal, feedback)
+        return goal
+
+    def start_move(self, *points, group="left", feedback=None, **fields):
+        """Begin a move; its handle, and a function that waits for the result."""
+        handle, result = self.act(Move, f"/{group}/move", self.move_goal(*points, **fields), feedback)
         return handle, lambda: result().result
 
     def move(self, *points, **options):

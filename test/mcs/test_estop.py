@@ -5,6 +5,7 @@ import signal
 import threading
 
 import pytest
+from action_msgs.msg import GoalStatus
 
 from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
@@ -152,13 +153,14 @@ def test_a_thousand_queued_goals_do_not_hold_an_emergency_stop_up(client, testbe
     far = client.home.copy()
     far[0] += 1.0
     began = client.start_move(*[far, client.home] * 10, speed_scale=0.01)[1]  # it ends later than all are sent
-    queued = {"policy": Move.Goal.APPEND}
-    results = [began, *(client.start_move(client.home, **queued)[1] for _ in range(GOALS))]
+    queued = client.move_goal(client.home, policy=Move.Goal.APPEND)
+    handles = [client.send(Move, "/left/move", queued) for _ in range(GOALS)]
     files = set(evidence())
     answer = client.trigger("estop")
     assert (StopMark().read(), testbed.read_state().power) == (CAUSE, False), "before the answer"
     assert answer.message.startswith("MCS is estopped; the stop circuit of testbed is cut; power is off, ")
-    assert all("emergency stop" in result().status.message for result in results)
+    assert "emergency stop" in began().status.message
+    client.until(lambda: all(handle.status == GoalStatus.STATUS_ABORTED for handle in handles))
     assert len(set(evidence()) - files) == 1, "of all goals"
     assert client.trigger("reset").success
 

@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-3
 """How far from 1 the length of a quaternion may be."""
+_ROUNDING = 1e-12
+"""A length as near to 1 as this is 1: to divide by the rest would change the last digits once more."""
 _AXES = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 """Row by row: the matrices of the cross product with x, y and z."""
 
@@ -36,9 +38,13 @@ def matrix_of_quaternion(quaternion: ArrayLike, what: str = "the orientation") -
     length = np.linalg.norm(given, axis=-1, keepdims=True)
     if (wrong := length[~(np.abs(length - 1.0) <= UNIT_TOLERANCE)]).size:
         raise DataError(f"{what} has length {wrong[0]:.4g}, it must be 1")
-    unit = given / length
-    cross = cross_matrix(unit[..., :3])
-    return np.asarray(np.eye(3) + 2.0 * (unit[..., 3, None, None] * cross + cross @ cross))
+    x, y, z, w = np.moveaxis(given / np.where(np.abs(length - 1.0) < _ROUNDING, 1.0, length), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def quaternion_of_matrix(rotation: Array) -> tuple[float, float, float, float]:

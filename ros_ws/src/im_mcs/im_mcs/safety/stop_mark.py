@@ -42,8 +42,11 @@ class StopMark:
         Raises:
             StoreError: The disk has failed.
         """
-        if self.path.exists():
+        try:
             synchronise_mark(self.path)
+        except StoreError:
+            if self.path.exists():
+                raise
 
     def clear(self) -> None:
         """Remove the mark.
