@@ -1,10 +1,8 @@
 """The pybullet world: the cell's links as one multibody, floor and table as obstacles."""
 
 import struct
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Cell, urdf
 from im_core.errors import DataError
+from im_sim.urdf_loading import load_urdf
 
 _LINK, _OBSTACLE = 1, 2  # Bullet's default and static collision groups
 
@@ -49,7 +48,7 @@ class World:
             half = [edge / 2.0 for edge in box.size]
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **self._options)
             pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options)
-        self.body = self._load(urdf(cell, frames=False))
+        self.body = load_urdf(urdf(cell, frames=False), self.client, pybullet.URDF_USE_INERTIA_FROM_FILE)
         self._joints = self._moving_joints(cell)
         self._state = struct.Struct(f"{2 * len(self._joints)}d")
         self._make_exact(cell)
@@ -93,16 +92,6 @@ class World:
     def close(self) -> None:
         """Disconnect."""
         pybullet.disconnect(**self._options)
-
-    def _load(self, text: str) -> int:
-        """Load a URDF; pybullet reads files only."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "testbed.urdf"
-            path.write_text(text, encoding="utf-8")
-            body: int = pybullet.loadURDF(
-                str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE, **self._options
-            )
-        return body
 
     def _moving_joints(self, cell: Cell) -> list[int]:
         count = pybullet.getNumJoints(self.body, **self._options)

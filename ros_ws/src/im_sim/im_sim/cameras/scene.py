@@ -1,7 +1,6 @@
 """The scene as seen by the cameras: a mirror of the testbed's joint positions, rendered and probed with rays."""
 
 import importlib.util
-import tempfile
 
 import numpy as np
 import pybullet
@@ -11,6 +10,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.robot import ORIGIN, Cell, Vector, far_end, urdf
 from im_core.errors import ConfigError
 from im_sim.cameras.lens import FloatImage, Pinhole
+from im_sim.urdf_loading import load_urdf
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class SceneMirror:
         self._client = pybullet.connect(pybullet.DIRECT)
         self.renderer, self._flag = self._choose(renderer)
         pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
-        self._body = self._load(urdf(cell, frames=False))
+        self._body = load_urdf(urdf(cell, frames=False), self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
         self._frames: dict[str, tuple[int, Vector, Vector]] = {"world": (_BASE, ORIGIN, ORIGIN)}
         indices: dict[str, int] = {}
         for index in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
@@ -133,19 +133,6 @@ class SceneMirror:
             if renderer == "egl":
                 raise ConfigError("renderer: 'egl' does not load on this host, 'auto' and 'tiny' do", renderer=renderer)
         return "tiny", pybullet.ER_TINY_RENDERER
-
-    def _load(self, text: str) -> int:
-        with tempfile.NamedTemporaryFile("w", suffix=".urdf", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            return int(
-                pybullet.loadURDF(
-                    file.name,
-                    useFixedBase=True,
-                    flags=pybullet.URDF_MAINTAIN_LINK_ORDER,
-                    physicsClientId=self._client,
-                )
-            )
 
 
 def _view(camera: CameraModel) -> list[float]:
