@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 _LONGEST_NAME, _MOST_COMPARED, _MOST_NAMES = 60, 1000, 30
 SHOWN = 60
 """Characters that an error quotes of a file: it may be answered to a process that may not read the file."""
+BEGUN_ANEW = "begun_anew"
+"""Code of a failure: the task that kept an establishment has a new incarnation. Nets that can establish it again look
+for this code."""
 
 
 class ImError(Exception):

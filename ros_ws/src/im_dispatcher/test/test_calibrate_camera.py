@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from im_core.errors import DataError, ImError, LinkError, StateError
-from im_dispatcher.commands.calibrate_camera import BEGUN_ANEW, COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
+from im_core.errors import BEGUN_ANEW, DataError, ImError, LinkError, StateError
+from im_dispatcher.commands.calibrate_camera import COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.report import StepTimes
 from im_pnt.errors import JournalError, NetError

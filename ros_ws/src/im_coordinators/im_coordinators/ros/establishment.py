@@ -3,12 +3,9 @@
 from std_msgs.msg import UInt64
 
 from im_core import clock
-from im_core.errors import StateError, WaitTimeoutError
+from im_core.errors import BEGUN_ANEW, StateError, WaitTimeoutError
 from im_pnt.execution.functions import ActionContext
 from im_pnt_node.rerun.host import Host
-
-BEGUN_ANEW = "begun_anew"
-"""Code of the failure; nets that can establish it again, and do again what needs it, look for that."""
 
 HEARD_S, PAUSE_S = 10.0, 0.02
 
@@ -45,7 +42,7 @@ class Establishment:
         """Check the establishment of a command for loss; a command without an establishment may go on.
 
         Raises:
-            StateError: It went with the incarnation in which it was; of code :data:`BEGUN_ANEW`.
+            StateError: It went with the incarnation in which it was; of code ``BEGUN_ANEW``.
             WaitTimeoutError: The task is not heard.
         """
         if not await self._host.dom.is_valid(noted := self._object(ctx, name)):

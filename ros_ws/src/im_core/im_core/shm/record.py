@@ -59,10 +59,14 @@ class SharedRecord:
         Raises:
             LinkError: It did not appear within ``timeout_s`` [s], is another user's, or has another size.
         """
-        block = SharedBlock.attach(name, timeout_s)
-        if block.size != dtype.itemsize:
-            raise LinkError(f"shared memory '{name}' has {block.size} bytes, not {dtype.itemsize}", name=name)
-        return cls(block, dtype, [Semaphore.attach(f"{name}_{part}", timeout_s) for part in cls.SEMAPHORES])
+        with ExitStack() as attached:
+            block = attached.enter_context(closing(SharedBlock.attach(name, timeout_s)))
+            if block.size != dtype.itemsize:
+                raise LinkError(f"shared memory '{name}' has {block.size} bytes, not {dtype.itemsize}", name=name)
+            parts = [f"{name}_{part}" for part in cls.SEMAPHORES]
+            semaphores = [attached.enter_context(closing(Semaphore.attach(part, timeout_s))) for part in parts]
+            attached.pop_all()
+        return cls(block, dtype, semaphores)
 
     def owner_alive(self) -> bool:
         """Return whether the process of the record's creator still runs."""

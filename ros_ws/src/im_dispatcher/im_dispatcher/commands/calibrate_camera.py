@@ -11,7 +11,7 @@ from pathlib import Path
 from im_cell.robot import load_cell
 from im_core import clock
 from im_core.bounded_json import read_json
-from im_core.errors import ImError, StateError, StoreError
+from im_core.errors import BEGUN_ANEW, ImError, StateError, StoreError
 from im_core.names import results_dir
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
@@ -31,9 +31,6 @@ POSES = "calibration_poses"
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT = "im_msgs/msg/CalibrationReport"
-
-#: Code of the failure of whoever needs what was established in a former incarnation of the task that kept it.
-BEGUN_ANEW = "begun_anew"
 
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5

@@ -131,7 +131,7 @@ class Loader:
     ) -> Verification:
         """Take in a verified net, once the present net of the name is at rest."""
         while True:
-            report, state = await self.prepare(net, patience_s, beside)
+            report, state = await self._prepare(net, patience_s, beside)
             former = self._nets.get(net.name)
             try:
                 with around():
@@ -215,7 +215,7 @@ class Loader:
             self._loop.journal.renew()
         self._library.tidy(self._written())
 
-    async def prepare(
+    async def _prepare(
         self, net: Net, patience_s: float, beside: Sequence[Net] = ()
     ) -> tuple[Verification, dict[str, object] | None]:
         """Verify a net, alone and with the partners, and wait until the present net of the name is at rest.
