@@ -178,6 +178,7 @@ OPEN_FILES = {
     "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",
+    "im_sim/urdf_loader.py": "a file in memory, for pybullet",
     "im_dom/file.py": "the DOM's own data base",
     "im_dom/salvage.py": "the DOM's own data base, where it is damaged",
     "im_dom/transactions.py": "the DOM's own list of transactions",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Cell, urdf
 from im_core.errors import DataError
-from im_sim.urdf_loading import load_urdf
+from im_sim.urdf_loader import load_urdf
 
 _LINK, _OBSTACLE = 1, 2  # Bullet's default and static collision groups
 

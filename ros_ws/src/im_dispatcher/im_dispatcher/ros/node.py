@@ -245,10 +245,10 @@ class Dispatcher(PntNode):
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
             match outcome.results:
-                case {"report": {"message": str(told)} as report, "directory": str(directory)} if outcome.success:
-                    response.report = report_message(report, told, directory)
+                case {"report": dict(report), "directory": str(directory)} if outcome.success:
+                    response.report = report_message(report, str(report["message"]), directory)
                     left = str(outcome.results.get("message", ""))
-                    response.message = "; but ".join(filter(None, (told, left)))
+                    response.message = "; but ".join(filter(None, (response.report.message, left)))
         except ImError as error:
             response.success, response.message = False, error.message
         return response

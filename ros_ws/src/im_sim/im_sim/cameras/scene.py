@@ -10,7 +10,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.robot import ORIGIN, Cell, Vector, far_end, urdf
 from im_core.errors import ConfigError
 from im_sim.cameras.lens import FloatImage, Pinhole
-from im_sim.urdf_loading import load_urdf
+from im_sim.urdf_loader import load_urdf
 
 Array = NDArray[np.float64]
 
