@@ -62,20 +62,10 @@ def test_of_a_calibration_its_report_is_told_in_short(capsys):
     assert "report and pictures: /results/1\n" in told
 
 
-class UnderWay:
-    """A client that knows of one command."""
-
-    def __init__(self, state):
-        self.state = CommandState(command_id=7, symbol="calibrate_camera", state=state)
-
-    def pause(self, seconds):
-        """Nobody interrupts."""
-
-
 @pytest.mark.parametrize(("state", "told"), [("running", False), ("paused", True)])
 def test_a_command_that_is_under_way_is_offered_to_be_attached_to(state, told, monkeypatch, capsys):
-    client = UnderWay(state)
-    assert not run_command.offered(client, client.state), "nobody can answer here"
+    under_way = CommandState(command_id=7, symbol="calibrate_camera", state=state)
+    assert not run_command.offered(under_way), "nobody can answer here"
     said = capsys.readouterr().err
     assert f"number 7 is {state}: im run --attach 7 waits for it" in said
     assert ("im run --resume 7 goes on with it" in said) == told
@@ -84,7 +74,7 @@ def test_a_command_that_is_under_way_is_offered_to_be_attached_to(state, told, m
         os.write(reading, answer.encode())
         with os.fdopen(writing, "r") as terminal:
             monkeypatch.setattr("sys.stdin", terminal)
-            assert run_command.offered(client, client.state) is attaches
+            assert run_command.offered(under_way) is attaches
         os.close(reading)
 
 

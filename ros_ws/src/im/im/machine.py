@@ -1,0 +1,414 @@
+"""The machine as seen by a client."""
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from im.calibration import Calibration
+from im.commands import DISPATCHER, Command, control
+from im.connection import EVENTS, PATIENCE_S, Connection
+from im.errors import MachineError
+from im.groups import Group
+from im.heartbeats import Heartbeats, Watch
+from im.objects import DataObjects
+from im.vision import Camera, Position, stereo
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState, Firing, McsState
+from im_msgs.srv import ListCommands, LoadNet, SetLight, UnloadNet
+
+#: Firings that an iteration keeps for a slow reader.
+_MOST_FIRINGS = 10_000
+
+
+class CalibrateCamera(Command):
+    """Command ``calibrate_camera``: the result is a :class:`im.Calibration`."""
+
+    def _read(self, results: dict[str, Any]) -> Calibration:
+        return Calibration.of(results)
+
+
+class Machine:
+    """A running machine; made by :meth:`connect` or :meth:`start`, and a context manager.
+
+    Attributes:
+        connection: The connection, for what this class does not do.
+        dom: Data objects.
+        left: The left arm.
+        right: The right arm.
+    """
+
+    def __init__(self, connection: Connection, heartbeats: Heartbeats) -> None:
+        """Use :meth:`connect` or :meth:`start`."""
+        self.connection, self._heartbeats = connection, heartbeats
+        self._begun: list[Command] = []
+        self._ends = contextlib.ExitStack()
+        self._ends.enter_context(connection)
+        self.dom = DataObjects(connection)
+        self.left, self.right = self.group("left"), self.group("right")
+
+    @classmethod
+    def connect(cls, domain: int | None = None, timeout: float = 10.0, watch: Watch | None = None) -> Self:
+        """Connect to a running machine, on the local host or another.
+
+        Args:
+            domain: ROS domain; None: ``ROS_DOMAIN_ID``.
+            timeout: Longest wait for the machine [s].
+            watch: What else is known of the machine on this host.
+
+        Raises:
+            UnreachableError: No machine was heard, or its Dispatcher is not ready.
+        """
+        connection = Connection(domain)
+        try:
+            heartbeats = Heartbeats(connection, watch)
+            heartbeats.until(DISPATCHER, timeout)
+        except BaseException:
+            connection.close()
+            raise
+        return cls(connection, heartbeats)
+
+    @classmethod
+    def start(cls, deployment: str = "", domain: int | None = None, **options: object) -> Self:
+        """Start a machine on the local host, and connect; the end of the context stops the machine.
+
+        Args:
+            deployment: Deployment file; empty: the default.
+            domain: ROS domain; None: ``ROS_DOMAIN_ID``.
+            **options: As of ``start.sh``: ``factor=0, seed=7, fresh=True``.
+
+        Raises:
+            MachineError: The machine did not start; carries what ``start`` printed last.
+        """
+        environment = {**os.environ, **({} if domain is None else {"ROS_DOMAIN_ID": str(domain)})}
+        arguments = [text for name, value in options.items() for text in _option(name, value)]
+        done = subprocess.run(
+            [_program("im_bringup", "start"), *filter(None, [deployment]), *arguments],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode:
+            told = (done.stderr.strip() or done.stdout.strip()).splitlines()
+            raise MachineError("\n".join(told[-5:]) or f"start ended with {done.returncode}", "start")
+        stop = [_program("im_bringup", "stop")]
+        try:
+            machine = cls.connect(domain, PATIENCE_S)
+        except BaseException:
+            subprocess.run(stop, env=environment, capture_output=True, check=False)
+            raise
+        machine._ends.callback(subprocess.run, stop, env=environment, capture_output=True, check=False)
+        return machine
+
+    def close(self) -> None:
+        """End the connection, and the machine if started by :meth:`start`."""
+        self._ends.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        """Close; after Ctrl-C, cancel the unfinished commands of the client."""
+        try:
+            if isinstance(error, KeyboardInterrupt):
+                for command in self._begun:
+                    if not command.ended:
+                        with contextlib.suppress(MachineError):
+                            command.cancel()
+                            command.wait(PATIENCE_S)
+        finally:
+            self.close()
+
+    @property
+    def tasks(self) -> dict[str, int]:
+        """Phases of the tasks heard so far, as in ``im_msgs/msg/TaskStatus``."""
+        return self._heartbeats.tasks()
+
+    @property
+    def state(self) -> McsState:
+        """State of motion control: power, groups, owners, the reason of a stop."""
+        state: McsState = self.connection.latest(McsState, "/mcs/state")
+        return state
+
+    @property
+    def commands(self) -> dict[str, Mapping[str, Any]]:
+        """Descriptions of the commands by name: ``description``, ``arguments`` (a JSON schema), ``needs``, ..."""
+        text = self.connection.latest(String, "/dispatcher/commands").data
+        try:
+            return {command["symbol"]: command for command in json.loads(text)["commands"]}
+        except (ValueError, KeyError, TypeError) as error:
+            raise MachineError(f"/dispatcher/commands is no list of commands: {text[:60]!r}", "data") from error
+
+    @property
+    def under_way(self) -> list[CommandState]:
+        """The unfinished commands."""
+        return list(self.connection.call(ListCommands, "/dispatcher/list_commands").commands)
+
+    def run(self, name: str, wait: bool = True, priority: int = 0, **arguments: object) -> Command:
+        """Run a command.
+
+        Args:
+            name: Name of the command; see :attr:`commands`.
+            wait: Wait for the end, and raise if the command failed.
+            priority: -10 to 10, added to the priority of the command.
+            **arguments: Arguments of the command.
+
+        Raises:
+            MachineError: The command failed or was refused; with ``wait``.
+        """
+        command: Command = self._follow(Command, self._goal(name, priority, arguments))
+        if wait:
+            _ = command.result
+        return command
+
+    def calibrate_camera(self, cameras: tuple[str, ...] | list[str] = (), poses_file: str = "") -> CalibrateCamera:
+        """Begin ``calibrate_camera``; iterate for progress, and ask for the result.
+
+        Args:
+            cameras: Names of the cameras; empty: the two ceiling cameras.
+            poses_file: File of poses on the host of the machine; empty: the poses of the cell.
+        """
+        arguments: dict[str, object] = {"cameras": list(cameras)}
+        if poses_file:
+            arguments["poses_file"] = poses_file
+        command: CalibrateCamera = self._follow(CalibrateCamera, self._goal("calibrate_camera", 0, arguments))
+        return command
+
+    def attach(self, number: int) -> Command:
+        """Return a command by number, under way or ended lately."""
+        command: Command = self._follow(Command, ExecuteCommand.Goal(attach=True, command_id=number))
+        return command
+
+    def group(self, name: str) -> Group:
+        """Return a group of the preset in force, such as ``transporter``."""
+        return Group(self.connection, name)
+
+    def camera(self, name: str) -> Camera:
+        """Return a camera."""
+        return Camera(self.connection, name)
+
+    def stereo(self, first: str, second: str, exposure: float = 0.0) -> Position:
+        """Find the light with two cameras exposed at the same time.
+
+        Args:
+            first: Name of a camera fixed to the world.
+            second: Name of another.
+            exposure: Time of exposure [s]; 0: the one of ``/vss``.
+
+        Raises:
+            MachineError: No point was found, of code ``not_found``, or an image was not taken.
+        """
+        return stereo(self.connection, first, second, exposure)
+
+    @contextlib.contextmanager
+    def light(self, name: str = "left_led") -> Iterator[None]:
+        """Switch a light on for the context.
+
+        Args:
+            name: Such as ``left_led``.
+
+        Raises:
+            MachineError: There is no such light.
+        """
+        self._switch(name, True)
+        try:
+            yield
+        finally:
+            self._switch(name, False)
+
+    def estop(self) -> str:
+        """Stop everything and take the power; return the report of the hardware.
+
+        Raises:
+            MachineError: The stop was not confirmed.
+        """
+        return self._trigger("/mcs/estop")
+
+    def reset(self) -> str:
+        """End an emergency stop without a remaining cause; nothing moves.
+
+        Raises:
+            MachineError: The cause is still there.
+        """
+        return self._trigger("/mcs/reset")
+
+    def load_net(self, net: str | Path, wait: float = 0.0) -> str:
+        """Give the Dispatcher a net, live after verification; return the verdict.
+
+        Args:
+            net: Path of a net file, or the text of one (with a line break).
+            wait: Longest wait for the present net of the name to come to rest [s].
+
+        Raises:
+            MachineError: The net was refused; the firing sequence that shows why is the fact ``counterexample``.
+        """
+        text = str(net) if "\n" in str(net) else Path(net).read_text(encoding="utf-8")
+        answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + wait, net_yaml=text, wait=wait)
+        if not answer.success:
+            raise MachineError(answer.message, "net", {"counterexample": list(answer.counterexample)})
+        return str(answer.message)
+
+    def unload_net(self, name: str, wait: float = 0.0) -> None:
+        """Take a net out of the Dispatcher.
+
+        Args:
+            name: Name of the net.
+            wait: Longest wait for the net to come to rest [s].
+
+        Raises:
+            MachineError: Something keeps the net.
+        """
+        answer = self.connection.call(UnloadNet, "/dispatcher/unload_net", PATIENCE_S + wait, net=name, wait=wait)
+        if not answer.success:
+            raise MachineError(answer.message, "net")
+
+    @contextlib.contextmanager
+    def firings(self, net: str = "") -> Iterator["Firings"]:
+        """Follow the firings of the nets from now on, for the context.
+
+        Args:
+            net: Name of a net; empty: all nets.
+        """
+        firings = Firings(net)
+        subscription = self.connection.subscribe(Firing, "/pnt/firings", firings.take, EVENTS)
+        try:
+            yield firings
+        finally:
+            self.connection.unsubscribe(subscription)
+
+    @contextlib.contextmanager
+    def record(self, folder: str | Path) -> Iterator[None]:
+        """Record all topics into a bag on the local host, for the context.
+
+        Args:
+            folder: Folder of the bag; must not exist.
+
+        Raises:
+            MachineError: The recorder failed; carries what it printed.
+        """
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(self.connection.domain)}
+        recorder = subprocess.Popen(
+            [_program("im_bag", "record"), "-o", str(folder)],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        assert recorder.stdout is not None
+        first = recorder.stdout.readline()  # said once it records
+        try:
+            if recorder.poll() is None:
+                yield
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                recorder.send_signal(signal.SIGINT)
+            told = first + recorder.communicate()[0]
+        if recorder.returncode not in (0, 130):
+            raise MachineError(told.strip() or f"the recorder ended with {recorder.returncode}", "record")
+
+    def control(self, number: int, request: str) -> str:
+        """Cancel, pause or resume a command by number; return the change.
+
+        Args:
+            number: Number of the command.
+            request: ``cancel``, ``pause`` or ``resume``.
+
+        Raises:
+            MachineError: The request was refused.
+        """
+        return control(self.connection, number, request)
+
+    def _goal(self, name: str, priority: int, arguments: Mapping[str, object]) -> ExecuteCommand.Goal:
+        try:
+            text = json.dumps(arguments, allow_nan=False, default=_plain)
+        except (TypeError, ValueError) as error:
+            raise MachineError(f"the arguments of {name} are no JSON: {error}", "argument") from error
+        if not -10 <= priority <= 10:
+            raise MachineError(f"priority {priority} is not from -10 to 10", "argument")
+        return ExecuteCommand.Goal(symbol=name, arguments=text, priority=priority)
+
+    def _follow(self, kind: Any, goal: ExecuteCommand.Goal) -> Any:
+        command = kind(self.connection, self._heartbeats, goal)
+        self._begun = [each for each in self._begun if not each.ended]
+        if not goal.attach:
+            self._begun.append(command)
+        return command
+
+    def _switch(self, name: str, on: bool) -> None:
+        answer = self.connection.call(SetLight, "/testbed/set_light", name=name, on=on)
+        if not answer.success:
+            raise MachineError(answer.message, "not_found", {"light": name})
+
+    def _trigger(self, service: str) -> str:
+        answer = self.connection.call(Trigger, service)
+        if not answer.success:
+            raise MachineError(answer.message, "state")
+        return str(answer.message)
+
+
+class Firings:
+    """Firings of nets, ``im_msgs/msg/Firing``: iterate for the next ones.
+
+    Args:
+        net: Name of a net; empty: all nets.
+    """
+
+    def __init__(self, net: str) -> None:
+        self._net = net
+        self._queue: queue.Queue[Firing] = queue.Queue(_MOST_FIRINGS)
+
+    def take(self, message: Firing) -> None:
+        """Keep a firing; of a slow reader's, the oldest go."""
+        if self._net in ("", message.net):
+            if self._queue.full():
+                with contextlib.suppress(queue.Empty):
+                    self._queue.get_nowait()
+            self._queue.put_nowait(message)
+
+    def __iter__(self) -> Iterator[Firing]:
+        """Iterate without end."""
+        while True:
+            yield self._queue.get()
+
+    def next(self, timeout: float) -> Firing | None:
+        """Return the next firing, None if there is none in time [s]."""
+        with contextlib.suppress(queue.Empty):
+            return self._queue.get(timeout=timeout)
+        return None
+
+
+def _program(package: str, executable: str) -> str:
+    """Return the path of an executable of the sourced workspace.
+
+    Raises:
+        MachineError: No sourced workspace has it.
+    """
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix) / "lib" / package / executable
+        if path.is_file():
+            return str(path)
+    raise MachineError(f"no sourced workspace has {package}/{executable}; source install/setup.bash", "not_found")
+
+
+def _option(name: str, value: object) -> list[str]:
+    option = f"--{name.replace('_', '-')}"
+    if isinstance(value, bool):
+        return [option] if value else []
+    return [option, str(value)]
+
+
+def _plain(value: object) -> object:
+    """Return a numpy value as plain Python, for JSON."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"{value!r} is no number, text, list or mapping")

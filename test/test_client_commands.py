@@ -1,0 +1,222 @@
+"""Commands of the client: followed through the death of the Dispatcher, interrupted, refused."""
+
+import json
+import os
+import signal
+import threading
+import time
+
+import pytest
+from rclpy.action.client import ActionClient
+from rclpy.action.server import CancelResponse, GoalResponse
+from rclpy.signals import uninstall_signal_handlers
+from rclpy.task import Future
+
+from im import CommandFailedError, Machine, MachineError, UnreachableError
+from im_core import clock
+from im_core.ros import qos
+from im_core.ros.guard import GuardedActionServer, GuardedNode
+from im_core.startup import STATUS_TOPIC
+from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState, TaskStatus
+from im_msgs.srv import ListCommands
+from support.forgetful import forget
+
+RESULTS = {"directory": "/results/1"}
+
+
+class Dispatcher(GuardedNode):
+    """A dispatcher as clients see it, which a test lets forget what it was asked."""
+
+    def __init__(self) -> None:
+        super().__init__("dispatcher")
+        self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
+        self.incarnation, self.cancelled, self.open = 7, [], []
+        self.silent = False
+        self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
+        self.create_timer(0.1, self._beat)
+        self.create_service(ListCommands, "/dispatcher/list_commands", self._list)
+        GuardedActionServer(
+            self, ExecuteCommand, "/dispatcher/execute", self._do,
+            goal_callback=self._accept, cancel_callback=self._may_cancel,
+        )  # fmt: skip
+
+    def beat(self, incarnation):
+        self._status.publish(TaskStatus(name="dispatcher", incarnation=incarnation, phase=TaskStatus.READY))
+
+    def _beat(self):
+        if not self.silent:
+            self.beat(self.incarnation)
+
+    def _list(self, request, response):
+        response.last = self.numbers[-1]
+        response.commands = [CommandState(command_id=number, symbol=symbol) for number, symbol in self.open]
+        return response
+
+    def _may_cancel(self, handle):
+        self.cancelled.append(handle.request.attach)
+        return CancelResponse.ACCEPT
+
+    def _accept(self, goal):
+        self.begun.append(goal)
+        return GoalResponse.ACCEPT
+
+    async def _do(self, handle):
+        if handle.request.attach:
+            self.attached.append(handle.request.command_id)
+        handle.succeed()
+        return ExecuteCommand.Result(success=True, results=json.dumps(RESULTS))
+
+
+class Dying(Dispatcher):
+    """Never ends what it begins."""
+
+    async def _do(self, handle):
+        self.numbers.append(self.numbers[-1] + (not handle.request.attach))
+        return await Future()
+
+
+@pytest.fixture
+def machine(ros):
+    """``machine(node)``: a client connected to what stands for the machine."""
+    connected = []
+
+    def connect(node, **options):
+        ros(node)
+        connected.append(Machine.connect(timeout=30.0, **options))
+        return connected[-1]
+
+    yield connect
+    for each in connected:
+        each.close()
+
+
+@pytest.mark.parametrize(
+    ("opened", "why"),
+    [
+        ([], "the dispatcher stopped before it recorded command calibrate_camera; run the command again"),
+        ([(7, "home")], "the dispatcher stopped before it recorded command calibrate_camera; run the command again"),
+        ([(7, "calibrate_camera"), (9, "calibrate_camera")], "this calibrate_camera is one of the commands 7, 9"),
+    ],
+)
+def test_what_another_command_has_found_is_not_the_answer_to_this_one(machine, wait_until, opened, why):
+    """The last calibration that has ended may be of another day."""
+
+    class Stopped(Dispatcher):
+        async def _do(self, handle):
+            return await Future()
+
+    command = machine(node := Stopped()).calibrate_camera()
+    wait_until(lambda: node.begun, "the command")
+    clock.sleep(1.0)  # until it is known to be accepted
+    node.numbers, node.open, node.incarnation = [3, *(number for number, _ in opened)], opened, 8
+    with pytest.raises(MachineError, match=why):
+        _ = command.result
+    assert not node.attached
+
+
+def test_a_cancellation_reaches_the_incarnation_that_goes_on_with_the_command(machine, wait_until):
+    """The first one died with it."""
+    command = machine(node := Dying()).run("move", wait=False)
+    wait_until(lambda: node.begun, "the command")
+    clock.sleep(1.0)  # until it is known to be accepted
+    command.cancel()
+    wait_until(lambda: node.cancelled == [False], "the cancellation")
+    node.incarnation = 8
+    wait_until(lambda: node.cancelled == [False, True], "the cancellation of what the second life goes on with")
+    assert not command.ended
+
+
+def test_an_interrupt_cancels_and_a_second_one_leaves_the_command_alone(machine, wait_until):
+    command = machine(node := Dying()).run("move", wait=False)
+    wait_until(lambda: node.begun, "the command")
+
+    def interrupt_twice():
+        os.kill(os.getpid(), signal.SIGINT)
+        wait_until(lambda: node.cancelled, "the cancellation")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    uninstall_signal_handlers()  # else the node of this test would end
+    threading.Timer(0.5, interrupt_twice).start()
+    with pytest.raises(KeyboardInterrupt):
+        command.wait()
+    assert command.cancelling
+    assert not command.ended
+
+
+def test_a_goal_whose_acceptance_was_lost_is_carried_out_once(machine, monkeypatch):
+    lost, execute = [], ActionClient.execute
+
+    async def lossy(self, taken):
+        if "goal" in taken and not lost:
+            lost.append(taken)
+            return
+        await execute(self, taken)
+
+    monkeypatch.setattr(ActionClient, "execute", lossy)
+    assert machine(node := Dispatcher()).run("move").result == RESULTS
+    assert (len(node.begun), len(lost)) == (1, 1)
+
+
+class Anew(Dispatcher):
+    """Begins anew with each goal, and goes on with the commands that it was given."""
+
+    def _accept(self, goal):
+        self.numbers.append(self.numbers[-1] + (not goal.attach))
+        return super()._accept(goal)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_command_whose_dispatcher_does_not_know_the_goal_any_more_is_attached_to(machine, monkeypatch, times):
+    forget(monkeypatch, times)
+    command = machine(node := Anew()).run("move")
+    assert (command.result, command.number, node.attached) == (RESULTS, 4, [4] * times)
+    assert "attaching to number 4" in str(next(command.progress()))
+
+
+def test_a_command_that_fails_without_a_reason_says_so(machine):
+    class Mute(Dispatcher):
+        async def _do(self, handle):
+            handle.abort()
+            return ExecuteCommand.Result()
+
+    with pytest.raises(CommandFailedError, match="the server of /dispatcher/execute gave no reason"):
+        machine(Mute()).run("move")
+
+
+def test_a_machine_that_has_ended_is_not_waited_for(machine):
+    """Whoever knows of the machine on this host says so."""
+    ended = []
+    command = machine(node := Dying(), watch=lambda silent_s: ": it has ended" if ended else "").run("move", wait=False)
+    node.silent = True
+    ended.append(True)
+    with pytest.raises(UnreachableError, match=r"dispatcher is missing \(last heard .* s ago\): it has ended"):
+        _ = command.result
+
+
+def test_a_made_up_heartbeat_is_no_new_incarnation_of_a_task_that_lives(machine, wait_until):
+    client = machine(node := Dispatcher())
+    heartbeats, seen, deadline = client._heartbeats, set(), time.monotonic() + 3.0
+    while time.monotonic() < deadline:
+        node.beat(8)
+        clock.sleep(0.05)
+        seen.add(heartbeats.incarnation("dispatcher"))
+    assert seen == {7}
+    node.incarnation = 9
+    wait_until(lambda: heartbeats.incarnation("dispatcher") == 9, "the new incarnation")
+
+
+def test_nothing_answers_where_no_machine_runs():
+    with pytest.raises(UnreachableError, match=r"no machine runs in ROS domain \d+: none was heard within 1 s"):
+        Machine.connect(timeout=1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [({"width": float("nan")}, "the arguments of move are no JSON"), ({"priority": 11}, "priority 11 is not from -10")],
+)
+def test_arguments_that_cannot_be_sent_are_refused_here(machine, arguments, sentence):
+    client = machine(node := Dispatcher())
+    with pytest.raises(MachineError, match=sentence):
+        client.run("move", **arguments)
+    assert not node.begun

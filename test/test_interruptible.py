@@ -1,0 +1,91 @@
+"""Programs that talk to the machine: what they print, and what ends their waits."""
+
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from im_bringup.ros.interruptible import InterruptibleNode, spun
+from im_core import clock
+from im_core.errors import WaitTimeoutError
+from im_core.ros.guard import GuardedNode
+
+
+def test_what_rclpy_prints_is_not_among_the_output_of_a_program(capfd, monkeypatch):
+    """It warns on standard output of each timer beyond eight, as a program has that waits for long."""
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    with spun(lambda: InterruptibleNode("talker")) as node:
+        for _ in range(20):
+            node.create_timer(10.0, lambda: None)
+        clock.sleep(0.3)
+        print('{"success": true}')
+        print("Warning, the number of poses is small.")
+    assert capfd.readouterr().out == '{"success": true}\nWarning, the number of poses is small.\n'
+
+
+TALKS = """
+import os, sys
+from im_bringup.ros.interruptible import InterruptibleNode, spun
+print("before")
+with spun(lambda: InterruptibleNode("talker")):
+    os.write(1, b"RTPS_TRANSPORT_SHM Error\\n")
+    print("own")
+os.write(1, b"after\\n")
+"""
+
+
+def test_what_libraries_print_is_not_among_the_output_of_a_program():
+    """Fast DDS prints its errors on standard output: a report was no JSON any more."""
+    said = subprocess.run([sys.executable, "-c", TALKS], capture_output=True, text=True, check=True)
+    assert said.stdout == "before\nown\nafter\n"
+    assert "RTPS_TRANSPORT_SHM Error" in said.stderr
+
+
+SAYS = """
+import sys
+from im_bringup.ros import interruptible
+interruptible.machine.read_running = lambda: None
+def use(node):
+    print("one", flush=True)
+    print("two")
+    print("waited to the end", file=sys.stderr)
+    return interruptible.DONE
+sys.exit(interruptible.talk(lambda: interruptible.InterruptibleNode("talker"), use, "talker"))
+"""
+NO_ROOM = "talker: standard output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [("| true", 0, ""), (">&-", 0, ""), ("> /dev/full", 1, NO_ROOM)],
+    ids=["no reader", "closed", "full disk"],
+)
+def test_a_program_whose_output_goes_nowhere_waits_all_the_same(where, code, said):
+    """And says in a sentence where something was lost that somebody wanted."""
+    run = ["bash", "-c", f'set -o pipefail; "$0" -c "$1" {where}', sys.executable, SAYS]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, f"waited to the end\n{said}")
+
+
+def test_who_waits_for_a_service_ends_when_interrupted(ros):
+    """Neither for a service that is not there, nor for one that is silent, a program waits after Ctrl-C."""
+    asking, silent = InterruptibleNode("asking"), GuardedNode("silent")
+
+    async def never(request, response):
+        await Future()
+
+    silent.create_service(Trigger, "/silent/answer", never)
+    ros(asking, silent)
+    for service in ("/nobody/answers", "/silent/answer"):
+        client = asking.create_client(Trigger, service)
+        with pytest.raises(WaitTimeoutError, match=service):
+            asking.ask(client, Trigger.Request(), 0.5)
+    threading.Timer(0.3, asking.interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        asking.ask(client, Trigger.Request(), 60.0)
+    with pytest.raises(KeyboardInterrupt):
+        asking.pause(60.0)
