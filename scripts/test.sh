@@ -71,7 +71,7 @@ ended() {
   return "$code"
 }
 
-check ruff "$IM_VENV/bin/ruff" check --no-cache ros_ws/src bench test scripts
+check ruff "$IM_VENV/bin/ruff" check --no-cache ros_ws/src bench test scripts examples
 packages=(bench)
 for folder in ros_ws/src/*/; do
   name="$(basename "$folder")"
