@@ -13,7 +13,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "your_robot.md").read_text(encoding="utf-8")
 FILES = ROOT / "docs" / "nets" / "your_robot"
 FETCHED = ["gripper 0.04", "arm [0.4, -1.2, 0.8]", "gripper 0.01", "arm [0.0, -0.6, 0.6]"]
-LINES = re.findall(r"^\$ scripts/im pnt (.*)$", PAGE, re.MULTILINE)
+TYPED = re.findall(r"^\$ (.*)$", PAGE, re.MULTILINE)
+TOY = re.findall(r"^\$ (.*)$", PAGE.partition("## First with a toy\n")[2].partition("\n## ")[0], re.MULTILINE)
+LINES = [line.removeprefix("scripts/im pnt ") for line in TYPED if "my_robot/" in line.replace("your_robot/", "")]
 
 
 @pytest.fixture
@@ -62,7 +64,32 @@ transitions:
 def test_the_page_shows_the_files():
     pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(nets/your_robot/\1\)\n```\w+\n(.*?)```"
     shown = dict(re.findall(pattern, PAGE, re.DOTALL))
-    assert shown == {file.name: file.read_text(encoding="utf-8") for file in FILES.glob("*.*")}
+    linked = FILES / "toy_robot.py"
+    assert shown == {file.name: file.read_text(encoding="utf-8") for file in {*FILES.glob("*.*")} - {linked}}
+
+
+def test_the_toy_fetches_as_it_is_typed(process, wait_until):
+    pack, toy, fetch = TOY
+    packed = process("bash", "-c", pack)
+    wait_until(lambda: packed.poll() is not None, "the end of the packing")
+    assert (packed.returncode, 'pack done: {"parts": [2, 3], "mass": 3.8}' in packed.out.read_text()) == (0, True)
+    robot = process("bash", "-c", toy)
+    wait_until(lambda: "offers" in robot.out.read_text(), "the toy")
+    fetched = process("bash", "-c", fetch)
+    wait_until(lambda: fetched.poll() is not None, "the end of the task")
+    assert (fetched.returncode, 'fetch done: {"width": 0.02}' in fetched.out.read_text()) == (0, True)
+    told = [line.removeprefix("toy_robot: ") for line in robot.out.read_text().splitlines()]
+    assert told[1:] == [
+        "gripper at 0.040 m",
+        "arm at [0.4, -1.2, 0.8] rad",
+        "gripper at 0.020 m, holds the part",
+        "arm at [0.0, -0.6, 0.6] rad",
+    ]
+
+
+def test_the_readme_begins_with_the_packing():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^scripts/.*", readme, re.MULTILINE)[1] == TOY[0]
 
 
 @pytest.mark.parametrize("text", [text for text in LINES if text.split()[0] in ("verify", "simulate")])
