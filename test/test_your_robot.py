@@ -19,9 +19,16 @@ LINES = [line.removeprefix("scripts/im pnt ") for line in TYPED if "my_robot/" i
 
 
 @pytest.fixture
-def robot(process, tmp_path):
+def robot_process(process, tmp_path, wait_until):
+    """The robot, whose servers are there."""
+    child = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+    wait_until(lambda: "ready" in child.out.read_text(), "the robot")
+    return child
+
+
+@pytest.fixture
+def robot(robot_process, tmp_path):
     """The folder in which the robot tells what it does."""
-    process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
     return tmp_path
 
 
@@ -199,12 +206,19 @@ def test_results_that_nobody_could_be_told_fail_the_command_with_a_sentence(
     assert (command.returncode, f"count failed: {told}" in command.out.read_text()) == (1, True)
 
 
-def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(process, line, tmp_path, wait_until):
-    robot = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+def test_a_robot_that_is_not_there_is_said_to_be_missing(line, wait_until):
+    command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    told = command.out.read_text()
+    assert command.returncode == 1
+    assert "fetch failed: nobody offers the action /gripper_controller/gripper_cmd in ROS domain" in told
+
+
+def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(robot_process, line, tmp_path, wait_until):
     (tmp_path / "hold").write_text("0.04")
     command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
     wait_until(lambda: done(tmp_path, "held"), "the gripper to begin to open")
-    robot.kill()
+    robot_process.kill()
     wait_until(lambda: command.poll() is not None, "the end of the task")
     told = command.out.read_text()
     assert command.returncode == 1
