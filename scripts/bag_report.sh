@@ -3,6 +3,7 @@
 # what), events that were not recorded, and how long each action took beside what its net expects.
 #
 #   scripts/bag_report.sh bags/demo
+#   scripts/bag_report.sh bags/demo --all                     every line of every table, topics without messages too
 #   scripts/bag_report.sh bags/demo --picture mission.svg     the time line drawn, .svg or .png
 #
 # A bag whose recorder was killed is completed before. No machine is needed.

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# Publishes the messages of a bag on their topics, at the pace at which they came. Do it without a running machine,
-# or in another ROS_DOMAIN_ID: the topics would mix. With --recalibrate it publishes nothing: it computes a calibration
-# of the bag again, and puts it beside the recorded one.
+# Publishes the messages of a bag on their topics, at the pace at which they came. Where a machine runs in this
+# ROS_DOMAIN_ID, on whatever host, it refuses: the topics would mix. With --recalibrate it publishes nothing: it computes
+# a calibration of the bag again, and puts it beside the recorded one.
 #
 #   scripts/replay.sh bags/20260131-142501
 #   scripts/replay.sh my_bag --rate 4                     four times as fast
 #   scripts/replay.sh my_bag --topics /joint_states /tf   only these
 #   scripts/replay.sh my_bag --start 90 --loop --paused   from the 90th second on, again and again; space begins
 #   scripts/replay.sh my_bag --remap /tf:=/old/tf --clock under another name; the time of the bag on /clock
+#   scripts/replay.sh my_bag --force                      even onto the topics of a running machine
 #   scripts/replay.sh my_bag --recalibrate                the calibration again, from the recorded spots
 #   scripts/replay.sh my_bag --recalibrate --from images  from the recorded images: the spots are found again
 #   scripts/replay.sh my_bag --recalibrate --cameras ceiling_left --lens-model equidistant -o mine   a new one
@@ -22,9 +23,9 @@
 # before the place where it begins is published first. A bag whose recorder was killed is completed before. Topics that
 # steer a machine (/im/phase, /im/task_status, tokens between nets, /left/joint_trajectory, /left/command/setpoints) and
 # the events of services are published only if they are named.
-# Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed; with
-# --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new ones; with
-# --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.
+# Exit codes: 0 replayed (Ctrl-C ends it early), 2 bad usage, no such bag or topic, a type that has changed, a machine
+# runs here; with --recalibrate also 1: not the same numbers though nothing was changed, or a verdict against the new
+# ones; with --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 doing=""

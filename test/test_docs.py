@@ -5,11 +5,14 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from catkin_pkg.package import parse_package
 
 from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
+OTHERS = ("im_cell", "im_mcs", "im_sim")
 EVIDENCE = sorted((ROOT / "docs" / "evidence").glob("*.md"))
+PACKAGES = [path for path in (ROOT / "ros_ws").glob("*/*/package.xml") if path.parent.name not in OTHERS]
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), *EVIDENCE, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 
@@ -82,3 +85,14 @@ def test_commits_are_in_the_history():
     command = ["git", "cat-file", "--batch-check"]
     told = subprocess.run(command, cwd=ROOT, input="\n".join(sorted(named)), capture_output=True, text=True, check=True)
     assert not [line for line in told.stdout.splitlines() if " commit " not in line]
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.parent.name)
+def test_the_maintainers_are_those_of_the_licence_at_no_example_address(package):
+    """The domain that RFC 2606 reserves for it stands for no address; ``catkin_pkg`` accepts it."""
+    (holder,) = re.findall(r"^Copyright \(c\) \d+ (.+)$", (ROOT / "LICENSE").read_text(), re.MULTILINE)
+    (maintainer,) = parse_package(package).maintainers
+    assert (maintainer.name, "example" in maintainer.email) == (holder, False)
+    setup = package.parent / "setup.py"
+    if setup.exists():
+        assert f'maintainer="{holder}",\n    maintainer_email="{maintainer.email}"' in setup.read_text()

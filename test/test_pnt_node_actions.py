@@ -1,6 +1,7 @@
 """Service calls, action goals and data objects as parts of transitions; nets that are refused at load."""
 
 import json
+import os
 import re
 import threading
 
@@ -32,6 +33,7 @@ from im_pnt.model.action import GoalAction
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_node.ros.commands import notes
+from im_pnt_node.ros.execution.actions import SETTLING_S
 from im_pnt_node.ros.execution.goals import GoalActions
 from im_pnt_node.ros.messages import RosTypes
 from im_pnt_node.ros.node import PntNode
@@ -56,7 +58,7 @@ transitions:
   ended:
     {in: ready, out: idle,
      emit: [switch_done, slow_done, move_done, shout_done, follow_done, hear_done, sense_done, read_done, last_done,
-            until_done]}
+            until_done, elsewhere_done]}
   move:
     {in: idle, out: ready, symbol: move, on_failure: trouble,
      goal: {name: /hardware/move, type: im_msgs/action/Move, build: path}}
@@ -74,6 +76,9 @@ transitions:
   absent:
     {in: idle, out: ready, symbol: absent, on_failure: trouble,
      goal: {name: /nowhere/move, type: im_msgs/action/Move}}
+  elsewhere:
+    {in: idle, out: ready, symbol: elsewhere, on_failure: trouble,
+     goal: {name: /elsewhere/follow, type: control_msgs/action/FollowJointTrajectory}}
   follow:
     {in: idle, out: ready, symbol: follow, on_failure: trouble,
      goal: {name: /hardware/follow, type: control_msgs/action/FollowJointTrajectory}}
@@ -441,10 +446,34 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
     assert hardware.refusals == -1
 
 
-def test_an_action_that_is_not_there_is_named(machine, monkeypatch):
+def test_an_action_that_nobody_offers_is_named_at_once(machine):
+    message = run(machine[0], "absent").status.message
+    assert message == f"nobody offers the action /nowhere/move in ROS domain {os.environ['ROS_DOMAIN_ID']}"
+
+
+def test_a_server_that_was_there_is_waited_for_also_before_it_was_needed(machine, wait_until):
+    node, hardware, _, _ = machine
+    name, kind = "/elsewhere/follow", "control_msgs/action/FollowJointTrajectory"
+    server = node._runner._kinds[GoalAction].prepare(GoalAction(name, kind))
+    first = ActionServer(hardware, FollowJointTrajectory, name, hardware._trajectory)
+    wait_until(lambda: server.found, "the server")
+    first.destroy()
+    wait_until(lambda: not server.ready(), "the server to go")
+    _, outcomes = begin(node, "elsewhere")
+    clock.sleep(1.5 * SETTLING_S)
+    assert outcomes == []
+    second = ActionServer(hardware, FollowJointTrajectory, name, hardware._trajectory)
+    wait_until(lambda: outcomes, "the end of the command")
+    second.destroy()
+    assert outcomes[0].success
+
+
+@pytest.mark.parametrize("waits", [True, False])
+def test_who_goes_on_after_a_death_waits_for_servers_that_may_have_died_too(machine, monkeypatch, waits):
     monkeypatch.setattr("im_pnt_node.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)
-    outcome = run(machine[0], "absent")
-    assert "the action /nowhere/move is not there" in outcome.status.message
+    monkeypatch.setattr(machine[0]._runner.surroundings, "waits_for_all", waits)
+    message = run(machine[0], "absent").status.message
+    assert ("the action /nowhere/move is not there" in message) == waits
 
 
 def test_a_data_place_is_marked_only_if_the_object_is_valid_and_unmarked_when_it_is_not_any_more(machine, wait_until):

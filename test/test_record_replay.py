@@ -18,10 +18,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rclpy.action import CancelResponse
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
@@ -35,6 +35,7 @@ from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
 from im_core.ros.interfaces import interface_class, message_class
 from im_core.ros.node import ManagedNode
+from im_core.startup import PHASE_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing
 
@@ -137,6 +138,26 @@ def test_replay_publishes_the_same_on_the_same_topics(recorded, ros, script, wai
     with BagReader(path) as bag:
         assert times[-1].clock.sec >= bag.begin_ns // 10**9
         assert [bytes(data) for data in events] == [data for _, _, data in bag.messages(["/events"])]
+
+
+def test_a_bag_is_not_mixed_with_a_machine_unless_told_to(ros, script, tmp_path):
+    """No record of this host tells of the machine: it may run on another one."""
+    bag = BagWriter(tmp_path / "bag")
+    bag.add_topic("/tf", "tf2_msgs/msg/TFMessage", Delivery(True, False, 10), "")
+    bag.write("/tf", 1, serialize_message(TFMessage()), 1, 1)
+    bag.close()
+    machine, got = Node("bootstrap"), []
+    machine.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
+    machine.create_subscription(TFMessage, "/tf", got.append, 10)
+    ros(machine)
+    done = script("replay", tmp_path / "bag")
+    assert (done.returncode, got) == (2, [])
+    assert done.stderr == (
+        f"replay: a machine runs in ROS domain {os.environ['ROS_DOMAIN_ID']} (/bootstrap, with 0 other nodes); "
+        "set another ROS_DOMAIN_ID, stop the machine, or mix the topics with --force\n"
+    )
+    done = script("replay", tmp_path / "bag", "--force")
+    assert (done.returncode, "replay: 1 messages published" in done.stdout) == (0, True), done.stderr
 
 
 def test_sigterm_closes_the_bag_too(recorder, ros, wait_until, tmp_path):

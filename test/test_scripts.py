@@ -44,7 +44,10 @@ def test_the_command_line_teaches_and_refuses_what_it_does_not_know():
         assert (done.returncode, done.stderr) == (0, "")
         assert "scripts/im recover" in done.stdout
     done = im("recovr")
-    assert (done.returncode, done.stderr) == (2, "im: there is no subcommand recovr; there are: dom pnt recover run\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "im: there is no subcommand recovr; there are: doctor dom pnt recover run\n",
+    )
 
 
 def test_recover_helps_and_says_that_no_machine_runs():

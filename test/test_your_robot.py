@@ -13,13 +13,22 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "your_robot.md").read_text(encoding="utf-8")
 FILES = ROOT / "docs" / "nets" / "your_robot"
 FETCHED = ["gripper 0.04", "arm [0.4, -1.2, 0.8]", "gripper 0.01", "arm [0.0, -0.6, 0.6]"]
-LINES = re.findall(r"^\$ scripts/im pnt (.*)$", PAGE, re.MULTILINE)
+TYPED = re.findall(r"^\$ (.*)$", PAGE, re.MULTILINE)
+TOY = re.findall(r"^\$ (.*)$", PAGE.partition("## First with a toy\n")[2].partition("\n## ")[0], re.MULTILINE)
+LINES = [line.removeprefix("scripts/im pnt ") for line in TYPED if "my_robot/" in line.replace("your_robot/", "")]
 
 
 @pytest.fixture
-def robot(process, tmp_path):
+def robot_process(process, tmp_path, wait_until):
+    """The robot, whose servers are there."""
+    child = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+    wait_until(lambda: "ready" in child.out.read_text(), "the robot")
+    return child
+
+
+@pytest.fixture
+def robot(robot_process, tmp_path):
     """The folder in which the robot tells what it does."""
-    process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
     return tmp_path
 
 
@@ -62,7 +71,32 @@ transitions:
 def test_the_page_shows_the_files():
     pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(nets/your_robot/\1\)\n```\w+\n(.*?)```"
     shown = dict(re.findall(pattern, PAGE, re.DOTALL))
-    assert shown == {file.name: file.read_text(encoding="utf-8") for file in FILES.glob("*.*")}
+    linked = FILES / "toy_robot.py"
+    assert shown == {file.name: file.read_text(encoding="utf-8") for file in {*FILES.glob("*.*")} - {linked}}
+
+
+def test_the_toy_fetches_as_it_is_typed(process, wait_until):
+    pack, toy, fetch = TOY
+    packed = process("bash", "-c", pack)
+    wait_until(lambda: packed.poll() is not None, "the end of the packing")
+    assert (packed.returncode, 'pack done: {"parts": [2, 3], "mass": 3.8}' in packed.out.read_text()) == (0, True)
+    robot = process("bash", "-c", toy)
+    wait_until(lambda: "offers" in robot.out.read_text(), "the toy")
+    fetched = process("bash", "-c", fetch)
+    wait_until(lambda: fetched.poll() is not None, "the end of the task")
+    assert (fetched.returncode, 'fetch done: {"width": 0.02}' in fetched.out.read_text()) == (0, True)
+    told = [line.removeprefix("toy_robot: ") for line in robot.out.read_text().splitlines()]
+    assert told[1:] == [
+        "gripper at 0.040 m",
+        "arm at [0.4, -1.2, 0.8] rad",
+        "gripper at 0.020 m, holds the part",
+        "arm at [0.0, -0.6, 0.6] rad",
+    ]
+
+
+def test_the_readme_begins_with_the_packing():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^scripts/.*", readme, re.MULTILINE)[1] == TOY[0]
 
 
 @pytest.mark.parametrize("text", [text for text in LINES if text.split()[0] in ("verify", "simulate")])
@@ -172,12 +206,19 @@ def test_results_that_nobody_could_be_told_fail_the_command_with_a_sentence(
     assert (command.returncode, f"count failed: {told}" in command.out.read_text()) == (1, True)
 
 
-def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(process, line, tmp_path, wait_until):
-    robot = process(sys.executable, ROOT / "test" / "support" / "robot.py", tmp_path)
+def test_a_robot_that_is_not_there_is_said_to_be_missing(line, wait_until):
+    command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
+    wait_until(lambda: command.poll() is not None, "the end of the task")
+    told = command.out.read_text()
+    assert command.returncode == 1
+    assert "fetch failed: nobody offers the action /gripper_controller/gripper_cmd in ROS domain" in told
+
+
+def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(robot_process, line, tmp_path, wait_until):
     (tmp_path / "hold").write_text("0.04")
     command = line(next(text for text in LINES if "--symbol" in text and "--journal" not in text))
     wait_until(lambda: done(tmp_path, "held"), "the gripper to begin to open")
-    robot.kill()
+    robot_process.kill()
     wait_until(lambda: command.poll() is not None, "the end of the task")
     told = command.out.read_text()
     assert command.returncode == 1

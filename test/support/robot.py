@@ -72,6 +72,7 @@ def main() -> None:
     rclpy.init()
     executor = MultiThreadedExecutor()
     executor.add_node(Robot(Path(sys.argv[1])))
+    print("ready", flush=True)
     try:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -14,7 +14,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Recordings of ROS messages: written, completed, read, played",
     license="MIT",
     entry_points={

@@ -15,7 +15,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Deployment, bootstrap, task registry, start and stop of the Intelligent Machine",
     license="MIT",
     entry_points={
@@ -23,6 +23,7 @@ setup(
             "agent=im_bringup.ros.agent:main",
             "bootstrap=im_bringup.ros.launch:main",
             "data_objects=im_bringup.ros.data_objects:main",
+            "doctor=im_bringup.machine.doctor:main",
             "interfaces=im_bringup.ros.interfaces:main",
             "recover=im_bringup.ros.recover:main",
             "run=im_core.executables:main",

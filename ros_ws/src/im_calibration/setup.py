@@ -14,7 +14,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Camera calibration: where cameras are and how they image, with covariance and verdicts",
     license="MIT",
     entry_points={

@@ -14,7 +14,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="The Data Object Manager: globally available data, each object with its validity.",
     license="MIT",
     entry_points={

@@ -15,7 +15,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Petri net transducers in execution: nets from YAML and PNML, and executed",
     license="MIT",
 )

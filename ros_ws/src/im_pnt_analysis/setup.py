@@ -14,7 +14,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Analysis of Petri net transducers: verification, structure, timed nets, simulation, the command pnt",
     license="MIT",
     entry_points={

@@ -15,7 +15,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="The Vision Services System: cameras, spot finding and camera calibration as vision services.",
     license="MIT",
     entry_points={

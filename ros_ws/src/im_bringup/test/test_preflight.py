@@ -1,6 +1,7 @@
 """What this host lacks is said in one sentence before anything starts."""
 
 import os
+import re
 import resource
 import shutil
 import subprocess
@@ -10,7 +11,7 @@ from collections import namedtuple
 
 import pytest
 
-from im_bringup.machine import machine_state, preflight, start
+from im_bringup.machine import doctor, machine_state, preflight, start
 from im_bringup.tasks import deployment
 from im_core import names
 from im_core.errors import ImError
@@ -24,6 +25,8 @@ def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path / "results"))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for variable in ("ROS_DISCOVERY_SERVER", "RMW_IMPLEMENTATION"):
+        monkeypatch.delenv(variable, raising=False)
 
 
 @pytest.fixture
@@ -43,7 +46,7 @@ def with_free(monkeypatch, **free):
 def test_a_host_that_has_it_all(default, monkeypatch, tmp_path):
     with_free(monkeypatch)
     preflight.check_host()
-    preflight.check_shared_memory(default)
+    preflight.shared_memory_check(default).require()
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["results", "ros", "run"]
 
 
@@ -60,12 +63,14 @@ def test_full_shared_memory(default, monkeypatch):
     with_free(monkeypatch, shm=3 * 2**20)
     words = r"^/dev/shm has 3 MiB free, and the machine needs \d+ MiB .*; nothing was started$"
     with pytest.raises(ImError, match=words):
-        preflight.check_shared_memory(default)
+        preflight.shared_memory_check(default).require()
 
 
 def test_a_full_disk(monkeypatch):
     with_free(monkeypatch, results=2**20)
-    with pytest.raises(ImError, match=r"results has 1 MiB free, and 16 MiB are needed; nothing was started$"):
+    with pytest.raises(
+        ImError, match=r"results has 1 MiB free, and 16 MiB are needed; make room, .*; nothing was started$"
+    ):
         preflight.check_host()
 
 
@@ -74,7 +79,7 @@ def test_a_file_system_that_takes_no_more_files(monkeypatch, full):
     told = namedtuple("Told", "f_files f_favail")
     with_free(monkeypatch)
     monkeypatch.setattr(os, "statvfs", lambda path: told(1000, 5 if full in path.parts else 500))
-    with pytest.raises(ImError, match=rf"{full} takes 5 files more, and 128 are needed; nothing was started$"):
+    with pytest.raises(ImError, match=rf"{full} takes 5 files more, and 128 are needed; .*; nothing was started$"):
         preflight.check_host()
     monkeypatch.setattr(os, "statvfs", lambda path: told(0, 0))  # btrfs has as many as it likes
     preflight.check_host()
@@ -84,7 +89,8 @@ def test_a_file_system_that_takes_no_more_files(monkeypatch, full):
 def test_a_folder_that_cannot_be_made(monkeypatch, tmp_path, variable):
     (tmp_path / "file").touch()
     monkeypatch.setenv(variable, str(tmp_path / "file" / "folder"))
-    with pytest.raises(ImError, match=r"file/folder cannot be made: Not a directory; nothing was started$"):
+    words = rf"file/folder cannot be made: Not a directory; .* set {variable} to another folder; nothing was started$"
+    with pytest.raises(ImError, match=words):
         preflight.check_host()
 
 
@@ -93,7 +99,9 @@ def test_no_folder_for_temporary_files(monkeypatch):
         raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
-    with pytest.raises(ImError, match=r"^no folder for temporary files is writable; nothing was started$"):
+    with pytest.raises(
+        ImError, match=r"^no folder for temporary files is writable; set TMPDIR to another folder; nothing was started$"
+    ):
         preflight.check_host()
 
 
@@ -124,8 +132,65 @@ def test_what_cannot_be_written_is_one_sentence_of_start_whatever_is_left_there(
     if done.returncode == 77 or "unshare" in done.stderr:
         pytest.skip("this process may not mount a file system of its own")
     (said,) = done.stderr.splitlines()
-    assert said == f"start: {read_only} cannot be written: Read-only file system; nothing was started"
+    assert said.startswith(f"start: {read_only} cannot be written: Read-only file system; ")
+    assert said.endswith("; nothing was started")
     assert (done.returncode, done.stdout) == (1, "")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "sentence"),
+    [
+        (
+            "ROS_DISCOVERY_SERVER",
+            "10.0.0.1:11811",
+            "ROS_DISCOVERY_SERVER is 10.0.0.1:11811: nodes ask only this server for each other; "
+            "'unset ROS_DISCOVERY_SERVER' mends it",
+        ),
+        (
+            "RMW_IMPLEMENTATION",
+            "rmw_cyclonedds_cpp",
+            "RMW_IMPLEMENTATION is rmw_cyclonedds_cpp, which is not installed (installed: rmw_fastrtps_cpp); "
+            "'unset RMW_IMPLEMENTATION' mends it",
+        ),
+    ],
+)
+def test_an_environment_in_which_nobody_is_found(monkeypatch, tmp_path, capsys, variable, value, sentence):
+    index = tmp_path / "share/ament_index/resource_index/rmw_typesupport"
+    index.mkdir(parents=True)
+    for name in ("rmw_implementation", "rmw_fastrtps_cpp"):
+        (index / name).touch()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
+    with_free(monkeypatch)
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(ImError, match=rf"^{re.escape(sentence)}; nothing was started$"):
+        preflight.check_host()
+    monkeypatch.setattr("sys.argv", ["doctor"])
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1000 + os.getpid() % 100_000))  # of no machine
+    assert doctor.main() == 1
+    told = capsys.readouterr().out.splitlines()
+    assert [line.partition(": FAULT: ")[2] for line in told if ": FAULT: " in line] == [sentence]
+    monkeypatch.setenv(variable, "rmw_fastrtps_cpp" if variable.startswith("RMW") else "")
+    assert doctor.main() == 0
+    assert all(line.endswith(": ok") for line in capsys.readouterr().out.splitlines())
+
+
+def test_a_loopback_interface_that_is_down():
+    """As it is in a network of one's own."""
+    done = subprocess.run(
+        ["unshare", "--map-root-user", "--net", sys.executable, "-m", "im_bringup.machine.start", "--timeout", "1"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    if "unshare" in done.stderr:
+        pytest.skip("this process may not have a network of its own")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert re.fullmatch(
+        r"start: the loopback interface does not work \(.*\), over which nodes find each other; "
+        r"'sudo ip link set lo up' mends it; nothing was started\n",
+        done.stderr,
+    )
 
 
 @pytest.fixture
@@ -141,13 +206,18 @@ def limits(monkeypatch):
 
 def test_too_few_open_files(limits):
     limits["limits"] = (64, 64)
-    with pytest.raises(ImError, match=r"may open 64 files here \(ulimit -n\), and up to 256 are needed; nothing"):
+    with pytest.raises(
+        ImError, match=r"may open 64 files here \(ulimit -n\), and up to 256 are needed; an administrator .*; nothing"
+    ):
         preflight.check_host()
 
 
 def test_a_limit_of_the_size_of_files(monkeypatch):
     monkeypatch.setattr(resource, "getrlimit", lambda _: (102_400, resource.RLIM_INFINITY))
-    with pytest.raises(ImError, match=r"^a file may have 0.098 MiB here \(ulimit -f\), and 32 MiB are needed; nothing"):
+    words = (
+        r"^a file may have 0.098 MiB here \(ulimit -f\), and 32 MiB are needed; 'ulimit -f unlimited' lifts it; nothing"
+    )
+    with pytest.raises(ImError, match=words):
         preflight.check_host()
 
 

@@ -176,6 +176,7 @@ def test_commands_are_named_by_name_file_or_folder(folder: Path) -> None:
     ("name", "message"),
     [
         ("mve", "did you mean 'move'"),
+        ("nets", r"there is no command that is shipped 'nets' .*; a folder of net files is meant by \./nets$"),
         ("./nothing.yaml", "nothing.yaml: there is no such net file"),
         ("/proc/self/fd", "there is no net file"),
         ("", "no command is named: give net files, folders of them, shipped, or names of calibrate_camera, "),

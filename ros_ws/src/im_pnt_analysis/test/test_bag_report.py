@@ -49,13 +49,20 @@ def types():
 
 @pytest.fixture
 def bag(tmp_path):
+    return recorded(tmp_path / "bag", EVENTS)
+
+
+def recorded(folder, events, silent=()):
+    """A bag with events of the net, and topics without messages."""
     store = types()
     firing, described = (store.types[f"im_msgs/msg/{name}"] for name in ("Firing", "NetDescription"))
     time = store.types["builtin_interfaces/msg/Time"]
     told = json.dumps(
         {"net": "job_net", "description": "", "symbols": ["job"], "services": [], "yaml": JOB, "journal": False}
     )
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for topic in silent:
+            writer.add_connection(topic, firing.__msgtype__, typestore=store)
 
         def send(topic, seconds, message):
             connection = next((each for each in writer.connections if each.topic == topic), None)
@@ -64,7 +71,7 @@ def bag(tmp_path):
             writer.write(connection, round((1000.0 + seconds) * 1e9), data)
 
         send("/pnt/nets", 9.0, described(net="job_net", node="/n", json=told))
-        for number, event in enumerate(EVENTS, 1):
+        for number, event in enumerate(events, 1):
             if event is None:
                 continue
             seconds, transition, phase = event
@@ -73,7 +80,7 @@ def bag(tmp_path):
             names = {"net": "job_net", "transition": transition, "sequence": number, "phase": phase, "command_id": 3}
             send("/pnt/firings", seconds, firing(stamp=stamp, **names, **given))
         send("/pnt/nets", 20.0, described(net="job_net", node="/n", json=""))  # it was unloaded
-    return tmp_path / "bag"
+    return folder
 
 
 def test_starts_and_ends_are_joined_and_say_after_what(bag):
@@ -111,6 +118,21 @@ def test_the_command_prints_and_draws(bag, capsys, tmp_path):
     assert "10.000       4.000  FAILED  #3 job_net.work  after read" in printed
     assert "net job_net: events 8 to 8 were not recorded" in printed
     assert "<svg" in (tmp_path / "mission.svg").read_text()
+
+
+def test_of_a_long_bag_the_ends_are_printed_and_what_is_left_out_is_counted(tmp_path, capsys):
+    events = [(float(number), "read", phase) for number in range(100) for phase in (START, END)]
+    long = str(recorded(tmp_path / "bag", events, [f"/silent_{number}" for number in range(110)]))
+    assert main(["bag", long]) == OK
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) < 90
+    assert printed[:2] == ["CONTENTS", "110 topics without messages (--all)"]
+    assert {"... 40 firings more (--all)"} < set(printed)
+    begun = [line.split()[0] for line in printed if "job_net.read" in line]
+    assert begun == [f"{number}.000" for number in (*range(30), *range(70, 100))]
+    assert main(["bag", long, "--all"]) == OK
+    printed = capsys.readouterr().out
+    assert (printed.count("/silent_"), printed.count("job_net.read"), "--all" in printed) == (110, 100, False)
 
 
 def test_a_bag_without_firings_is_refused_in_a_sentence(tmp_path, capsys):

@@ -1,6 +1,8 @@
 import json
+import re
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -27,6 +29,33 @@ def test_verify_says_why_a_net_is_refused(tmp_path, capsys):
     assert "bad: REFUSED" in out
     assert "it is stuck with b=1" in out
     assert "after       t" in out
+
+
+def test_the_verdict_on_the_net_of_the_readme_fits_a_screen(capsys):
+    root = Path(__file__).resolve().parents[4]
+    (net,) = re.findall(r"^scripts/im pnt verify (ros_ws/\S+)", (root / "README.md").read_text(), re.MULTILINE)
+    assert main(["verify", str(root / net)]) == OK
+    verdict = capsys.readouterr().out.splitlines()
+    assert verdict[0] == "calibrate_camera: verified"
+    assert len(verdict) <= 12
+    assert max(map(len, verdict)) < 120
+    (left_out,) = (re.findall(r"\d+", line) for line in verdict if "left out" in line)
+    assert main(["verify", str(root / net), "--all"]) == OK
+    everything = capsys.readouterr().out.splitlines()
+    assert "--all" not in "".join(everything)
+    assert len(everything) == len(verdict) - 1 + sum(map(int, left_out))
+
+
+def test_of_several_refusals_the_first_is_told_and_the_others_are_counted(tmp_path, capsys):
+    file = tmp_path / "bad.yaml"
+    transitions = "{fill: {in: a, out: [a, c]}, grow: {in: a, out: [a, b]}}"
+    file.write_text(f"net: bad\nplaces: {{a: 1, b: , c: {{capacity: 1}}}}\ntransitions: {transitions}\n")
+    assert main(["verify", str(file)]) == REFUSED
+    told = capsys.readouterr().out
+    assert told.count("  refused  ") == 1
+    assert "left out      1 refusal, 1 invariant (--all)" in told
+    assert main(["verify", str(file), "--all"]) == REFUSED
+    assert capsys.readouterr().out.count("  refused  ") == 2
 
 
 def test_bad_input_is_one_sentence_with_file_and_line(tmp_path, capsys):

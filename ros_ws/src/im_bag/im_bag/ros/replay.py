@@ -21,6 +21,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosgraph_msgs.msg import Clock
 
 from im_bag import BagReader, BagWriter, chosen_topics
@@ -30,12 +31,13 @@ from im_bag.raw import changed_type
 from im_bag.ros.recorder import check_topic_name, to_profile
 from im_core import clock
 from im_core.end_signals import heed_end_signals
-from im_core.errors import DataError, ImError, NotFoundError
+from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.options import NumberParser
 from im_core.output import complain, say
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import message_class
+from im_core.startup import PHASE_TOPIC
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
 DISCOVERY_S = 1.0
@@ -48,7 +50,7 @@ _CLOCK = "/clock"
 #: What the nets of a mission are run again from, and what shows them.
 MISSION_TOPICS = ("/pnt/events", "/pnt/nets", "/pnt/firings", "/pnt/markings")
 #: Options of what is published, which --extract does not go with.
-_PUBLISHING = ("rate", "start", "loop", "paused", "clock", "remap")
+_PUBLISHING = ("rate", "start", "loop", "paused", "clock", "force", "remap")
 _ARROWS = {"\x1b[D": "left", "\x1b[C": "right"}
 #: A key as a terminal tells it: several characters where it is none of a text, or Esc alone.
 _KEY = re.compile(r"\x1b\[[0-9;]*[^0-9;\x1b]|.", re.DOTALL)
@@ -63,13 +65,16 @@ class Replay:
         bag: The bag.
         topics: Topics to play; none has a type that is not known here.
         names: Other names for some of them.
+        force: Play even where a machine runs in the ROS domain.
 
     Raises:
         DataError: A type has another definition here than when it was recorded, or a name is of another type.
     """
 
-    def __init__(self, node: Node, bag: BagReader, topics: Sequence[str], names: Mapping[str, str]) -> None:
-        self._node = node
+    def __init__(
+        self, node: Node, bag: BagReader, topics: Sequence[str], names: Mapping[str, str], force: bool = False
+    ) -> None:
+        self._node, self._force = node, force
         self.controls = Controls()
         self._publishers: dict[str, Publisher] = {}
         for topic in topics:
@@ -96,8 +101,14 @@ class Replay:
             self._told_ns = stamp_ns
 
     def play(self, playback: Playback) -> int:
-        """Publish all messages of a playback; return the number of messages."""
+        """Publish all messages of a playback; return the number of messages.
+
+        Raises:
+            StateError: A machine runs in the ROS domain, on this host or another; nothing was published.
+        """
         self._await_subscribers()
+        if not self._force:
+            self._require_no_machine()
         count = 0
         for topic, stamp_ns, data in playback.messages():
             self.tell_time(stamp_ns)
@@ -115,12 +126,25 @@ class Replay:
         here = {
             str(end.topic_type_hash)
             for end in self._node.get_publishers_info_by_topic(name)
-            if end.node_name == self._node.get_name() and end.topic_type == bag.types[topic]
+            if self._is_own(end) and end.topic_type == bag.types[topic]
         }
         if not recorded or not here:
             bag.check_definition(topic)
         elif recorded not in here:
             raise changed_type(topic, bag.types[topic])
+
+    def _require_no_machine(self) -> None:
+        """Refuse to mix a bag with the topics of a machine, known by the publisher of its phase."""
+        leaders = [end for end in self._node.get_publishers_info_by_topic(PHASE_TOPIC) if not self._is_own(end)]
+        if leaders:
+            others = len(self._node.get_node_names()) - 1 - len(leaders)
+            machine = f"a machine runs in ROS domain {self._node.context.get_domain_id()}"
+            leader = f"{leaders[0].node_namespace.rstrip('/')}/{leaders[0].node_name}, with {others} other nodes"
+            remedy = "set another ROS_DOMAIN_ID, stop the machine, or mix the topics with --force"
+            raise StateError(f"{machine} ({leader}); {remedy}")
+
+    def _is_own(self, end: TopicEndpointInfo) -> bool:
+        return bool(end.node_name == self._node.get_name())
 
     def _await_subscribers(self) -> None:
         began = clock.monotonic()
@@ -267,6 +291,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--paused", action="store_true", help="begin paused")
     parser.add_argument("--clock", action="store_true", help="publish the time of the bag on /clock")
+    parser.add_argument("--force", action="store_true", help="replay even where a machine runs: the topics mix")
     parser.add_argument("--remap", nargs="+", default=[], metavar="/OLD:=/NEW", help="publish topics under other names")
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="topics to publish (default: all but control)"
@@ -319,7 +344,7 @@ def main() -> int:
                 raise DataError(f"{arguments.bag} has no messages to replay")
             node = GuardedNode("replay")
             undo.callback(node.destroy_node)
-            replay = Replay(node, bag, topics, names)
+            replay = Replay(node, bag, topics, names, arguments.force)
             if arguments.clock:
                 replay.provide_clock()
             controls = replay.controls

@@ -1,11 +1,14 @@
-"""Checks of the local host before any start: free space, open files, writable folders."""
+"""Checks of the local host before any start: free space, open files, writable folders, discovery of nodes."""
 
 import os
 import re
 import resource
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
@@ -29,22 +32,74 @@ FILES = 128
 FILE_BYTES = 32 * 2**20
 
 _MIB = 2**20
+_SERVER, _RMW = "ROS_DISCOVERY_SERVER", "RMW_IMPLEMENTATION"
+_SHM_REMEDY = "scripts/stop.sh removes the files of killed machines; a container gets more room with --shm-size"
+
+
+@dataclass(frozen=True)
+class Check:
+    """Check of the local host, with the remedy for its fault.
+
+    Attributes:
+        name: Name of the check.
+        look: Function that raises the fault.
+        remedy: Clause with the remedy.
+    """
+
+    name: str
+    look: Callable[[], object]
+    remedy: str
+
+    def fault(self) -> ImError | None:
+        """Return the fault, with the remedy; None without a fault."""
+        try:
+            self.look()
+        except ImError as error:
+            return ImError.restored(error.code, f"{error.message}; {self.remedy}", error.facts)
+        return None
+
+    def require(self) -> None:
+        """Refuse to start on a host with the fault.
+
+        Raises:
+            ImError: The fault, in one sentence: found value, needed value, remedy.
+        """
+        if (fault := self.fault()) is not None:
+            raise ImError.restored("resources", f"{fault.message}; nothing was started", fault.facts)
+
+
+def host_checks() -> list[Check]:
+    """Return the checks that depend on no deployment."""
+    folders = {"IM_RUN_DIR": names.run_dir, "IM_RESULTS_DIR": names.results_dir, "ROS_LOG_DIR": _ros_logs}
+    rooms = [
+        Check(f"folder {variable}", partial(_check_folder, find), f"make room, or set {variable} to another folder")
+        for variable, find in folders.items()
+    ]
+    return [
+        Check("open files", _check_open_files, "an administrator raises it in /etc/security/limits.conf"),
+        Check("size of a file", _check_file_size, "'ulimit -f unlimited' lifts it"),
+        *rooms,
+        Check("temporary files", lambda: _check_writable(_temporary), "set TMPDIR to another folder"),
+        Check("files in shared memory", lambda: _check_files(_check_writable(lambda: SHM)), _SHM_REMEDY),
+        Check("discovery server", _check_discovery_server, f"'unset {_SERVER}' mends it"),
+        Check("loopback interface", _check_loopback, "'sudo ip link set lo up' mends it"),
+        Check("middleware", _check_middleware, f"'unset {_RMW}' mends it"),
+    ]
 
 
 def check_host() -> None:
-    """Check the local host for the open files and write access needed by the machine.
+    """Check the local host for everything needed by a machine, whatever its deployment.
 
     Raises:
-        ImError: Something is missing; one sentence that says what, how much is there and how much is needed.
+        ImError: The first fault, in one sentence.
     """
-    _check_open_files()
-    _check_file_size()
-    for find in (names.run_dir, names.results_dir, _ros_logs):
-        folder = _check_writable(find)
-        _check_room(folder)
-        _check_files(folder)
-    _check_writable(_temporary)
-    _check_files(_check_writable(lambda: SHM))
+    for check in host_checks():
+        check.require()
+
+
+def shared_memory_check(deployment: Deployment) -> Check:
+    """Return the check of the room in shared memory for the local host's processes of a deployment."""
+    return Check("room in shared memory", partial(_check_shared_memory, deployment), _SHM_REMEDY)
 
 
 def check_folder(folder: Path) -> None:
@@ -53,24 +108,49 @@ def check_folder(folder: Path) -> None:
     Raises:
         ImError: It cannot.
     """
-    _check_writable(lambda: files.make_folder(folder))
+    remedy = "remove it, or set IM_RUN_DIR to another folder"
+    Check(f"folder {folder}", lambda: _check_writable(lambda: files.make_folder(folder)), remedy).require()
 
 
-def check_shared_memory(deployment: Deployment) -> None:
-    """Check the room in shared memory for the local host's processes; leftovers of others are gone by then.
-
-    Args:
-        deployment: What is to be started.
-
-    Raises:
-        ImError: There is too little.
-    """
+def _check_shared_memory(deployment: Deployment) -> None:
     needed = shared_memory_bytes(len(deployment.on_host(deployment.local_host())))
     free = shutil.disk_usage(SHM).free
     if free < needed:
         there, least = f"{free / _MIB:.0f} MiB", f"{needed / _MIB:.0f} MiB"
-        sentence = f"{SHM} has {there} free, and the machine needs {least} there (in a container: --shm-size)"
-        raise _refused(sentence, free=free, needed=needed)
+        raise _refused(f"{SHM} has {there} free, and the machine needs {least} there", free=free, needed=needed)
+
+
+def _check_discovery_server() -> None:
+    if server := os.environ.get(_SERVER):
+        raise _refused(f"{_SERVER} is {server}: nodes ask only this server for each other", server=server)
+
+
+def _check_loopback() -> None:
+    """Send a datagram to itself over the loopback interface."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+            end.bind(("127.0.0.1", 0))
+            end.sendto(b"", end.getsockname())
+    except OSError as error:
+        sentence = f"the loopback interface does not work ({error.strerror}), over which nodes find each other"
+        raise _refused(sentence, reason=error.strerror) from error
+
+
+def _check_middleware() -> None:
+    """Look for the library named by the environment in the index of the installed packages."""
+    wanted = os.environ.get(_RMW)
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    index = [Path(prefix, "share/ament_index/resource_index/rmw_typesupport") for prefix in prefixes if prefix]
+    known = {path.name for folder in index for path in folder.glob("rmw_*")} - {"rmw_implementation"}
+    if wanted and wanted not in known:
+        installed = ", ".join(sorted(known)) or "none"
+        raise _refused(f"{_RMW} is {wanted}, which is not installed (installed: {installed})", wanted=wanted)
+
+
+def _check_folder(find: Callable[[], Path]) -> None:
+    folder = _check_writable(find)
+    _check_room(folder)
+    _check_files(folder)
 
 
 def shared_memory_bytes(processes: int) -> int:
@@ -145,7 +225,7 @@ def _check_files(folder: Path) -> None:
 
 
 def _refused(sentence: str, **facts: object) -> ImError:
-    return ImError(f"{sentence}; nothing was started", code="resources", **facts)
+    return ImError(sentence, code="resources", **facts)
 
 
 def _segment_bytes() -> int:

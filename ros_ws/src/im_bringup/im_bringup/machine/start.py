@@ -203,7 +203,7 @@ def start(
     several = len(deployment.hosts) > 1  # their journals would have to be of the same mission
     try:
         goes_on = clear_the_way(fresh or several)
-        preflight.check_shared_memory(deployment)
+        preflight.shared_memory_check(deployment).require()
         tidy(deployment)
         if said := reach(os.environ, deployment):
             say(f"start: {said}")

@@ -33,8 +33,7 @@ def net_files(named: Iterable[str]) -> list[Path]:
         named: ``shipped`` for all shipped commands, names of some, paths of net files, and of folders of them.
 
     Raises:
-        NotFoundError: There is no such command.
-        ConfigError: There is no such file or folder, or no net file in it; or nothing is named.
+        ConfigError: There is no such command, file or folder, or no net file in the folder; or nothing is named.
     """
     files: list[Path] = []
     for name in filter(None, (each.strip() for each in named)):
@@ -42,7 +41,8 @@ def net_files(named: Iterable[str]) -> list[Path]:
         if "/" not in name and not path.suffix:
             names = shipped() if name == SHIPPED else [name]
             if not set(names) <= set(shipped()):
-                raise NotFoundError(kind="command that is shipped", name=name, known=[SHIPPED, *shipped()])
+                missing = NotFoundError(kind="command that is shipped", name=name, known=[SHIPPED, *shipped()])
+                raise ConfigError(f"{missing.message}; a folder of net files is meant by ./{name}", name=name)
             found = [NETS / f"{each}.yaml" for each in names]
         elif path.is_dir():
             found = sorted(path.glob("*.yaml"))

@@ -38,6 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object with every answer")
     add = parser.add_argument
+    add("--all", action="store_true", help="print every refusal, invariant and assumption, not the verdict alone")
     add("--timeout", type=computing_seconds, default=60.0, metavar="S", help="CPU time for everything [s] (60)")
     add("--states", type=at_least(1), default=20_000_000, metavar="N", help="markings to list (20000000)")
     parser.add_argument(
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report.to_dict() | {"types": types}, indent=1))
     else:
-        print(readable(report) + (f"\n  {'types':<14}{types}" if types else ""))
+        print(readable(report, options.all) + (f"\n  {'types':<14}{types}" if types else ""))
     return OK if report.ok else REFUSED
 
 

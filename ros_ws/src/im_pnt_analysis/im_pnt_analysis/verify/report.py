@@ -1,6 +1,6 @@
 """The answers about nets, each with the method or with the reason of the absence."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from im_pnt.errors import VerificationError
@@ -211,14 +211,24 @@ ANSWERS = tuple(name for name in Report.__slots__ if name not in _NO_ANSWERS)
 _WIDTH = 14
 _NAMED = 12
 _ENDS = 20
-_SHOWN_FLOWS = 20
 
 
-def readable(report: Report) -> str:
-    """Return a report as lines of text."""
+def readable(report: Report, everything: bool = False) -> str:
+    """Return a report as lines of text.
+
+    Args:
+        report: The report.
+        everything: Print all refusals, invariants, assumptions and names, not only the verdict.
+    """
     verdict = "verified" if report.ok else "REFUSED" if report.refusals else "NOT VERIFIED"
     lines = [f"{'+'.join(report.nets)}: {verdict}"]
-    rows = [*_refusals(report), *_answers(report), *(("assumed", text) for text in report.assumptions)]
+    refusals = report.refusals if everything else report.refusals[:1]
+    rows = [*_refusals(refusals), *_answers(report, everything)]
+    if everything:
+        rows += [("invariant", _sum(flow)) for flow in report.p_semiflows or []]
+        rows += [("assumed", text) for text in report.assumptions]
+    elif left_out := _left_out(report):
+        rows.append(("left out", f"{left_out} (--all)"))
     last = ""
     for label, text in rows:
         lines.append(f"  {label if label != last else '':<{_WIDTH}}{text}")
@@ -227,16 +237,29 @@ def readable(report: Report) -> str:
     return "\n".join(lines)
 
 
+def _left_out(report: Report) -> str:
+    counts = {
+        "refusal": len(report.refusals) - 1,
+        "invariant": len(report.p_semiflows or []),
+        "assumption": len(report.assumptions),
+    }
+    return ", ".join(f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count > 0)
+
+
+def _sum(flow: dict[str, int]) -> str:
+    return " + ".join(f"{weight} {place}" if weight > 1 else place for place, weight in flow.items())
+
+
 def refusal_text(report: Report) -> str:
     """Return the refusal of nets in lines, without the other answers."""
     names = ", ".join(report.nets)
     lines = [f"nets {names} are refused:" if len(report.nets) > 1 else f"net {names} is refused:"]
-    lines += [f"  {label:<{_WIDTH}}{text}" for label, text in _refusals(report)]
+    lines += [f"  {label:<{_WIDTH}}{text}" for label, text in _refusals(report.refusals)]
     return "\n".join(lines)
 
 
-def _refusals(report: Report) -> Iterator[tuple[str, str]]:
-    for refusal in report.refusals:
+def _refusals(refusals: Sequence[Counterexample]) -> Iterator[tuple[str, str]]:
+    for refusal in refusals:
         yield "refused", refusal.reason
         yield from _way(refusal)
 
@@ -256,7 +279,7 @@ def _firings(sequence: tuple[str, ...]) -> str:
     return " -> ".join((*sequence[:_ENDS], left_out, *sequence[-_ENDS:]))
 
 
-def _answers(report: Report) -> Iterator[tuple[str, str]]:
+def _answers(report: Report, everything: bool) -> Iterator[tuple[str, str]]:
     def told(name: str, text: str | None = None) -> str:
         value = getattr(report, name)
         if value is None:
@@ -269,7 +292,7 @@ def _answers(report: Report) -> Iterator[tuple[str, str]]:
     most = "" if report.max_token_in_place is None else f", at most {report.max_token_in_place} in a place"
     yield "bounded", told("bounded", f"{'yes' if report.bounded else 'no'}{most}")
     if report.unbounded_places:
-        yield "  growing", _some(report.unbounded_places)
+        yield "  growing", _some(report.unbounded_places, everything)
     count = "" if not report.deadlock_states else f", {report.deadlock_states} markings"
     yield "deadlock", told("has_deadlock", f"{'yes' if report.has_deadlock else 'no'}{count}")
     yield "live", told("live")
@@ -277,14 +300,10 @@ def _answers(report: Report) -> Iterator[tuple[str, str]]:
     yield "returning", told("resources_return")
     if report.resources_held is not True or report.methods["resources_held"] != NOTHING_ACTS:
         yield "held", told("resources_held")
-    yield "never enabled", told("never_enabled", _some(report.never_enabled or []))
-    flows = report.p_semiflows or []
-    for flow in flows[:_SHOWN_FLOWS]:
-        yield "invariant", " + ".join(f"{weight} {place}" if weight > 1 else place for place, weight in flow.items())
-    if len(flows) > _SHOWN_FLOWS:
-        yield "invariant", f"and {len(flows) - _SHOWN_FLOWS} more (--json shows all)"
+    yield "never enabled", told("never_enabled", _some(report.never_enabled or [], everything))
 
 
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return (", ".join(names[:_NAMED]) or "none") + more
+def _some(names: list[str], everything: bool) -> str:
+    named = names if everything else names[:_NAMED]
+    more = f" and {len(names) - _NAMED} more (--all)" if len(names) > len(named) else ""
+    return (", ".join(named) or "none") + more

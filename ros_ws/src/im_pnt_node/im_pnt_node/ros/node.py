@@ -173,6 +173,7 @@ class PntNode(ManagedNode):
         self.detail = nets_sentence(self.exchange.nets)
         self.nets = {name: net_digest(yaml_text(each.written)) for name, each in self.exchange.nets.items()}
         goes_on = journal is not None and journal.start(self.exchange, self._transport.link, held)
+        self._runner.surroundings.waits_for_all = goes_on or not self.get_parameter("standalone").value
         self.commands.restore(journal.lost if journal else "", sync=self._journal_sync is Sync.DISK)
         if stopped:
             for command in self.commands.open():

@@ -15,7 +15,7 @@ from im_core.ros.calls import pause, wait
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.interfaces import interface_class
 from im_core.ros.node import ManagedNode
-from im_core.ros.servers import doubted
+from im_core.ros.servers import doubted, servers_of
 from im_core.ros.status import status_to_error
 from im_core.startup import patience_s
 from im_pnt.errors import NetError
@@ -36,6 +36,43 @@ LOOK_S, GONE_LOOKS = 0.5, 4
 SERVICE_TIMEOUT_S = 30.0
 
 
+ClientT = TypeVar("ClientT")
+
+
+class WatchedServer(Generic[ClientT]):
+    """Server of a name, sought by a client: once found it may go away and come back.
+
+    Args:
+        node: The node of the client.
+        client: The client.
+        ready: Whether the client has discovered a server.
+
+    Attributes:
+        client: The client.
+        made: When the search began (monotonic) [s].
+        found: Whether a server has been there.
+    """
+
+    def __init__(self, node: ManagedNode, client: ClientT, ready: Callable[[], bool]) -> None:
+        self.client, self.made, self.found = client, monotonic(), False
+        self._ready, self._alarms = ready, node.alarms
+        self._alarm = self._alarms.after(LOOK_S, self._look)
+
+    def ready(self) -> bool:
+        """Return whether a server is there now."""
+        there = self._ready()
+        self.found = self.found or there
+        return there
+
+    def stop(self) -> None:
+        """End the search, before the client is destroyed."""
+        self._alarms.cancel(self._alarm)
+
+    def _look(self) -> None:
+        if not (self.found or self.ready()):
+            self._alarm = self._alarms.after(LOOK_S, self._look)
+
+
 class Surroundings:
     """Surroundings of actions: node, functions, heartbeats, log.
 
@@ -45,6 +82,10 @@ class Surroundings:
         heartbeats: Tells who is alive.
         log: Is told what is sent, and what is answered.
         keep: Has on file what the builder of an action has left in its job.
+
+    Attributes:
+        waits_for_all: Whether servers that were never there are waited for: others start them with this node, or it
+            goes on where an earlier process was killed, perhaps together with them.
     """
 
     def __init__(
@@ -60,6 +101,7 @@ class Surroundings:
         self.heartbeats = heartbeats
         self.log = log
         self._keep = keep
+        self.waits_for_all = True
 
     async def wait(
         self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
@@ -97,20 +139,21 @@ class Surroundings:
 
     async def until_ready(
         self,
-        ready: Callable[[], bool],
-        made: float,
+        server: WatchedServer[Any],
+        name: str,
         task: str | None,
         what: str,
         unwanted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Wait for the discovery of a server in both directions: earlier requests may be lost.
 
-        One whose task is silent is waited for, too: who died or stood still may be there again soon. One whose task
-        starts, and could not do yet what it is asked for, is waited for as long as a start may take.
+        One that died, stood still, or went away is waited for, too: it may be there again soon. One whose task
+        starts, and could not do yet what it is asked for, is waited for as long as a start may take. One of no task
+        that was never there is not waited for once no node has come or gone for :data:`SETTLING_S`.
 
         Args:
-            ready: Whether the server is discovered.
-            made: When the client was made (monotonic) [s].
+            server: The server.
+            name: Its name.
             task: Task of the server, if it is known.
             what: What is waited for.
             unwanted: Whether nothing is to be sent any more.
@@ -118,16 +161,24 @@ class Surroundings:
         Raises:
             StateError: It is not there.
         """
-        began = monotonic()
-        while not unwanted() and ((why := self._not_yet(task)) or not ready()):
+        began, changed, nodes = monotonic(), server.made, self._nodes()
+        while not unwanted() and ((why := self._not_yet(task)) or not server.ready()):
             starts = task is not None and self.heartbeats.starting(task)
             if monotonic() > began + (patience_s() if starts else DISCOVERY_TIMEOUT_S):
                 raise StateError(f"{what} is not there" + (f": {why}" if why else ""))
+            if not (self.waits_for_all or task or server.found):
+                if nodes != (nodes := self._nodes()):
+                    changed = monotonic()
+                if monotonic() > changed + SETTLING_S and not servers_of(self.node, name):
+                    raise StateError(f"nobody offers {what} in ROS domain {self.node.context.get_domain_id()}")
             await pause(self.node, 0.05)
         heard = self.heartbeats.heard_since(task) if task else None
-        settled = SETTLING_S + max(made, heard or made)
+        settled = SETTLING_S + max(server.made, heard or server.made)
         if settled > monotonic():
             await pause(self.node, settled - monotonic())
+
+    def _nodes(self) -> list[tuple[str, str]]:
+        return sorted(self.node.get_node_names_and_namespaces())
 
     def _not_yet(self, task: str | None) -> str:
         """Why a task cannot be asked now, or an empty string."""
@@ -223,7 +274,7 @@ class RosActions(ABC, Generic[EndpointT]):
     def _destroy(self, endpoint: EndpointT) -> None: ...
 
 
-class ServiceActions(RosActions[tuple[Client, float]]):
+class ServiceActions(RosActions[WatchedServer[Client]]):
     """Calls services; an answer with ``success`` false is a failure."""
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
@@ -234,14 +285,15 @@ class ServiceActions(RosActions[tuple[Client, float]]):
         """
         action = activity.action
         assert isinstance(action, ServiceAction)
-        around, (client, made) = self._surroundings, self.prepare(action)
+        around, server = self._surroundings, self.prepare(action)
+        client = server.client
         request = await around.sent(activity, action, context, interface_class(action.type).Request())
         task = around.task(action)
         what = f"transition {activity.transition}"
 
         async def call() -> Any:
             there = f"the service {action.name} ({what})"
-            await around.until_ready(client.service_is_ready, made, task, there, lambda: activity.cancelled)
+            await around.until_ready(server, action.name, task, there, lambda: activity.cancelled)
             require_wanted(activity)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
             waited = f"an answer of {action.name} ({what})"
@@ -253,12 +305,14 @@ class ServiceActions(RosActions[tuple[Client, float]]):
         require_success(response, str(action))
         return await handled(around.functions, action, context, response)
 
-    def _make(self, name: str, type_name: str) -> tuple[Client, float]:
-        """Return the client of a service, and the time of creation."""
-        return self._surroundings.node.create_client(interface_class(type_name), name), monotonic()
+    def _make(self, name: str, type_name: str) -> WatchedServer[Client]:
+        node = self._surroundings.node
+        client = node.create_client(interface_class(type_name), name)
+        return WatchedServer(node, client, client.service_is_ready)
 
-    def _destroy(self, endpoint: tuple[Client, float]) -> None:
-        self._surroundings.node.destroy_client(endpoint[0])
+    def _destroy(self, endpoint: WatchedServer[Client]) -> None:
+        endpoint.stop()
+        self._surroundings.node.destroy_client(endpoint.client)
 
 
 class TopicActions(RosActions[Publisher]):

@@ -14,7 +14,6 @@ from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from unique_identifier_msgs.msg import UUID
 
-from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient
@@ -27,6 +26,7 @@ from im_pnt.model.action import GoalAction
 from im_pnt_node.ros.execution.actions import (
     RosActions,
     Surroundings,
+    WatchedServer,
     answer_key,
     failure_of,
     handled,
@@ -46,7 +46,7 @@ _NAMESPACE = uuid.UUID("6f0d9f4e-5f0c-4c7e-9a83-0c4ff1f1d0c1")
 _OVER = (CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID, CancelGoal.Response.ERROR_GOAL_TERMINATED)
 
 
-class GoalActions(RosActions[tuple[ActionClient, float]]):
+class GoalActions(RosActions[WatchedServer[ActionClient]]):
     """Client of goals: sends goals and waits for the results; a cancelled activity cancels the goal.
 
     Args:
@@ -75,13 +75,14 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
             self._performed.discard(activity)
 
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
-        around, (client, made) = self._surroundings, self.prepare(action)
+        around, server = self._surroundings, self.prepare(action)
+        client = server.client
         task = around.task(action)
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
 
         async def reach() -> Any:
             there = f"the action {action.name}"
-            await around.until_ready(client.server_is_ready, made, task, there, lambda: activity.cancelled)
+            await around.until_ready(server, action.name, task, there, lambda: activity.cancelled)
             require_wanted(activity)
             asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
             accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
@@ -94,12 +95,12 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
             left = time_left(activity, GOAL_TIMEOUT_S)
             answer = await around.wait(result, task, left, waited, client.server_is_ready)
             if answer.status == GoalStatus.STATUS_UNKNOWN:
-                server = task or "its server"
+                owner = task or "its server"
                 if not handle.accepted:
-                    rejected = StateError(f"{action} was rejected by {server}", action=action.name)
+                    rejected = StateError(f"{action} was rejected by {owner}", action=action.name)
                     raise doubted(around.node, rejected, action.name)
                 forgot = "it was started again meanwhile, or nobody has asked for the result for too long"
-                raise LinkError(f"{server} does not know {action} any more: {forgot}", task=task, action=action.name)
+                raise LinkError(f"{owner} does not know {action} any more: {forgot}", task=task, action=action.name)
             around.require_known_server(action, lambda: result_of(action, answer.status, answer.result))
             return answer
 
@@ -112,11 +113,11 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
         assert isinstance(action, GoalAction)
         if activity in self._performed:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
-        (client, made), task = self.prepare(action), around.task(action)
+        server, task = self.prepare(action), around.task(action)
         try:
-            await around.until_ready(client.server_is_ready, made, task, f"the action {action.name}")
+            await around.until_ready(server, action.name, task, f"the action {action.name}")
             if activity not in self._results:
-                self._results[activity] = self._follow(activity, self._handle(client, activity))
+                self._results[activity] = self._follow(activity, self._handle(server.client, activity))
             result = self._results[activity]
             over = around.node.promise()  # a wait that is given up must not take the result with it
             result.add_done_callback(lambda _: over.set_result(None))
@@ -165,12 +166,14 @@ class GoalActions(RosActions[tuple[ActionClient, float]]):
         name = f"{activity.incarnation or self._incarnation()}/{activity.net}/{activity.number}"
         return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
 
-    def _make(self, name: str, type_name: str) -> tuple[ActionClient, float]:
-        """Return the client of an action, and the time of creation."""
-        return GuardedActionClient(self._surroundings.node, interface_class(type_name), name), monotonic()
+    def _make(self, name: str, type_name: str) -> WatchedServer[ActionClient]:
+        node = self._surroundings.node
+        client = GuardedActionClient(node, interface_class(type_name), name)
+        return WatchedServer(node, client, client.server_is_ready)
 
-    def _destroy(self, endpoint: tuple[ActionClient, float]) -> None:
-        endpoint[0].destroy()
+    def _destroy(self, endpoint: WatchedServer[ActionClient]) -> None:
+        endpoint.stop()
+        endpoint.client.destroy()
 
 
 def packed_result(answer: Any) -> list[object]:

@@ -35,6 +35,9 @@ class NodeRunner(FunctionRunner):
         heartbeats: Tells who is alive.
         log: Is told what is sent, and what is answered.
         loop: Holds the journal, which keeps what builders leave in jobs.
+
+    Attributes:
+        surroundings: Reach other tasks.
     """
 
     def __init__(
@@ -47,7 +50,7 @@ class NodeRunner(FunctionRunner):
         loop: NetLoop,
     ) -> None:
         self._node, self._exchange, self._loop = node, exchange, loop
-        around = Surroundings(node, functions, heartbeats, log, self._keep)
+        self.surroundings = around = Surroundings(node, functions, heartbeats, log, self._keep)
         goals, awaits = GoalActions(around, lambda: exchange.book.incarnation), AwaitActions(around)
         self._kinds: dict[type, RosActions[Any]] = {
             ServiceAction: ServiceActions(around),
