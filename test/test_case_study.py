@@ -169,7 +169,8 @@ def test_the_robot_speaks_standard_messages(machine):
     assert description.startswith("<?xml")
     assert description.count('type="fixed"') > 0
     state = machine.message(JointState, "/joint_states")
-    assert len(state.name) == len(state.position) == 18
+    assert tuple(state.name) == (*load_cell().joint_names, "left_gripper", "right_gripper")
+    assert len(state.position) == len(state.velocity) == len(state.effort) == 20
     services = dict(machine.node.get_service_names_and_types())
     assert services["/mcs/estop"] == ["std_srvs/srv/Trigger"]
     assert services["/dispatcher/calibrate_camera"] == ["im_msgs/srv/CalibrateCamera"]

@@ -11,7 +11,6 @@ from im_core.ros import run as ros_run
 from im_core.ros.node import ManagedNode
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
-from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions.gripper_server import GripperServer
@@ -49,7 +48,8 @@ class McsNode(ManagedNode):
         self._fresh = False
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
-        self._topics = Publishers(self, CellModel(cell), JointLimits(cell, config.limits, config.slots))
+        grippers = [slot.name for slot in config.gripper_slots]
+        self._topics = Publishers(self, cell, grippers, JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
         self._controllers = ControllerStates(self._mcs)
         motions = Motions(self._mcs)
