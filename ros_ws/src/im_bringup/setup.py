@@ -1,5 +1,7 @@
 """Package that brings the Intelligent Machine up, records it and takes it down."""
 
+from glob import glob
+
 from setuptools import find_packages, setup
 
 setup(
@@ -10,6 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),
+        ("share/im_bringup/moveit", sorted(glob("moveit/*"))),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
