@@ -12,7 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),
-        ("share/im_bringup/moveit", sorted(glob("moveit/*"))),
+        *((f"share/im_bringup/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in ("launch", "moveit", "rviz")),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
