@@ -12,7 +12,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),
-        *((f"share/im_bringup/{folder}", sorted(glob(f"{folder}/*.*"))) for folder in ("launch", "moveit", "rviz")),
+        *(
+            (f"share/im_bringup/{folder}", sorted(glob(f"{folder}/*.*")))
+            for folder in ("foxglove", "launch", "moveit", "rviz")
+        ),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -23,6 +23,7 @@ from im_mcs.ros.servo_keeper import POLL_S
 from im_mcs.ros.topics.command_topics import CommandTopics
 from im_mcs.ros.topics.controller_state import ControllerStates
 from im_mcs.ros.topics.layers import Layers
+from im_mcs.ros.topics.path_markers import PathMarkers
 from im_mcs.ros.topics.publishers import Publishers
 
 _STATE_PERIOD_S = 0.5
@@ -52,7 +53,8 @@ class McsNode(ManagedNode):
         self._topics = Publishers(self, cell, grippers, JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
         self._controllers = ControllerStates(self._mcs)
-        motions = Motions(self._mcs)
+        self._markers = PathMarkers(self._mcs)
+        motions = Motions(self._mcs, self._markers)
         self._grippers = GripperServer(self._mcs)
         self._servers = (
             StateServices(self._mcs),
@@ -90,6 +92,7 @@ class McsNode(ManagedNode):
 
     def _look_after(self) -> None:
         self._mcs.keeper.poll()
+        self._markers.publish()
         if self._mcs.keeper.running:
             client = self._mcs.client()
             self._show(client.samples())
