@@ -10,6 +10,7 @@
 #   scripts/start.sh --resume                    commands that had not ended go on; without it they come back paused
 #   scripts/start.sh --fresh                     set unfinished commands of a former run aside
 #   scripts/start.sh --timeout 120               a longer wait, of its parts for each other too (default 60 s)
+#   scripts/start.sh --foreground                stays until the machine ends; Ctrl-C stops it
 #   scripts/start.sh --calibration results/latest   cameras (and laser scanner) as calibrated before, not as drawn
 #
 # A second machine on this host needs another ROS_DOMAIN_ID, and another --port:
@@ -18,8 +19,8 @@
 # Other hosts reach nothing of it, unless the deployment has tasks on several hosts (docs/security.md).
 #
 # Logs: .run/im<domain>/log/<process>.log. Stop it with scripts/stop.sh.
-# Exit codes: 0 ready, 1 not started (said why; nothing is left running), 2 bad usage, deployment or calibration,
-# 130 interrupted.
+# Exit codes: 0 ready, or with --foreground stopped; 1 not started (said why; nothing is left running), or ended by
+# itself; 2 bad usage, deployment or calibration; 130 interrupted before it was ready.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import String, UInt8
 from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
@@ -76,6 +76,7 @@ def recorded(recorder, ros, wait_until, tmp_path):
     child = recorder()
     events = node.create_publisher(Firing, "/events", qos.EVENTS)
     images = node.create_publisher(Image, "/image", qos.SENSOR)
+    again = node.create_publisher(CompressedImage, "/image_raw/compressed", qos.IMAGES)
     for publisher in (described, events, images):
         wait_until(publisher.get_subscription_count, f"the recorder on {publisher.topic_name}")
     for number in range(200):
@@ -84,6 +85,7 @@ def recorded(recorder, ros, wait_until, tmp_path):
     late = node.create_publisher(TFMessage, "/tf", 10)
     wait_until(late.get_subscription_count, "the recorder on a late topic")
     late.publish(TFMessage())
+    assert not again.get_subscription_count(), "images would be compressed for nobody, and be there twice"
     hashes = {
         topic: str(node.get_publishers_info_by_topic(topic)[0].topic_type_hash)
         for topic in ("/described", "/events", "/image", "/tf")

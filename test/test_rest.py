@@ -1,5 +1,7 @@
 """A machine at rest rests: what is read once is not read by each, and what nobody needs often is not done often."""
 
+import xml.etree.ElementTree as ET
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -8,7 +10,7 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
-from im_cell.robot import load_cell
+from im_cell.robot import load_cell, robot_description
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import HEARTBEAT_PERIOD_S, STARTING_PERIOD_S, ManagedNode
 from im_core.ros.rclpy_fixes.one_reader import shared_readers
@@ -81,17 +83,45 @@ def test_a_task_that_is_ready_wakes_once_a_second(ros, wait_until):
     assert period == HEARTBEAT_PERIOD_S * 1e9 == 1e9
 
 
-def test_transforms_travel_as_the_bytes_of_their_message():
+def place_by(transforms, link):
+    """Pose of a link in the world by transforms, by child, shape (4, 4)."""
+    pose = np.eye(4)
+    while link != "world":
+        step = transforms[link]
+        turn, shift = step.transform.rotation, step.transform.translation
+        values = np.array([shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, turn.w])
+        pose, link = pin.XYZQUATToSE3(values).homogeneous @ pose, step.header.frame_id
+    return pose
+
+
+def test_transforms_travel_as_the_bytes_of_their_message_and_lead_to_every_link():
     cell = load_cell()
-    model = CellModel(cell)
-    frames = Frames(cell, model)
-    for q, stamp_ns in ((cell.home, 4_500_000), (cell.home + 0.1, 7_000_000_123)):
-        message = deserialize_message(frames.moving(np.asarray(q), stamp_ns), TFMessage)
-        assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == [
-            (joint.parent, joint.child) for joint in cell.joints
-        ]
-        for told, placement in zip(message.transforms, model.over_joints(np.asarray(q)), strict=True):
+    model, names = CellModel(cell), (*cell.joint_names, "left_gripper", "right_gripper")
+    description = robot_description(cell, {joint.name: joint.limits for joint in cell.joints})
+    links = {link.get("name") for link in ET.fromstring(description).iterfind("link")}
+    frames = Frames(description, names)
+    fixed = {told.child_frame_id: told for told in frames.fixed()}
+    for q, openings, stamp_ns in ((cell.home, (0.08, 0.0), 4_500_000), (cell.home + 0.1, (0.01, 0.05), 7_000_000_123)):
+        message = deserialize_message(frames.moving(np.array([*q, *openings]), stamp_ns), TFMessage)
+        for told in message.transforms:
             assert told.header.stamp.sec * 1_000_000_000 + told.header.stamp.nanosec == stamp_ns
-            turn, shift = told.transform.rotation, told.transform.translation
-            values = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, turn.w]
-            np.testing.assert_array_equal(values, pin.SE3ToXYZQUAT(placement))
+        transforms = fixed | {told.child_frame_id: told for told in message.transforms}
+        assert len(transforms) == len(fixed) + len(message.transforms)
+        assert transforms.keys() | {"world"} == links
+        for name, pose in model.poses(q).items():
+            np.testing.assert_allclose(place_by(transforms, name), pose.homogeneous, atol=1e-12)
+        for side, opening in zip(cell.sides, openings, strict=True):
+            wrist = np.linalg.inv(place_by(transforms, f"{side}_wrist"))
+            for jaw, x in ((1, -opening / 2), (2, opening / 2)):
+                place = (wrist @ place_by(transforms, f"{side}_jaw_{jaw}"))[:3, 3]
+                np.testing.assert_allclose(place, [x, 0.0, cell.gripper.reach], atol=1e-12)
+        for name, camera in cell.cameras.items():
+            body = np.linalg.inv(place_by(transforms, camera.parent)) @ place_by(transforms, f"{name}_body")
+            np.testing.assert_allclose(body[:3, :3].T, camera.pose()[0], atol=1e-12)
+
+
+def test_a_robot_without_grippers_says_nothing_of_their_jaws():
+    cell = load_cell()
+    description = robot_description(cell, {joint.name: joint.limits for joint in cell.joints})
+    message = deserialize_message(Frames(description, cell.joint_names).moving(cell.home, 0), TFMessage)
+    assert [told.child_frame_id for told in message.transforms] == [joint.child for joint in cell.joints]

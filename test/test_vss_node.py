@@ -7,13 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import yaml
 from geometry_msgs.msg import PointStamped
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from im_cell.calibration_files import read_calibration
 from im_cell.camera_model import CameraModel
@@ -286,3 +288,48 @@ def test_a_dead_camera_process_is_named_and_replaced(machine):
     assert first.success or "the camera process is missing" in first.status.message
     second = machine.call(Snap, "/vss/snap", cameras=["wall"])
     assert second.success, second.status.message
+
+
+def test_images_are_there_as_jpeg_for_who_wants_them(machine):
+    """The same image, of the same moment, in the format that image_transport names."""
+    raw = machine.listen(Image, "/wall/image_raw", qos.IMAGES)
+    small = machine.listen(CompressedImage, "/wall/image_raw/compressed", qos.IMAGES)
+    outputs = machine.vss._outputs
+    machine.until(lambda: all(p["wall"].get_subscription_count() for p in (outputs._raw, outputs._compressed)))
+    assert machine.call(Snap, "/vss/snap", cameras=["wall"]).success
+    machine.until(lambda: raw and small)
+    (taken,), (told,) = raw, small
+    assert told.header == taken.header
+    assert (told.format, bytes(told.data[:3])) == ("mono8; jpeg compressed ", b"\xff\xd8\xff")
+    assert len(told.data) < len(taken.data) / 2
+    pixels = np.frombuffer(taken.data, np.uint8).reshape(taken.height, taken.width)
+    decoded = cv2.imdecode(np.frombuffer(told.data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert decoded.shape == pixels.shape
+    assert np.abs(decoded.astype(float) - pixels).mean() < 3.0
+
+
+def test_markers_show_what_cameras_see_and_which_lights_are_on(machine):
+    machine.light(on=False)
+    told = machine.listen(MarkerArray, "/markers", qos.LATCHED)
+
+    def newest(namespace):
+        machine.until(lambda: told)
+        return {m.header.frame_id: m for m in told[-1].markers if m.ns == namespace}
+
+    views = newest("cameras")
+    entries = list(machine.vss._book.entries())
+    assert list(views) == [entry.frame for entry in entries]
+    for entry in entries:
+        lens = entry.model
+        ends = np.array([[p.x, p.y, p.z] for p in views[entry.frame].points]).reshape(4, 4, 3)
+        assert (ends[:, 0] == 0.0).all()  # each edge begins in the camera
+        assert (ends[:, 2] == ends[:, 1]).all()
+        seen = CameraModel(lens.width, lens.height, lens.K, lens.D).project(ends[:, 1])
+        right, low = lens.width - 0.5, lens.height - 0.5
+        np.testing.assert_allclose(seen, [[-0.5, -0.5], [right, -0.5], [right, low], [-0.5, low]], atol=1e-6)
+    (box,) = newest("workspace").values()
+    assert (box.header.frame_id, box.scale.x, box.pose.position.z) == ("world", 2.0, 1.1)
+    dark = newest("lights")["left_led"].color
+    machine.light(on=True)
+    machine.until(lambda: newest("lights")["left_led"].color != dark)
+    assert newest("lights")["right_led"].color == dark

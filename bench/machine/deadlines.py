@@ -16,6 +16,7 @@ from im_bringup.machine import stop
 from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.deployment import Deployment, ParameterValue
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos
@@ -33,6 +34,7 @@ GROUP, CAMERA, PRESET = "testbed", "ceiling_left", "1x18"
 TASKS = ("testbed", "mcs", "vss")
 _START_S, _ANSWER_S, _POLL_S = 60.0, 60.0, 0.01
 _STEP = 0.1
+_JOINTS = load_cell().joint_names
 
 
 class Operator(GuardedNode):
@@ -53,7 +55,8 @@ class Operator(GuardedNode):
         self.state = message
 
     def _hear(self, message: JointState) -> None:
-        self.positions = dict(zip(message.name, message.position, strict=True))
+        told = dict(zip(message.name, message.position, strict=True))
+        self.positions = {name: told[name] for name in _JOINTS}
 
     def call(self, kind: type, name: str, request: Any) -> None:
         """Call a service and wait for its answer.

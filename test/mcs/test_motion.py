@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import Inertia, Pose, Vector3
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import Marker, MarkerArray
 
+from im_core.ros import qos
 from im_msgs.action import Move
 from im_msgs.msg import GroupPath, GroupSetpoints
 from im_msgs.srv import (
@@ -216,3 +218,18 @@ def test_many_requests_at_once_are_all_answered(ready):
         thread.join(60.0)
     assert len(answers) == 8
     assert result().success
+
+
+def test_markers_show_the_planned_path_of_the_wrist(ready):
+    told = ready.listen(MarkerArray, "/markers", qos.LATCHED)
+    far = ready.home + 0.05
+    ends = [ready.call(ForwardKinematics, "forward_kinematics", group="left", q=q).wrist for q in (ready.home, far)]
+    handle, result = ready.start_move(far, ready.home, far, ready.home, far)
+    ready.until(lambda: told and told[-1].markers[0].action == Marker.ADD)
+    left, right = told[-1].markers
+    assert (left.ns, left.header.frame_id, right.action) == ("paths", "world", Marker.DELETE)
+    for point, end in ((left.points[0], ends[0]), (left.points[-1], ends[1])):
+        np.testing.assert_allclose([point.x, point.y, point.z], position(end), atol=1e-3)
+    ready.cancel(handle)
+    result()
+    ready.until(lambda: told[-1].markers[0].action == Marker.DELETE)

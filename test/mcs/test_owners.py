@@ -245,3 +245,35 @@ def test_a_client_that_dies_loses_its_own_group_alone(client, newcomer):
     assert client.status().moving
     client.cancel(handle)
     assert of_ann().status.code == "cancelled"
+
+
+def test_one_call_makes_a_group_ready_for_anyone(client, newcomer):
+    """As for MoveIt, whose trajectories come from another process than the call."""
+    said = "group 'left' is in motion: it may move"
+    assert client.trigger("left/ready").message == said
+    assert follow(newcomer("move_group")) == (0, "")
+    assert client.trigger("left/ready").message == said  # again: there is nothing left to do
+    assert client.trigger("disable_motion").success
+    assert client.trigger("left/ready").message == said  # the rest of the way
+    client.until(lambda: (client.status().state, client.status().owner) == ("motion", ""))
+    assert client.status("right").state == "cold"
+
+
+def test_ready_says_the_first_refusal(client, newcomer):
+    for group, sentence in (
+        ("transporter", "group 'transporter' is not in the preset in force, 2x9 (left, right), but in 3x6"),
+        ("testbed", "group 'testbed' is not in the preset in force"),
+    ):
+        answer = client.trigger(f"{group}/ready")
+        assert (answer.success, sentence in answer.message) == (False, True), answer.message
+    ann = newcomer("ann")
+    assert ann.call(ReserveGroup, "reserve", group="left", owner="ann").success
+    answer = client.trigger("left/ready")
+    assert not answer.success
+    assert "group 'left' is driven by its owner 'ann' only, not by '/listener'" in answer.message
+    assert ann.trigger("left/ready").success
+    assert client.trigger("left/ready").message == "group 'left' is in motion already, and its owner is 'ann'"
+    client.trigger("estop")
+    answer = ann.trigger("left/ready")
+    assert not answer.success
+    assert answer.message.startswith("reserve is refused in state estopped")

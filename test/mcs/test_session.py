@@ -51,14 +51,19 @@ def test_a_session(client):
 def test_standard_topics(ready):
     assert ready.move(ready.home + STEP).success
     ready.until(lambda: ready.description and len(ready.frames) > 22 and len(ready.positions) > 20)
-    assert tuple(ready.positions[-1].name) == load_cell().joint_names
+    cell, told = load_cell(), ready.positions[-1]
+    assert tuple(told.name) == (*cell.joint_names, "left_gripper", "right_gripper")
+    assert list(told.position[18:]) == [cell.gripper.initial] * 2
+    assert np.isfinite(told.effort).all()
+    assert np.isfinite(told.velocity[:18]).all()
+    assert np.isnan(told.velocity[18:]).all()  # nothing measures it
     moving = [t for m in ready.frames for t in m.transforms if t.child_frame_id == "left_link6"]
     for published in (ready.positions[-20:], moving[-20:]):  # in time of the cell, however fast that passes
         stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in published]
         np.testing.assert_allclose(np.diff(np.unique(stamps)), 0.02, atol=0.0046)  # the last one comes again at rest
     assert "left_j1" in ready.description[-1].data
     children = {t.child_frame_id for m in ready.frames for t in m.transforms}
-    assert {"left_cart", "left_link6", "left_wrist", "left_led", "right_wrist"} <= children
+    assert {"left_link6", "left_wrist", "left_led", "left_palm", "right_jaw_2", "wall_body"} <= children
 
 
 def test_wrong_goals_say_why_and_move_nothing(ready):

@@ -1,5 +1,7 @@
 """Package that brings the Intelligent Machine up, records it and takes it down."""
 
+from glob import glob
+
 from setuptools import find_packages, setup
 
 setup(
@@ -10,6 +12,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),
+        *(
+            (f"share/im_bringup/{folder}", sorted(glob(f"{folder}/*.*")))
+            for folder in ("foxglove", "launch", "moveit", "rviz")
+        ),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -3,6 +3,8 @@
 By numpy: nodes need them before the machine is ready, and ``scipy.spatial`` takes a third of a second to load.
 """
 
+from math import atan2, hypot
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,6 +16,8 @@ UNIT_TOLERANCE = 1e-3
 """How far from 1 the length of a quaternion may be."""
 _ROUNDING = 1e-12
 """A length as near to 1 as this is 1: to divide by the rest would change the last digits once more."""
+_UPRIGHT = 1e-9
+"""Cosine of a pitch that counts as a right angle."""
 _AXES = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
 """Row by row: the matrices of the cross product with x, y and z."""
 
@@ -78,3 +82,15 @@ def matrix_of_rpy(rpy: tuple[float, ...]) -> Array:
     """Return the rotation matrix of roll, pitch and yaw [rad], about the fixed axes x, y and z, as in URDF."""
     roll, pitch, yaw = (matrix_of_vector(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
     return yaw @ pitch @ roll
+
+
+def rpy_of_matrix(rotation: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw [rad] of a rotation, shape (3, 3), as in URDF; where yaw and roll are one, yaw is 0.
+
+    Source: Slabaugh, "Computing Euler angles from a rotation matrix" (1999).
+    """
+    (xx, _, _), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    pitch = atan2(-zx, hypot(xx, yx))
+    if hypot(xx, yx) < _UPRIGHT:
+        return atan2(-yz, yy), pitch, 0.0
+    return atan2(zy, zz), pitch, atan2(yx, xx)

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from im_cell.robot import load_cell, urdf
+from im_cell.robot import load_cell, robot_description, urdf
 from im_cell.robot.truth import load_truth
 from im_core.config import package_file
 from im_core.errors import ConfigError, DataError
@@ -121,6 +121,50 @@ def test_every_urdf_shape_and_frame_is_attached_to_a_known_link():
     assert {link.get("name") for link in bare.findall("link")} == {"world", *(link.name for link in CELL.links)}
     assert not bare.findall(".//geometry")
     assert max(len(line) for line in urdf(CELL).splitlines()) < 300
+
+
+LIMITS = {joint.name: joint.limits.model_copy(update={"velocity": 0.25}) for joint in CELL.joints}
+DESCRIPTION = ET.fromstring(robot_description(CELL, LIMITS))
+
+
+def test_the_description_is_the_cell_with_what_physics_leaves_out():
+    links = {link.get("name") for link in DESCRIPTION.findall("link")}
+    more = {f"{side}_{part}" for side in CELL.sides for part in ("palm", "jaw_1", "jaw_2")}
+    assert links - {link.get("name") for link in TREE.findall("link")} == more | {
+        f"{name}_body" for name in CELL.cameras
+    }
+    for name in CELL.joint_names:
+        here, there = (tree.find(f"joint[@name='{name}']") for tree in (DESCRIPTION, TREE))
+        for part in ("parent", "child", "origin", "axis"):
+            assert here.find(part).attrib == there.find(part).attrib
+        assert here.find("limit").get("velocity") == "0.25"
+    assert max(len(line) for line in robot_description(CELL, LIMITS).splitlines()) < 300
+
+
+def test_planners_meet_the_obstacles_and_physics_does_not():
+    bodies = DESCRIPTION.find("link[@name='world']").findall("collision")
+    found = [(numbers(b.find("origin").get("xyz")), numbers(b.find("geometry/box").get("size"))) for b in bodies]
+    np.testing.assert_allclose(found, [(box.center, box.size) for box in CELL.obstacles])
+    assert TREE.find("link[@name='world']").findall("collision") == []
+
+
+def test_collision_shapes_of_the_arms_are_the_same_for_planners_and_physics():
+    for link in CELL.links:
+        here, there = (
+            [ET.tostring(shape) for shape in tree.findall(f"link[@name='{link.name}']/collision")]
+            for tree in (DESCRIPTION, TREE)
+        )
+        assert here == there
+
+
+@pytest.mark.parametrize("side", list(CELL.sides))
+def test_the_joint_of_a_gripper_is_its_opening(side):
+    driven, follower = (DESCRIPTION.find(f"joint[@name='{side}_{name}']") for name in ("gripper", "jaw"))
+    assert [float(driven.find("limit").get(key)) for key in ("lower", "upper", "velocity", "effort")] == [
+        0.0, CELL.gripper.stroke, CELL.gripper.rate, CELL.gripper.force,
+    ]  # fmt: skip
+    assert follower.find("mimic").attrib == {"joint": f"{side}_gripper", "multiplier": "0.5", "offset": "0.0"}
+    assert float(follower.find("limit").get("upper")) == CELL.gripper.stroke / 2
 
 
 def test_names_of_boxes_may_have_any_letters():

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from im_cell.rotations import cross_matrix, matrix_of_quaternion, matrix_of_rpy, matrix_of_vector, quaternion_of_matrix
+from im_cell.rotations import (
+    cross_matrix,
+    matrix_of_quaternion,
+    matrix_of_rpy,
+    matrix_of_vector,
+    quaternion_of_matrix,
+    rpy_of_matrix,
+)
 from im_core.errors import DataError
 
 RANDOM = np.random.default_rng(4).normal(size=(200, 3))
@@ -36,3 +43,16 @@ def test_the_matrix_of_a_cross_product():
 def test_a_quaternion_of_another_length_is_refused(wrong):
     with pytest.raises(DataError, match=rf"^it has length {np.linalg.norm(wrong):.4g}, it must be 1$"):
         matrix_of_quaternion([[0.0, 0.0, 0.0, 1.0], wrong], "it")
+
+
+def test_roll_pitch_and_yaw_lead_back_to_the_rotation():
+    angles = [
+        *np.random.default_rng(2).uniform(-np.pi, np.pi, size=(50, 3)),
+        [0.4, np.pi / 2, 0.3],
+        [-2, -np.pi / 2, 1],
+    ]
+    for given in angles:
+        rotation = Rotation.from_euler("xyz", given).as_matrix()
+        found = rpy_of_matrix(rotation)
+        assert abs(found[1]) <= np.pi / 2
+        np.testing.assert_allclose(Rotation.from_euler("xyz", found).as_matrix(), rotation, atol=1e-9)

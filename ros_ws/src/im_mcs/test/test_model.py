@@ -40,14 +40,6 @@ def test_arm_is_the_product_of_dh_matrices(model, positions):
         np.testing.assert_allclose(base.actInv(wrist).homogeneous, dh(q[3:9]), atol=1e-12)
 
 
-def test_poses_over_the_joints_lead_from_link_to_link(model, cell, positions):
-    for q in positions:
-        poses = model.poses(q)
-        for joint, over in zip(cell.joints, model.over_joints(q), strict=True):
-            parent = poses[joint.parent].homogeneous if joint.parent in poses else np.eye(4)
-            np.testing.assert_allclose(parent @ over.homogeneous, poses[joint.child].homogeneous, atol=1e-12)
-
-
 def test_gravity_is_the_gradient_of_potential_energy(model, cell, positions):
     import pinocchio as pin
 

@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from im_cell.robot import urdf
+from im_cell.robot import robot_description
 from im_core.errors import LimitError
 from im_mcs.inverse.arm import Arm
 from im_mcs.limits.limits import JointLimits
@@ -20,7 +20,7 @@ def limits(cell, config):
 @pytest.fixture(scope="module")
 def published(cell, limits):
     """Lower, upper, velocity and effort of each joint, as a planner reads them, shape (18, 4)."""
-    tree = ET.fromstring(urdf(cell, limits=limits.enforced()))
+    tree = ET.fromstring(robot_description(cell, limits.enforced()))
     told = {
         joint.get("name"): joint.find("limit").attrib
         for joint in tree.findall("joint")

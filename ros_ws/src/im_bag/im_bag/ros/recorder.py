@@ -34,6 +34,8 @@ HANDOVER_S = 1.0
 HANDOVER_AT_MOST_S = 5.0
 #: Topics of service events, which are hidden.
 SERVICE_EVENTS = "/_service_event"
+#: Topics with the images of others once more, as image_transport names them.
+COMPRESSED = "/image_raw/compressed"
 
 
 Taken = tuple[int, bytes, dict[str, int]]
@@ -119,7 +121,7 @@ class BagRecorder:
         node: Its node, which nobody spins; it subscribes to streams.
         seldom: A node of another participant, for service events and what is latched.
         bag: Where to.
-        only: Topics to record; empty: all that are not hidden, and the events of services.
+        only: Topics to record; empty: all that are not hidden, and the events of services, but no images twice.
     """
 
     def __init__(self, node: Node, seldom: Node, bag: BagWriter, only: list[str]) -> None:
@@ -189,7 +191,7 @@ class BagRecorder:
     def _wanted(self, topic: str) -> bool:
         if self._only:
             return topic in self._only
-        return "/_" not in topic or topic.endswith(SERVICE_EVENTS)
+        return ("/_" not in topic and not topic.endswith(COMPRESSED)) or topic.endswith(SERVICE_EVENTS)
 
     def _subscribe(self, topic: str, publishers: list[Any]) -> None:
         type_name, type_hash = publishers[0].topic_type, str(publishers[0].topic_type_hash)

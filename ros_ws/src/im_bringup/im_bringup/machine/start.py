@@ -3,6 +3,7 @@
 import argparse
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -30,6 +31,8 @@ from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 #: Exit code of a start that Ctrl-C has ended.
 INTERRUPTED = 130
 _POLL_S = 0.05
+#: How often a machine in the foreground is looked at, besides its end [s].
+_LOOK_S = 1.0
 #: What the parts of a start are: this host's and what is left of a machine before, and those of the bootstrap.
 _PARTS = {
     "preflight": "preflight",
@@ -45,9 +48,10 @@ def parser() -> argparse.ArgumentParser:
     """The arguments of the command."""
     parser = NumberParser(
         prog="start",
-        description="Start the machine of this ROS domain; return when every task is ready.",
-        epilog="Exit codes: 0 ready, 1 not started (said why), 2 bad usage, deployment file or calibration, "
-        "130 interrupted.",
+        description="Start the machine of this ROS domain; return when every task is ready, or with --foreground when "
+        "it has ended.",
+        epilog="Exit codes: 0 ready, or with --foreground stopped; 1 not started (said why), or ended by itself; "
+        "2 bad usage, deployment file or calibration; 130 interrupted before it was ready.",
     )
     parser.add_argument("deployment", nargs="?", help="deployment file (default: the one of im_bringup)")
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
@@ -69,6 +73,9 @@ def parser() -> argparse.ArgumentParser:
         type=_folder,
         help="start with the calibrations in this folder: results of calibrate_camera, or what /vss kept in "
         "results/vss (default: cameras and laser scanner as drawn)",
+    )
+    parser.add_argument(
+        "--foreground", action="store_true", help="stay until the machine ends; Ctrl-C stops it (default: return)"
     )
     unfinished = parser.add_mutually_exclusive_group()
     unfinished.add_argument(
@@ -106,9 +113,11 @@ def main() -> int:
         check_calibration(deployment, path)
         failure = 1
         with only_one() as mark:
-            # an interrupt after the machine is ready is ignored: the exit code says that it runs
-            asked = mark.stop_asked, ignore_interrupts
-            return start(deployment, path, arguments.timeout, arguments.fresh, arguments.resume, *asked)
+            stay = bool(arguments.foreground)
+            # an interrupt after the machine is ready is ignored: the exit code says that it runs. In the foreground it
+            # stops the machine, and who comes to stop it meets no start any more
+            asked = mark.stop_asked, mark.close if stay else ignore_interrupts
+            return start(deployment, path, arguments.timeout, arguments.fresh, arguments.resume, *asked, stay)
     except KeyboardInterrupt:
         complain("\nstart: interrupted")
         return INTERRUPTED
@@ -177,6 +186,7 @@ def start(
     resume: bool = False,
     stop_asked: Callable[[], bool] = lambda: False,
     at_ready: Callable[[], None] = lambda: None,
+    foreground: bool = False,
 ) -> int:
     """Start the machine.
 
@@ -188,9 +198,11 @@ def start(
         resume: Go on at once with commands that had not ended; otherwise they come back paused.
         stop_asked: Whether the machine is to be stopped, though it is not yet ready.
         at_ready: Called when the machine is ready, before anything is said of it.
+        foreground: Stay until the machine ends; it ends with this process.
 
     Returns:
-        0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then.
+        0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then. In the
+        foreground as of :func:`attend`.
 
     Raises:
         StateError: A machine of this ROS domain runs already, or it was stopped while it started.
@@ -209,12 +221,12 @@ def start(
             say(f"start: {said}")
         took = {"preflight": clock.monotonic() - began}
         with interrupts_held():  # a process that is just forked has no mark yet by which it would be found and ended
-            process = spawn_bootstrap(deployment, path, timeout_s, resume)
+            process = spawn_bootstrap(deployment, path, timeout_s, resume, signal.SIGTERM if foreground else None)
         try:
             code = await_ready(process, began, timeout_s, took, goes_on, stop_asked, at_ready)
             if code == 0 and goes_on:
                 print_unfinished(resume)
-            return code
+            return attend(process) if foreground and code == 0 else code
         except ImError:
             stop.stop(say=lambda _: None)
             raise
@@ -275,6 +287,29 @@ def await_ready(
                 return give_up(why, record, goes_on)
         clock.sleep(_POLL_S)
     return give_up(f"not every task was ready after {timeout_s:g} s", machine.read(), goes_on)
+
+
+def attend(process: ChildProcess) -> int:
+    """Wait for the end of the machine, and stop it on an interrupt.
+
+    Args:
+        process: The bootstrap's supervisor.
+
+    Returns:
+        0 if it was stopped, 1 if it ended by itself or something of it could not be ended.
+    """
+    try:
+        while process.poll() is None:
+            process.await_end(_LOOK_S)
+    except KeyboardInterrupt:
+        complain("\nstart: interrupted; stopping the machine")
+        return stop.stop(say)
+    if process.poll() == 0:
+        say("start: the machine was stopped")
+        return 0
+    complain(f"start: the machine has ended: {stop.bootstrap_words()}")
+    stop.stop(say=lambda _: None)
+    return 1
 
 
 def require_none_runs() -> None:
@@ -339,7 +374,9 @@ def tidy(deployment: Deployment) -> None:
     say(f"start: {keep.sentence(results)}{gone}")
 
 
-def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float, resume: bool) -> ChildProcess:
+def spawn_bootstrap(
+    deployment: Deployment, path: Path, timeout_s: float, resume: bool, death_signal: signal.Signals | None = None
+) -> ChildProcess:
     """Start the bootstrap under a supervisor, detached from the terminal; all get the time limit of a start [s].
 
     All know which run this is, too, also those that are started again in it: a task whose journal is of another run
@@ -367,7 +404,7 @@ def spawn_bootstrap(deployment: Deployment, path: Path, timeout_s: float, resume
             names.RUN: uuid4().hex,
             names.RESUMES: "1" if resume else "",
         },
-        death_signal=None,
+        death_signal=death_signal,
     )
 
 

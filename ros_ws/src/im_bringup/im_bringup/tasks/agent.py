@@ -374,8 +374,20 @@ def write_parameters(run_dir: Path, process: str, parameters: Mapping[str, Mappi
     return write_whole(path, write_yaml(content))
 
 
+DEFAULTS = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "PYTHONUNBUFFERED": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",
+    "MALLOC_ARENA_MAX": "2",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+}
+"""What a sourced workspace does not say, as ``scripts/lib.sh``, which says why, does for tools."""
+
+
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
     """Return the environment of the machine's processes: mark, folder, DDS, servo core, proof of nets required."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
     dds, unproved = middleware(base, deployment), str(int(deployment.unproved))
-    return {**base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}
+    defaults = {**DEFAULTS, "ROS_LOG_DIR": str(run_dir / "ros")}
+    return {**defaults, **base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}

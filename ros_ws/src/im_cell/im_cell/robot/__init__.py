@@ -1,7 +1,8 @@
 """The cell's geometry and dynamics from one parameter file: joints, links, URDF, capsules, cameras.
 
-``load_cell()`` gives a :class:`Cell`; ``urdf(cell)`` the same as URDF. The 18 joints are, in
-this order, ``left_track``, ``left_rotation``, ``left_tilt``, ``left_j1`` to ``left_j6``, then the same of ``right``.
+``load_cell()`` gives a :class:`Cell`; ``urdf(cell)`` the same as URDF, ``robot_description(cell, limits)`` that of
+``/robot_description``. The 18 joints are, in this order, ``left_track``, ``left_rotation``, ``left_tilt``, ``left_j1``
+to ``left_j6``, then the same of ``right``.
 World frame ``world``: origin on the floor at the track's centre, x along the track, z up. :mod:`im_cell.robot.truth`,
 what the simulated cell is really like, is not part of the public face: only who simulates or judges imports it.
 """
@@ -10,7 +11,7 @@ from im_cell.robot.cell import SIDES, Cell, load_cell
 from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Intrinsics, Led, Limits, SensorSpec, Vector
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
-from im_cell.robot.urdf import urdf
+from im_cell.robot.urdf import robot_description, urdf
 
 __all__ = [
     "ORIGIN",
@@ -33,5 +34,6 @@ __all__ = [
     "Vector",
     "far_end",
     "load_cell",
+    "robot_description",
     "urdf",
 ]

@@ -21,6 +21,7 @@ from im_cell.robot.parameters import (
     Led,
     Number,
     Side,
+    Size,
     WristSensor,
 )
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
@@ -58,6 +59,7 @@ class Cell(Model):
     led: Led
     boxes: tuple[Box, ...]
     cameras: dict[str, Camera]
+    camera_body: Size
     optics: Optics
     targets: tuple[Target, ...]
     mirrors: tuple[Mirror, ...]

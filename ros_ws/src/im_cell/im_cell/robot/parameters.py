@@ -14,6 +14,7 @@ Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 Vector = tuple[Number, Number, Number]
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
 NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+Size = tuple[Positive, Positive, Positive]
 Source = Annotated[str, Field(min_length=1)]
 
 _LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
@@ -124,7 +125,7 @@ class Box(Model):
 
     link: str
     name: str
-    size: tuple[Positive, Positive, Positive]
+    size: Size
     center: Vector
     color: Vector
     collision: bool = True
@@ -208,6 +209,7 @@ class Gripper(Model):
         initial: Opening at the start [m].
         force: Largest force between the jaws [N].
         reach: From the wrist frame along its z axis to the middle of the jaws [m].
+        palm, jaw: Edge lengths of the body and of a jaw in the axes of the wrist frame, jaws open along x [m].
         force_sensor: Between the jaws.
     """
 
@@ -216,6 +218,8 @@ class Gripper(Model):
     initial: NonNegative
     force: Positive
     reach: NonNegative
+    palm: Size
+    jaw: Size
     force_sensor: SensorSpec
 
     @model_validator(mode="after")

@@ -1,42 +1,115 @@
 """URDF of the cell."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import atan2, dist, hypot
 from xml.sax.saxutils import quoteattr
 
 from im_cell.robot.cell import Cell
-from im_cell.robot.parameters import Box, Capsule, Limits, Vector
+from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Limits, Vector
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
+from im_cell.rotations import rpy_of_matrix
+
+_METAL: Vector = (0.62, 0.63, 0.65)
+_DARK: Vector = (0.12, 0.12, 0.14)
 
 
-def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, limits: Mapping[str, Limits] | None = None) -> str:
-    """The cell as URDF, one element a line (pybullet does not parse one long line).
+def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
+    """The cell as physics and control load it, as URDF, one element a line (pybullet does not parse one long line).
 
     Args:
         cell: Parameters.
         frames: With the massless frames ``<side>_base``, ``<side>_wrist``, ``<side>_led``. pybullet gives a link
             without inertia a mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
-        limits: Limits of each joint, by name; None: those of the cell.
     """
-    lines = ['<?xml version="1.0"?>', '<robot name="testbed">', '<link name="world">']
+    lines = ['<link name="world">']
     if shapes:
-        lines += [line for box in cell.boxes for line in _visual_box(box, box.color)]
+        lines += [line for box in cell.boxes for line in _visual_box(box)]
     lines.append("</link>")
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        lines += _joint(joint, joint.limits if limits is None else limits[joint.name])
-        lines += [f'<link name="{link.name}">', *_inertial(link)]
-        if shapes:
-            lines += _shapes_of(cell, link.name)
-        lines.append("</link>")
+        shape = _shapes_of(cell, link.name, cell.capsules) if shapes else []
+        lines += [*_joint(joint, joint.limits), *_link(link, shape)]
     if frames:
-        for side, spec in cell.sides.items():
-            arm = cell.arm_models[spec.arm]
-            wrist = far_end(arm.links[-1])
-            lines += _frame(f"{side}_base", f"{side}_platform", (0.0, 0.0, arm.mount_height), ORIGIN)
-            lines += _frame(f"{side}_wrist", f"{side}_link6", *wrist)
-            lines += _frame(f"{side}_led", f"{side}_wrist", cell.led.offset, ORIGIN)
-    return "\n".join([*lines, "</robot>", ""])
+        lines += _frames(cell)
+    return _robot(lines)
+
+
+def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
+    """The cell for tools that show it or plan in it, as URDF: also what they may collide with, grippers and cameras.
+
+    The joint ``<side>_gripper`` is between the jaws, its position the opening; the other jaw moves with it. Grippers
+    are drawn, not the last links, whose shapes for collision enclose them.
+
+    Args:
+        cell: Parameters.
+        limits: Limits in force of each joint, by name.
+    """
+    lines = ['<link name="world">']
+    for box in cell.boxes:
+        lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
+    lines.append("</link>")
+    last = [f"{side}_link6" for side in cell.sides]
+    capsules = [c.model_copy(update={"visual": False}) if c.link in last else c for c in cell.capsules]
+    for joint, link in zip(cell.joints, cell.links, strict=True):
+        lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, capsules))]
+    lines += _frames(cell)
+    for side in cell.sides:
+        lines += _gripper(side, cell.gripper)
+    for name, camera in cell.cameras.items():
+        lines += _camera(name, camera, cell.camera_body)
+    return _robot(lines)
+
+
+def _robot(lines: list[str]) -> str:
+    return "\n".join(['<?xml version="1.0"?>', '<robot name="testbed">', *lines, "</robot>", ""])
+
+
+def _frames(cell: Cell) -> list[str]:
+    lines: list[str] = []
+    for side, spec in cell.sides.items():
+        arm = cell.arm_models[spec.arm]
+        wrist = far_end(arm.links[-1])
+        lines += _fixed(f"{side}_base", f"{side}_platform", (0.0, 0.0, arm.mount_height), ORIGIN)
+        lines += _fixed(f"{side}_wrist", f"{side}_link6", *wrist)
+        lines += _fixed(f"{side}_led", f"{side}_wrist", cell.led.offset, ORIGIN)
+    return lines
+
+
+def _gripper(side: str, gripper: Gripper) -> list[str]:
+    """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis."""
+    (thickness, _, length), (_, _, depth) = gripper.jaw, gripper.palm
+    palm, *jaws = f"{side}_palm", f"{side}_jaw_1", f"{side}_jaw_2"
+    lines = _fixed(
+        palm, f"{side}_wrist", ORIGIN, ORIGIN,
+        _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL),
+    )  # fmt: skip
+    travels = (
+        (f"{side}_jaw", palm, (0.0, 0.0, gripper.reach), -1.0, 0.5),
+        (f"{side}_gripper", jaws[0], ORIGIN, 1.0, 1.0),
+    )
+    for jaw, (name, parent, xyz, sign, share) in zip(jaws, travels, strict=True):
+        lines += [
+            f'<joint name="{name}" type="prismatic">',
+            f'<parent link="{parent}"/>',
+            f'<child link="{jaw}"/>',
+            _origin(xyz, ORIGIN),
+            f'<axis xyz="{_join((sign, 0.0, 0.0))}"/>',
+            f'<limit lower="0.0" upper="{share * gripper.stroke!r}" '
+            f'effort="{gripper.force!r}" velocity="{share * gripper.rate!r}"/>',
+            *([f'<mimic joint="{side}_gripper" multiplier="{share!r}" offset="0.0"/>'] if share != 1.0 else []),
+            "</joint>",
+            f'<link name="{jaw}">',
+            *_solid(gripper.jaw, (sign * thickness / 2.0, 0.0, 0.0), "jaw", _METAL),
+            "</link>",
+        ]
+    return lines
+
+
+def _camera(name: str, camera: Camera, size: Vector) -> list[str]:
+    """Build a box behind the lens, at the nominal mount."""
+    x, y, z = (camera.axes() @ (0.0, 0.0, -size[2] / 2.0) + camera.position).tolist()
+    roll, pitch, yaw = rpy_of_matrix(camera.axes())
+    return _fixed(f"{name}_body", camera.parent, (x, y, z), (roll, pitch, yaw), _solid(size, ORIGIN, "camera", _DARK))
 
 
 def _joint(joint: Joint, limits: Limits) -> list[str]:
@@ -52,15 +125,19 @@ def _joint(joint: Joint, limits: Limits) -> list[str]:
     ]
 
 
-def _frame(name: str, parent: str, xyz: Vector, rpy: Vector) -> list[str]:
+def _fixed(name: str, parent: str, xyz: Vector, rpy: Vector, shapes: list[str] | None = None) -> list[str]:
     return [
-        f'<link name="{name}"/>',
+        *([f'<link name="{name}">', *shapes, "</link>"] if shapes else [f'<link name="{name}"/>']),
         f'<joint name="{name}_fixed" type="fixed">',
         f'<parent link="{parent}"/>',
         f'<child link="{name}"/>',
         _origin(xyz, rpy),
         "</joint>",
     ]
+
+
+def _link(link: LinkInertia, shapes: list[str]) -> list[str]:
+    return [f'<link name="{link.name}">', *_inertial(link), *shapes, "</link>"]
 
 
 def _inertial(link: LinkInertia) -> list[str]:
@@ -74,23 +151,25 @@ def _inertial(link: LinkInertia) -> list[str]:
     ]
 
 
-def _shapes_of(cell: Cell, link: str) -> list[str]:
+def _shapes_of(cell: Cell, link: str, capsules: Sequence[Capsule]) -> list[str]:
     side, _, part = link.partition("_")
-    lines = [line for box in cell.cart.boxes if box.link == part for line in _visual_box(box, box.color)]
+    lines = [line for box in cell.cart.boxes if box.link == part for line in _visual_box(box)]
     color = cell.sides[side].color
-    for capsule in cell.capsules:
+    for capsule in capsules:
         if capsule.link == link:
             lines += _capsule(capsule, color)
     return lines
 
 
-def _visual_box(box: Box, color: Vector) -> list[str]:
+def _visual_box(box: Box) -> list[str]:
+    return _visual(box.center, ORIGIN, _box(box.size), _material(box.name + "_" + box.link, box.color))
+
+
+def _solid(size: Vector, center: Vector, name: str, color: Vector) -> list[str]:
+    """Build a box that is drawn and that things collide with."""
     return [
-        "<visual>",
-        _origin(box.center, ORIGIN),
-        f'<geometry><box size="{_join(box.size)}"/></geometry>',
-        _material(box.name + "_" + box.link, color),
-        "</visual>",
+        *_visual(center, ORIGIN, _box(size), _material(name, color)),
+        *_collision(center, ORIGIN, _box(size)),
     ]
 
 
@@ -100,15 +179,26 @@ def _capsule(capsule: Capsule, color: Vector) -> list[str]:
     middle = ((x0 + x1) / 2.0, (y0 + y1) / 2.0, (z0 + z1) / 2.0)
     flat, length = hypot(x1 - x0, y1 - y0), dist(capsule.p0, capsule.p1)
     along = (0.0, atan2(flat, z1 - z0), atan2(y1 - y0, x1 - x0))  # turns z into the axis
-    cylinder = (_origin(middle, along), f'<cylinder radius="{capsule.radius!r}" length="{length!r}"/>')
-    balls = [(_origin(end, ORIGIN), f'<sphere radius="{capsule.radius!r}"/>') for end in (capsule.p0, capsule.p1)]
+    ball = f'<sphere radius="{capsule.radius!r}"/>'
+    cylinder = f'<cylinder radius="{capsule.radius!r}" length="{length!r}"/>'
     lines: list[str] = []
-    for origin, shape in (cylinder, *balls):
-        geometry = f"<geometry>{shape}</geometry>"
+    for center, rpy, shape in ((middle, along, cylinder), (capsule.p0, ORIGIN, ball), (capsule.p1, ORIGIN, ball)):
         if capsule.visual:
-            lines += ["<visual>", origin, geometry, _material(capsule.link, color), "</visual>"]
-        lines += ["<collision>", origin, geometry, "</collision>"]
+            lines += _visual(center, rpy, shape, _material(capsule.link, color))
+        lines += _collision(center, rpy, shape)
     return lines
+
+
+def _visual(xyz: Vector, rpy: Vector, shape: str, material: str) -> list[str]:
+    return ["<visual>", _origin(xyz, rpy), f"<geometry>{shape}</geometry>", material, "</visual>"]
+
+
+def _collision(xyz: Vector, rpy: Vector, shape: str) -> list[str]:
+    return ["<collision>", _origin(xyz, rpy), f"<geometry>{shape}</geometry>", "</collision>"]
+
+
+def _box(size: Vector) -> str:
+    return f'<box size="{_join(size)}"/>'
 
 
 def _material(name: str, color: Vector) -> str:

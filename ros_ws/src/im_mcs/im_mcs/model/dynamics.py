@@ -103,11 +103,6 @@ class CellModel:
             frame.name: self._data.oMf[i] for i, frame in enumerate(self.pin.frames) if frame.type == pin.FrameType.BODY
         }
 
-    def over_joints(self, q: NDArray[np.float64]) -> list[pin.SE3]:
-        """Return the pose of every joint's child link in the parent link at ``q``, in the order of the joints."""
-        pin.forwardKinematics(self.pin, self._data, q)
-        return list(self._data.liMi)[1:]
-
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
         """Velocity of a frame's origin for each joint's, along the axes of ``world``, shape (6, 18): linear, angular.
 

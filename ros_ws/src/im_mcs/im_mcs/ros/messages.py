@@ -1,5 +1,6 @@
 """State of MCS, as messages."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -62,8 +63,18 @@ def group_state(state: GroupState) -> GroupStateMessage:
 
 
 def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
-    """Return a ``sensor_msgs/JointState`` of a sample of the servo."""
-    message = JointState(name=list(names), position=sample["q"], velocity=sample["v"], effort=sample["tau"])
+    """Return a ``sensor_msgs/JointState`` of a sample of the servo.
+
+    Args:
+        names: Of the joints, then of the grippers; what is not measured, like their velocity, is NaN.
+        sample: Of the servo.
+    """
+    message = JointState(
+        name=list(names),
+        position=[*sample["q"], *sample["gripper"]],
+        velocity=[*sample["v"], *(math.nan for _ in sample["gripper"])],
+        effort=[*sample["tau"], *sample["gripper_force"]],
+    )
     message.header.stamp = to_stamp(int(sample["stamp_ns"]))
     return message
 

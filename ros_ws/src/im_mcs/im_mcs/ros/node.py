@@ -11,7 +11,6 @@ from im_core.ros import run as ros_run
 from im_core.ros.node import ManagedNode
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
-from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions.gripper_server import GripperServer
@@ -24,6 +23,7 @@ from im_mcs.ros.servo_keeper import POLL_S
 from im_mcs.ros.topics.command_topics import CommandTopics
 from im_mcs.ros.topics.controller_state import ControllerStates
 from im_mcs.ros.topics.layers import Layers
+from im_mcs.ros.topics.path_markers import PathMarkers
 from im_mcs.ros.topics.publishers import Publishers
 
 _STATE_PERIOD_S = 0.5
@@ -49,10 +49,12 @@ class McsNode(ManagedNode):
         self._fresh = False
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
-        self._topics = Publishers(self, CellModel(cell), JointLimits(cell, config.limits, config.slots))
+        grippers = [slot.name for slot in config.gripper_slots]
+        self._topics = Publishers(self, cell, grippers, JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
         self._controllers = ControllerStates(self._mcs)
-        motions = Motions(self._mcs)
+        self._markers = PathMarkers(self._mcs)
+        motions = Motions(self._mcs, self._markers)
         self._grippers = GripperServer(self._mcs)
         self._servers = (
             StateServices(self._mcs),
@@ -90,6 +92,7 @@ class McsNode(ManagedNode):
 
     def _look_after(self) -> None:
         self._mcs.keeper.poll()
+        self._markers.publish()
         if self._mcs.keeper.running:
             client = self._mcs.client()
             self._show(client.samples())

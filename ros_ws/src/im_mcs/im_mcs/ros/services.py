@@ -14,7 +14,8 @@ from im_mcs.client.groups import best_positions, group_state
 from im_mcs.client.points import ordered_points
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
-from im_mcs.state import Event
+from im_mcs.state import Event, State
+from im_mcs.state.table import STATES
 from im_msgs.msg import GroupState as GroupStateMessage
 from im_msgs.srv import (
     CheckPath,
@@ -32,6 +33,10 @@ from im_msgs.srv import (
 )
 
 _TRANSITIONS = (Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION)
+_WAY = (Event.RESERVE, Event.POWER_ON, Event.ENABLE_MOTION)
+"""From cold to motion."""
+_COVERED = {State.RESERVED: 1, State.ACTIVE: 2, State.MOTION: 3}
+"""How much of the way a state has behind it."""
 _STOPS = (Event.PROTECTIVE_STOP, Event.RESET)
 Work = Callable[[Any, Any, str], Awaitable[str]]
 """What a service does: given request, response and client, it returns what to say."""
@@ -46,6 +51,7 @@ class StateServices:
     """``/mcs/reserve``, ``take_over``, ``release``, ``renew``, ``set_partition``; a ``std_srvs/Trigger`` an event.
 
     What changes power and motion is there once more, for one group and with its owner: ``/mcs/group/power_on`` etc.
+    ``/mcs/<group>/ready`` does all that a motion of a group needs.
 
     Args:
         access: MCS.
@@ -63,6 +69,8 @@ class StateServices:
             offer(access, GroupCommand, f"/mcs/group/{event.value}", self._of_group(event))
         for event in _STOPS:
             offer(access, Trigger, f"/mcs/{event.value}", self._of_all(event))
+        for group in access.group_names:
+            offer(access, Trigger, f"/mcs/{group}/ready", self._ready(group))
 
     async def _reserve(self, request: ReserveGroup.Request, _: object, client: str) -> str:
         await self._mcs.recover()  # work begins here: what was lost since the last is looked for
@@ -94,6 +102,21 @@ class StateServices:
     async def _set_partition(self, request: SetPartition.Request, *_: object) -> str:
         await self._mcs.repartition(request.preset)
         return f"the groups are {', '.join(self._mcs.config.groups)}"
+
+    def _ready(self, group: str) -> Work:
+        async def work(_: object, __: object, client: str) -> str:
+            await self._mcs.recover()
+            self._mcs.group(group)
+            row = next(row for row in self._mcs.client().snapshot()["groups"] if messages.text(row["name"]) == group)
+            state, owner = STATES[int(row["state"])], messages.text(row["owner"])
+            sender = await self._mcs.sender(client)
+            if state is State.MOTION and owner and owner not in sender["names"]:
+                raise StateError(f"group '{group}' is in motion already, and its owner is '{owner}'", group=group)
+            for event in _WAY[_COVERED.get(state, 0) :]:
+                await self._mcs.request(event, {"group": group, "sender": sender})
+            return f"group '{group}' is in motion: it may move"
+
+        return work
 
     def _of_caller(self, event: Event) -> Work:
         async def work(_: object, __: object, client: str) -> str:

@@ -2,10 +2,11 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Vector3
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image, RegionOfInterest
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, RegionOfInterest
 from std_msgs.msg import Header
 
 from im_cell.calibration_files import folded, implausible
@@ -42,6 +43,12 @@ def to_image(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> Image:
     )
     message.data = image.tobytes()
     return message
+
+
+def to_compressed(frame: str, stamp_ns: int, image: NDArray[np.uint8]) -> CompressedImage:
+    """Convert a grey image, shape (h, w), to a message with a JPEG, its format named as by image_transport."""
+    _, data = cv2.imencode(".jpg", image)
+    return CompressedImage(header=to_header(frame, stamp_ns), format="mono8; jpeg compressed ", data=data.tobytes())
 
 
 def to_camera_info(entry: CameraEntry, stamp_ns: int) -> CameraInfo:

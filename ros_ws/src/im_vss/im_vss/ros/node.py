@@ -29,6 +29,7 @@ from im_vss.rig import LaserRig, Rig
 from im_vss.ros.client_liveness import Askers
 from im_vss.ros.controls import ControlParameters, ImageStream
 from im_vss.ros.light_tracker import LightTracker
+from im_vss.ros.markers import CellMarkers
 from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
 from im_vss.ros.ports import Port
@@ -76,6 +77,7 @@ class VssNode(ManagedNode):
         self._take_calibration(cell, laser_book)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
+        self._markers = CellMarkers(self, cell, self._book)
         self._book.on_change = laser_book.on_change = self._calibrated
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
@@ -226,7 +228,8 @@ class VssNode(ManagedNode):
             self.get_logger().error(f"the death of /vss would undo the calibration in use: {error.message}")
 
     def _watch(self) -> None:
-        """Start the cameras again after the death."""
+        """Start the cameras again after the death, and show markers to viewers that have come."""
+        self._markers.publish()
         if self._source is not None and (obituary := self._source.revive()):
             self.get_logger().error(f"{obituary}; it is started again")
 

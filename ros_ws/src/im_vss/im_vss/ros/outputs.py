@@ -5,7 +5,7 @@ import threading
 from geometry_msgs.msg import Point, PointStamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tf2_msgs.msg import TFMessage
 
 from im_cell.frames import Frame
@@ -14,7 +14,7 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
-from im_vss.ros.messages import to_camera_info, to_header, to_image, to_transform
+from im_vss.ros.messages import to_camera_info, to_compressed, to_header, to_image, to_transform
 
 
 class ImageOutputs:
@@ -23,6 +23,7 @@ class ImageOutputs:
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
         """Create ``image_raw``, ``camera_info``, ``image_display`` and ``spot`` of each camera, and ``/tf_static``.
 
+        ``image_raw/compressed`` has the images once more, as JPEG.
         Camera infos are latched: their publishers serve volatile subscribers too, and who comes later has the present
         calibration before the next image.
         """
@@ -32,6 +33,7 @@ class ImageOutputs:
         self._telling = threading.Lock()
         names = [entry.name for entry in book.entries()]
         self._raw = self._publishers(names, Image, "image_raw", qos.IMAGES)
+        self._compressed = self._publishers(names, CompressedImage, "image_raw/compressed", qos.IMAGES)
         self._info = self._publishers(names, CameraInfo, "camera_info", qos.LATCHED)
         self._display = self._publishers(names, Image, "image_display", qos.IMAGES)
         self._spot = self._publishers(names, PointStamped, "spot", qos.EVENTS)
@@ -44,6 +46,8 @@ class ImageOutputs:
             self._info[frame.camera].publish(to_camera_info(entry, frame.stamp_ns))
         if self._raw[frame.camera].get_subscription_count():
             self._raw[frame.camera].publish(to_image(entry.frame, frame.stamp_ns, frame.image))
+        if self._compressed[frame.camera].get_subscription_count():
+            self._compressed[frame.camera].publish(to_compressed(entry.frame, frame.stamp_ns, frame.image))
 
     def display(self, camera: str, image: Pixels, stamp_ns: int) -> None:
         """Publish the content of a monitor."""

@@ -18,6 +18,7 @@ from im_mcs.client.servo_client import OnProgress
 from im_mcs.protocol.requests import Policy
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess, Started
+from im_mcs.ros.topics.path_markers import PathMarkers
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
 
@@ -42,10 +43,11 @@ class Motions:
 
     Args:
         access: MCS.
+        markers: What shows it to viewers.
     """
 
-    def __init__(self, access: McsAccess) -> None:
-        self._mcs = access
+    def __init__(self, access: McsAccess, markers: PathMarkers) -> None:
+        self._mcs, self._markers = access, markers
         self._under_way: dict[int, Arrival] = {}
         self._ranks = itertools.count(1)
         self._replaced: Counter[str] = Counter()
@@ -112,6 +114,7 @@ class Motions:
                 self._under_way.pop(number, None)
             if shown:
                 self._paths[group].publish(GroupPath())
+                self._markers.end(group)
 
     async def stop(self, arrival: Arrival) -> None:
         """Decelerate the motion of a group on the path, and end the motion and the waiting goals as cancelled.
@@ -143,6 +146,7 @@ class Motions:
     def _show(self, group: str, path: dict[str, Any]) -> None:
         stamp_ns = int(self._mcs.client().snapshot()["stamp_ns"])
         self._paths[group].publish(messages.group_path(self._mcs.config.groups[group].joints, path, stamp_ns))
+        self._markers.begin(group, path)
 
 
 class CalledActionServer(GuardedActionServer):

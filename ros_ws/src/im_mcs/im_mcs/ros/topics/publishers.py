@@ -1,5 +1,6 @@
 """All publishers of ``/mcs``."""
 
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,12 +15,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
-from im_cell.robot import Cell, urdf
+from im_cell.robot import Cell, robot_description
 from im_core.ros import qos
 from im_core.ros.stamps import to_stamp
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
-from im_mcs.model import CellModel
 from im_mcs.ros import messages
 from im_mcs.state import State
 from im_mcs.testbed.driver import PowerReading
@@ -31,13 +31,15 @@ class Publishers:
 
     Args:
         node: The node that publishes.
-        model: Kinematics; used by this object alone.
+        cell: The cell.
+        grippers: Names of the slots of grippers, in the order of the samples.
         limits: Those in force; ``/robot_description`` says what is enforced, not what the hardware could do.
     """
 
-    def __init__(self, node: Node, model: CellModel, limits: JointLimits) -> None:
-        self._names = model.names
-        self._frames = Frames(model.cell, model)
+    def __init__(self, node: Node, cell: Cell, grippers: Sequence[str], limits: JointLimits) -> None:
+        self._names = (*cell.joint_names, *grippers)
+        description = robot_description(cell, limits.enforced())
+        self._frames = Frames(description, self._names)
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
         self._joints = node.create_publisher(JointState, "/joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
@@ -45,7 +47,7 @@ class Publishers:
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
         self._tf_static.publish(TFMessage(transforms=self._frames.fixed()))
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
-        self._description.publish(String(data=urdf(model.cell, limits=limits.enforced())))
+        self._description.publish(String(data=description))
 
     def state(
         self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
@@ -60,7 +62,8 @@ class Publishers:
                 self._joints.publish(messages.joint_state(self._names, sample))
         if self._tf.get_subscription_count():
             for sample in samples:
-                self._tf.publish(self._frames.moving(np.array(sample["q"]), sample["stamp_ns"]))
+                positions = np.array([*sample["q"], *sample["gripper"]])
+                self._tf.publish(self._frames.moving(positions, sample["stamp_ns"]))
 
     def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish ``/diagnostics``."""
@@ -70,45 +73,73 @@ class Publishers:
 
 
 class Frames:
-    """Transforms of the cell's links.
+    """Transforms of the frames of a robot description.
 
     Args:
-        cell: Joints, links and fixed frames.
-        model: Kinematics; used by this object alone.
+        description: As URDF.
+        names: Joints whose positions are known, in their order; what other joints move is left out.
     """
 
-    def __init__(self, cell: Cell, model: CellModel) -> None:
-        self._model = model
-        moving = [(joint.parent, joint.child) for joint in cell.joints]
-        names = {parent for parent, _ in moving} | {child for _, child in moving}
-        self._fixed = [(_parent_frame(model, name), name) for name in model.poses(cell.home) if name not in names]
-        self._home = cell.home
-        unfilled = TFMessage(transforms=[_transform(parent, child) for parent, child in moving])
-        self._moving = bytearray(serialize_message(unfilled))
-        self._stamps, self._placements = _places(self._moving, len(moving))
+    def __init__(self, description: str, names: Sequence[str]) -> None:
+        self._model = pin.buildModelFromXML(description)
+        self._data = self._model.createData()
+        self._q = pin.neutral(self._model)
+        joints = {joint.attrib["name"]: joint for joint in ET.fromstring(description).iterfind("joint")}
+        pairs = {name: _ends(joint) for name, joint in joints.items()}
+        moving = [name for name in self._model.names if name in joints]
+        children = {pairs[name][1] for name in moving}
+        self._fixed = [
+            (self._model.frames[frame.parentFrame], frame)
+            for frame in self._model.frames
+            if frame.type == pin.FrameType.BODY and frame.name not in children and frame.parentFrame > 0
+        ]
+        leads = {name: _lead(name, joints[name]) for name in moving}
+        shown = [name for name in moving if leads[name][0] in names]
+        self._joints = [self._model.getJointId(name) for name in shown]
+        self._places = [self._model.idx_qs[joint] for joint in self._joints]
+        self._sources = [names.index(leads[name][0]) for name in shown]
+        self._shares = np.array([leads[name][1] for name in shown])
+        unfilled = TFMessage(transforms=[_transform(*pairs[name]) for name in shown])
+        self._message = bytearray(serialize_message(unfilled))
+        self._stamps, self._placements = _places(self._message, len(shown))
 
-    def moving(self, q: NDArray[np.float64], stamp_ns: int) -> bytes:
-        """Return transforms over the joints at ``q``, shape (18,), as the bytes (CDR) of a ``TFMessage``.
+    def moving(self, positions: NDArray[np.float64], stamp_ns: int) -> bytes:
+        """Return transforms over the joints at positions, shape (names,), as the bytes (CDR) of a ``TFMessage``.
 
         Fifty a second are told, and only numbers in them change: making the objects anew took most of the node's time.
         """
+        self._q[self._places] = self._shares * positions[self._sources]
+        pin.forwardKinematics(self._model, self._data, self._q)
         stamp = divmod(stamp_ns, 1_000_000_000)
-        for told, values, placement in zip(self._stamps, self._placements, self._model.over_joints(q), strict=True):
+        for told, values, joint in zip(self._stamps, self._placements, self._joints, strict=True):
             told[:] = stamp
-            values[:] = pin.SE3ToXYZQUAT(placement)
-        return bytes(self._moving)
+            values[:] = pin.SE3ToXYZQUAT(self._data.liMi[joint])
+        return bytes(self._message)
 
     def fixed(self) -> list[TransformStamped]:
         """Return transforms of frames fixed to a link."""
-        poses = self._model.poses(self._home)
-        poses.setdefault("world", pin.SE3.Identity())
         transforms = []
-        for parent, child in self._fixed:
-            message = _transform(parent, child)
-            placement = poses[parent].actInv(poses[child])
+        for joint, frame in self._fixed:
+            parent = self._model.frames[joint.parentFrame]
+            message = _transform(parent.name, frame.name)
+            placement = parent.placement.actInv(frame.placement)
             messages.fill_placement(message.transform.translation, message.transform.rotation, placement)
             transforms.append(message)
         return transforms
+
+
+def _ends(joint: ET.Element) -> tuple[str, str]:
+    """Parent and child of a joint."""
+    parent, child = joint.find("parent"), joint.find("child")
+    assert parent is not None
+    assert child is not None
+    return parent.attrib["link"], child.attrib["link"]
+
+
+def _lead(name: str, joint: ET.Element) -> tuple[str, float]:
+    """Joint that a joint follows, and by how much of its position; a joint by default follows itself."""
+    mimic = joint.find("mimic")
+    return (name, 1.0) if mimic is None else (mimic.attrib["joint"], float(mimic.attrib["multiplier"]))
 
 
 def _places(message: bytearray, count: int) -> tuple[list[NDArray[np.int32]], list[NDArray[np.float64]]]:
@@ -140,12 +171,3 @@ def _transform(parent: str, child: str) -> TransformStamped:
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id = parent
     return message
-
-
-def _parent_frame(model: CellModel, name: str) -> str:
-    """Return the nearest body above a fixed frame."""
-    frame = model.pin.frames[model.frame_id(name)]
-    parent = model.pin.frames[frame.parentFrame]
-    while parent.type != pin.FrameType.BODY and parent.name != "universe":
-        parent = model.pin.frames[parent.parentFrame]
-    return "world" if parent.name == "universe" else str(parent.name)

@@ -1,0 +1,89 @@
+"""Markers of the cameras' views, the wrist lights and the workspace, for RViz and Foxglove."""
+
+import numpy as np
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from im_cell.lights import lights_told
+from im_cell.robot import Cell
+from im_cell.workspace import Workspace
+from im_core.ros import qos
+from im_core.ros.node import ManagedNode
+from im_vss.camera_book import CameraBook, CameraEntry
+
+_DEPTH_M = 0.5
+"""How far from the camera its view is drawn."""
+_CALIBRATED, _DRAWN = ColorRGBA(r=0.3, g=0.9, b=0.4, a=1.0), ColorRGBA(r=0.7, g=0.7, b=0.7, a=1.0)
+_LIT, _DARK = ColorRGBA(r=1.0, g=0.95, b=0.6, a=1.0), ColorRGBA(r=0.3, g=0.3, b=0.3, a=1.0)
+_WORKSPACE = ColorRGBA(r=0.3, g=0.5, b=1.0, a=0.12)
+
+
+class CellMarkers:
+    """``/markers`` of ``/vss``: namespaces ``cameras``, ``lights``, ``workspace``; latched, for subscribers only.
+
+    Each is in the frame it is fixed to, which ``/tf`` moves. A camera that is as drawn is grey.
+
+    Args:
+        node: The node that publishes.
+        cell: Lights.
+        book: Calibrations of the cameras.
+    """
+
+    def __init__(self, node: ManagedNode, cell: Cell, book: CameraBook) -> None:
+        self._cell, self._book = cell, book
+        self._lights = dict.fromkeys(cell.light_names, False)
+        self._shown: MarkerArray | None = None
+        self._publisher = node.create_publisher(MarkerArray, "/markers", qos.LATCHED)
+        node.create_subscription(String, "/testbed/lights", self._switched, qos.LATCHED)
+
+    def publish(self) -> None:
+        """Publish what has changed since the last call, or everything to the first subscriber."""
+        if not self._publisher.get_subscription_count():
+            self._shown = None
+            return
+        markers = [_view(rank, entry) for rank, entry in enumerate(self._book.entries())]
+        markers += [self._light(rank, name, lit) for rank, (name, lit) in enumerate(self._lights.items())]
+        present = MarkerArray(markers=[*markers, _workspace(Workspace())])
+        if present != self._shown:
+            self._shown = present
+            self._publisher.publish(present)
+
+    def _switched(self, message: String) -> None:
+        self._lights = lights_told(message.data, self._cell)
+
+    def _light(self, rank: int, name: str, lit: bool) -> Marker:
+        marker = _marker("lights", rank, name, Marker.SPHERE, _LIT if lit else _DARK)
+        size = self._cell.led.diameter * (2.0 if lit else 1.0)
+        marker.scale.x = marker.scale.y = marker.scale.z = size
+        return marker
+
+
+def _view(rank: int, entry: CameraEntry) -> Marker:
+    """Return the edges of a camera's view: from the centre through the corners of the image, and around."""
+    model = entry.model
+    right, low = model.width - 0.5, model.height - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, low], [-0.5, low]])
+    ideal = model.undistort(corners)
+    ends = [Point(x=_DEPTH_M * x, y=_DEPTH_M * y, z=_DEPTH_M) for x, y in ideal.tolist()]
+    marker = _marker("cameras", rank, entry.frame, Marker.LINE_LIST, _CALIBRATED if entry.calibrated else _DRAWN)
+    marker.scale.x = 0.005
+    for end, following in zip(ends, [*ends[1:], ends[0]], strict=True):
+        marker.points.extend((Point(), end, end, following))
+    return marker
+
+
+def _workspace(box: Workspace) -> Marker:
+    marker = _marker("workspace", 0, "world", Marker.CUBE, _WORKSPACE)
+    low, high = np.array(box.low), np.array(box.high)
+    center, position = (low + high) / 2.0, marker.pose.position
+    position.x, position.y, position.z = center.tolist()
+    marker.scale.x, marker.scale.y, marker.scale.z = (high - low).tolist()
+    return marker
+
+
+def _marker(namespace: str, number: int, frame: str, kind: int, color: ColorRGBA) -> Marker:
+    """Return a marker that goes with its frame, at whatever time."""
+    marker = Marker(ns=namespace, id=number, type=kind, action=Marker.ADD, color=color, frame_locked=True)
+    marker.header.frame_id = frame
+    return marker
