@@ -36,6 +36,7 @@ class Queued:
         policy: What becomes of motions before it.
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
+        at_once: It has taken the place of another that had not begun: a trajectory waits for no re-timing.
         preparation: Its preparation, once begun.
         trajectory: Once prepared.
     """
@@ -45,6 +46,7 @@ class Queued:
     policy: Policy
     share: float
     tolerances: TrajectoryTolerances | None
+    at_once: bool = False
     preparation: Preparation | None = None
     trajectory: Trajectory | None = None
 

@@ -18,8 +18,8 @@ from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.motions.preparation import prepare
-from im_mcs.planning.motions.spline import RestNeededError
 from im_mcs.planning.motions.stream import StreamFollower, StreamLease
+from im_mcs.planning.motions.tracked import TrackedTrajectory, TrackingFollower
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Setpoint
@@ -187,9 +187,13 @@ class ControlledGroup:
         self._require_free(request.policy)
         check_move(self.context, move)
         queued = Queued(goal, move, request.policy, request.speed_scale, tolerances_of(self.context, move))
-        if request.policy is Policy.REPLACE and isinstance(move, LineMove):
-            # a line begins at rest: stop first
-            self._end_all(self._replaced(goal))
+        if request.policy is Policy.REPLACE:
+            replaced = self._replaced(goal)
+            queued.at_once = bool(self._queue)
+            self._end_queued(0, replaced)
+            if isinstance(move, LineMove):
+                # a line begins at rest: stop first
+                self._end_all(replaced)
         self._queue.append(queued)
 
     def stream(self, goal: Goal, request: StreamRequest) -> bool:
@@ -409,23 +413,15 @@ class ControlledGroup:
             return
         try:
             if queued.preparation is None:
-                queued.preparation = prepare(self.context, queued.move, lambda: self._start(queued))
+                queued.preparation = prepare(
+                    self.context, queued.move, lambda: self._start(queued), at_once=queued.at_once
+                )
             queued.trajectory = queued.preparation.step()
-        except RestNeededError:
-            self._stop_before(rank, queued)
         except ImError as fault:
             self._end_queued(rank, fault)
         except Exception as error:  # one motion that cannot be planned must not take the power of all groups
             unplanned = f"group '{self.name}': the motion cannot be planned: {error!r}"
             self._end_queued(rank, ImError(unplanned, code="internal", group=self.name))
-
-    def _stop_before(self, rank: int, queued: Queued) -> None:
-        """Stop the motion before a waiting one, which was to take over."""
-        waiting = list(self._queue)
-        self._queue = deque(waiting[:rank])
-        self._interrupt(self._replaced(queued.goal))
-        queued.policy, queued.preparation = Policy.APPEND, None
-        self._queue = deque(waiting[rank:])
 
     def _end_known(self) -> bool:
         """Return whether the begin of the next motion is known: the present one will reach the end of the path."""
@@ -448,24 +444,27 @@ class ControlledGroup:
     def _begin_next(self) -> None:
         if not self._queue or not self.planner.at_knot:
             return
-        rank = next((k for k, q in enumerate(self._queue) if q.policy is Policy.REPLACE and q.trajectory), 0)
-        queued = self._queue[rank]
-        if queued.trajectory is None:
+        queued, current, planner = self._queue[0], self._current, self.planner
+        trajectory = queued.trajectory
+        if trajectory is None:
             return
-        current = self._current
-        if queued.policy is Policy.REPLACE:
-            fault = self._replaced(queued.goal)
-            while self._queue[0] is not queued:
-                self._finish(self._queue.popleft().goal, fault, 0)
-            if current is not None:
-                self._end_current(current.goal.fault or fault)
-        elif current is not None:
-            if current.goal.fault is not None or not self.planner.finished or current.judges_goal:
+        if current is not None:
+            if queued.policy is Policy.REPLACE:
+                self._end_current(current.goal.fault or self._replaced(queued.goal))
+            elif current.goal.fault is None and planner.finished and not current.judges_goal:
+                self._end_current(None)
+            else:
                 return
-            self._end_current(None)
         self._queue.popleft()
-        self.planner.follow(queued.trajectory, self._start_rate(queued))
-        retimed = queued.trajectory if isinstance(queued.trajectory, RetimedTrajectory) else None
+        if isinstance(trajectory, TrackedTrajectory):
+            rate = self._start_rate(queued)
+            follower = TrackingFollower(
+                planner.setpoint, trajectory, rate, planner.limits, planner.period_s, planner.divisor
+            )
+            planner.follower = follower
+        else:
+            planner.follow(trajectory, self._start_rate(queued))
+        retimed = trajectory if isinstance(trajectory, RetimedTrajectory) else None
         self._current = Current(queued.goal, queued.share, queued.tolerances, retimed)
         self._begun()
 
