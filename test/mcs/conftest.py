@@ -119,6 +119,10 @@ class Client:
     def move(self, *points, **options):
         return self.start_move(*points, **options)[1]()
 
+    def rest(self):
+        """The positions of the left arm once it rests, which a trajectory that has ended does not wait for."""
+        return self.until(lambda: (state := self.group_state()).at_rest and state).q_rest
+
     def follow(self, goal, feedback=None):
         return self.act(FollowJointTrajectory, "/left/follow_joint_trajectory", goal, feedback)
 

@@ -1,6 +1,7 @@
 """``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as users of ros2_control expect them."""
 
 import math
+import re
 import threading
 
 import numpy as np
@@ -19,6 +20,7 @@ from im_core.ros.calls import pause
 from im_mcs.limits.configuration import load_config
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions import trajectory_server
+from im_msgs.action import Move
 from im_msgs.msg import GroupSetpoints
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
@@ -78,7 +80,7 @@ def test_joints_in_any_order_with_velocities_and_feedback(ready):
     assert answer.status == SUCCEEDED, answer.result.error_string
     assert answer.result.error_code == Result.SUCCESSFUL
     assert now(ready) - began >= 2.0
-    np.testing.assert_allclose(ready.group_state().q_rest, target, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), target, atol=1e-4)
     assert len(told) >= 10
     for feedback in told:
         assert list(feedback.joint_names) == ready.joints
@@ -239,7 +241,7 @@ def test_a_new_goal_replaces_the_running_one(ready):
     assert answer.status == SUCCEEDED, answer.result.error_string
     assert first().status == ABORTED
     assert first().result.error_code == Result.INVALID_GOAL
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), ready.home, atol=1e-4)
 
 
 def test_an_invalid_second_goal_leaves_the_first_alone(ready):
@@ -298,7 +300,7 @@ def test_some_of_the_joints_are_followed_where_that_is_allowed(ready, allowed):
     allowed("allow_partial_joints_goal")
     answer = ready.follow(request)[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    np.testing.assert_allclose(ready.group_state().q_rest, target, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), target, atol=1e-4)
 
 
 def test_a_velocity_at_the_end_is_followed_by_rest_where_that_is_allowed(ready, allowed):
@@ -311,7 +313,7 @@ def test_a_velocity_at_the_end_is_followed_by_rest_where_that_is_allowed(ready, 
     allowed("allow_nonzero_velocity_at_trajectory_end")
     answer = ready.follow(request)[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    behind = ready.group_state().q_rest - target
+    behind = ready.rest() - target
     assert 0.5 * speed**2 / 0.95 < behind[0] < 0.1
     np.testing.assert_allclose(behind[1:], 0.0, atol=1e-4)
 
@@ -320,7 +322,7 @@ def test_one_point_at_time_0_where_the_arm_is_succeeds(ready):
     here = np.array(ready.group_state().q)
     answer = ready.follow(goal(ready, (0.0, here)))[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    np.testing.assert_allclose(ready.group_state().q_rest, here, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), here, atol=1e-4)
 
 
 def test_a_stream_on_the_topic_is_followed_and_ends_at_rest(ready):
@@ -372,7 +374,7 @@ def test_a_trajectory_of_as_many_points_as_are_allowed_is_told_and_followed(read
     request = long_course(ready, MOST_POINTS)
     answer = ready.follow(request)[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + np.eye(9)[0], atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), ready.home + np.eye(9)[0], atol=1e-4)
     ready.until(lambda: goals_told)
     (told,) = [sent for event in goals_told for sent in event.request]
     assert told.goal == request
@@ -405,7 +407,7 @@ def test_a_goal_that_is_cancelled_before_the_servo_knows_it_does_not_begin(ready
     answer = result()
     assert answer.status == CANCELED
     assert answer.result.error_code == Result.SUCCESSFUL
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), ready.home, atol=1e-4)
 
 
 def test_a_goal_that_takes_long_to_be_sent_does_not_replace_a_newer_one(ready, held):
@@ -419,7 +421,7 @@ def test_a_goal_that_takes_long_to_be_sent_does_not_replace_a_newer_one(ready, h
     assert answer.result.error_code == Result.INVALID_GOAL
     assert answer.result.error_string == "group 'left': replaced by a newer goal"
     assert second().status == SUCCEEDED
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + STEP, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), ready.home + STEP, atol=1e-4)
 
 
 def test_a_newer_goal_that_is_refused_leaves_one_that_takes_long_alone(ready, held):
@@ -450,7 +452,7 @@ def test_a_stop_counts_for_what_the_servo_does_not_know_yet(ready, held, on_topi
         clock.sleep(1.0)
     else:
         assert result().result.error_string == "group 'left': stopped before the motion began"
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home, atol=1e-4)
+    np.testing.assert_allclose(ready.rest(), ready.home, atol=1e-4)
 
 
 def test_what_is_too_long_is_refused_by_its_length(ready_once, monkeypatch):
@@ -543,25 +545,84 @@ def trapezoid(step, share=0.5, way=0.4):
     return t, covered, force * np.minimum(rising, falling), change
 
 
+WAY = 0.4 * np.ones(9) * [0.5, 1.0, 0.5, 1.0, -0.5, 0.5, 1.0, 1.0, 1.0]
+
+
+def trapezoidal(client, step, many):
+    """A goal along a way, beyond the limit of jerk, and the time that it asks for."""
+    t, *rows = trapezoid(step)
+    request = goal(client)
+    for k, time in enumerate(t):
+        point = JointTrajectoryPoint(time_from_start=duration(float(time)))
+        for order, name in enumerate(GIVEN[:many]):
+            setattr(point, name, list(map(float, (client.home if order == 0 else 0.0) + rows[order][k] * WAY)))
+        request.trajectory.points.append(point)
+    return request, float(t[-1])
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "code"),
+    [
+        ({"goal_time_tolerance": duration(0.02)}, Result.GOAL_TOLERANCE_VIOLATED),
+        ({"goal_time_tolerance": duration(2.0)}, Result.SUCCESSFUL),
+        ({"path_tolerance": [JointTolerance(name="left_j1", position=5e-4)]}, Result.PATH_TOLERANCE_VIOLATED),
+        ({"path_tolerance": [JointTolerance(name="left_j1", position=-1.0)]}, Result.SUCCESSFUL),
+    ],
+)
+def test_what_is_retimed_is_held_against_its_message(ready, tolerances, code):
+    request, asked_s = trapezoidal(ready, 0.1, 2)
+    for name, value in tolerances.items():
+        setattr(request, name, value)
+    answer = ready.follow(request)[1]()
+    assert answer.result.error_code == code, answer.result.error_string
+    if code == Result.SUCCESSFUL:
+        assert f"instead of {asked_s:.3f} s" in answer.result.error_string
+    else:
+        assert re.search(
+            r"left_\w+: .*error -?[\d.e-]+ .* is beyond the (path|goal) tolerance", answer.result.error_string
+        )
+
+
+@pytest.mark.parametrize("rate_hz", [10, 30])
+def test_a_client_that_plans_anew_is_followed_and_the_next_move_begins(ready, rate_hz):
+    """In testbed time, which runs as fast as it can here: a busy computer leaves plans out."""
+    setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
+    began, size, ahead_s, results = now(ready), 0.2, 0.4, []
+    while (passed := now(ready) - began) < 4.0:
+        times = passed + ahead_s * np.array([1.0, 2.0])
+        shares, speed = size * np.sin(times), size * math.cos(times[0])
+        request = goal(ready, *((ahead_s * k, ready.home + share * WAY) for k, share in enumerate(shares, 1)))
+        for point, velocity in zip(request.trajectory.points, (speed, 0.0), strict=True):
+            point.velocities = list(velocity * WAY)
+        results.append(ready.follow(request)[1])
+        ready.until(lambda passed=passed: now(ready) - began > passed + 1.0 / rate_hz)
+    assert ready.move(ready.home, policy=Move.Goal.REPLACE).success
+    answers = [result() for result in results]
+    replaced = [answer for answer in answers if answer.status != SUCCEEDED]  # some may end while the computer is busy
+    assert len(replaced) > len(answers) / 2
+    for answer in replaced:
+        assert (answer.status, answer.result.error_code) == (ABORTED, Result.INVALID_GOAL)
+        assert "replaced by" in answer.result.error_string
+    stamps = np.array([message.stamp.sec + 1e-9 * message.stamp.nanosec for message in setpoints]) - began
+    place = (np.array([message.position for message in setpoints]) - ready.home) @ WAY / (WAY @ WAY)
+    during = (stamps > 0.5) & (stamps < 4.0)
+    assert during.any()
+    assert place[during].max() > 0.8 * size
+    assert place[during].min() < -0.4 * size
+
+
 @pytest.mark.parametrize("many", [1, 2, 3])
 @pytest.mark.parametrize("step", [0.1, 0.02])
 def test_a_trapezoidal_profile_is_followed_on_its_path(ready, step, many):
     """Its acceleration jumps: it takes a little longer, says so, and is nowhere else."""
-    way = 0.4 * np.ones(9) * [0.5, 1.0, 0.5, 1.0, -0.5, 0.5, 1.0, 1.0, 1.0]
-    t, *rows = trapezoid(step)
-    request, told = goal(ready), []
-    for k, time in enumerate(t):
-        point = JointTrajectoryPoint(time_from_start=duration(float(time)))
-        for order, name in enumerate(GIVEN[:many]):
-            setattr(point, name, list(map(float, (ready.home if order == 0 else 0.0) + rows[order][k] * way)))
-        request.trajectory.points.append(point)
-    request.path_tolerance = [JointTolerance(name=joint, position=0.002) for joint in ready.joints]
+    request, asked_s = trapezoidal(ready, step, many)
+    told = []
     answer = ready.follow(request, lambda message: told.append(message.feedback))[1]()
     assert answer.status == SUCCEEDED, answer.result.error_string
-    assert f"instead of {t[-1]:.3f} s, because of jerk of left_" in answer.result.error_string
-    np.testing.assert_allclose(ready.group_state().q_rest, ready.home + way, atol=1e-4)
+    assert f"instead of {asked_s:.3f} s, because of jerk of left_" in answer.result.error_string
+    np.testing.assert_allclose(ready.rest(), ready.home + WAY, atol=1e-4)
     seen = np.array([feedback.desired.positions for feedback in told]) - ready.home
-    share = seen @ way / (way @ way)
-    assert np.abs(seen - share[:, None] * way).max() < 1e-4
+    share = seen @ WAY / (WAY @ WAY)
+    assert np.abs(seen - share[:, None] * WAY).max() < 1e-4
     last = told[-1]
-    assert 0.0 < last.desired.time_from_start.sec + 1e-9 * last.desired.time_from_start.nanosec <= t[-1] + 1e-6
+    assert 0.0 < last.desired.time_from_start.sec + 1e-9 * last.desired.time_from_start.nanosec <= asked_s + 1e-6

@@ -119,6 +119,14 @@ class Line(Model):
     rotation_lever_m: float = Field(gt=0, description="distance equivalent to a rotation of one radian [m]")
 
 
+class Goal(Model):
+    """When a trajectory without goal tolerances has come to its end."""
+
+    rad: float = Field(gt=0, description="largest error of a joint [rad]")
+    m: float = Field(gt=0, description="largest error of a track [m]")
+    stopped_velocity: float = Field(gt=0, description="largest estimated velocity of each [rad/s or m/s]")
+
+
 class Planning(Model):
     """Defaults of the motion planning layer."""
 
@@ -128,6 +136,7 @@ class Planning(Model):
     )
     max_points: int = Field(ge=1, description="most points of one path")
     max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
+    goal: Goal
     line: Line
 
 

@@ -36,7 +36,9 @@ class Queued:
         policy: What becomes of motions before it.
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
+        at_once: It has taken the place of another that had not begun: a trajectory waits for no re-timing.
         preparation: Its preparation, once begun.
+        prepared_ticks: For how long it has been prepared.
         trajectory: Once prepared.
     """
 
@@ -45,7 +47,9 @@ class Queued:
     policy: Policy
     share: float
     tolerances: TrajectoryTolerances | None
+    at_once: bool = False
     preparation: Preparation | None = None
+    prepared_ticks: int = 0
     trajectory: Trajectory | None = None
 
 
@@ -58,10 +62,12 @@ class Current:
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
         retimed: The trajectory, if it is not followed in the time asked for.
+        asked: The trajectory as it came, if it is not what is followed, and
+        asked_s: its duration [s].
+        passed_s: Time that has passed on it, at the rate in force [s].
         stream: Its follower, and
         lease: the lease of the sender, of streaming setpoints.
         ticks: Since it began.
-        late_ticks: Since it has come to its end.
         at_once: It ends early, and stood still already.
     """
 
@@ -69,16 +75,13 @@ class Current:
     share: float = 1.0
     tolerances: TrajectoryTolerances | None = None
     retimed: RetimedTrajectory | None = None
+    asked: Trajectory | None = None
+    asked_s: float = 0.0
+    passed_s: float = 0.0
     stream: StreamFollower | None = None
     lease: StreamLease | None = None
     ticks: int = 0
-    late_ticks: int = 0
     at_once: bool = False
-
-    @property
-    def judges_goal(self) -> bool:
-        """Whether tolerances decide over the end, and not rest alone."""
-        return self.tolerances is not None and self.tolerances.judges_goal
 
 
 @dataclass

@@ -15,15 +15,15 @@ from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
 from im_mcs.planning.checks.admission import check_move, check_stream
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.checks.tolerances import tolerances_of
+from im_mcs.planning.checks.tolerances import TrajectoryTolerances, tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.motions.preparation import prepare
-from im_mcs.planning.motions.spline import RestNeededError
 from im_mcs.planning.motions.stream import StreamFollower, StreamLease
+from im_mcs.planning.motions.tracked import TrackedTrajectory, TrackingFollower
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
-from im_mcs.planning.trajectories.trajectory import Setpoint
-from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest
+from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
+from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest, TrajectoryMove
 from im_mcs.servo.rest_monitor import RestMonitor, RestPhase
 from im_mcs.servo.stream_gate import StreamGate
 
@@ -136,7 +136,9 @@ class ControlledGroup:
         if waits and (not self._rates.paused or any(queued.trajectory is None for queued in self._queue)):
             return True
         current = self._current
-        if current is not None and (current.lease is not None or (self.planner.finished and current.judges_goal)):
+        if current is not None and (
+            current.lease is not None or (self.planner.finished and current.tolerances is not None)
+        ):
             return True
         return not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
 
@@ -187,9 +189,13 @@ class ControlledGroup:
         self._require_free(request.policy)
         check_move(self.context, move)
         queued = Queued(goal, move, request.policy, request.speed_scale, tolerances_of(self.context, move))
-        if request.policy is Policy.REPLACE and isinstance(move, LineMove):
-            # a line begins at rest: stop first
-            self._end_all(self._replaced(goal))
+        if request.policy is Policy.REPLACE:
+            replaced = self._replaced(goal)
+            queued.at_once = bool(self._queue)
+            self._end_queued(0, replaced)
+            if isinstance(move, LineMove):
+                # a line begins at rest: stop first
+                self._end_all(replaced)
         self._queue.append(queued)
 
     def stream(self, goal: Goal, request: StreamRequest) -> bool:
@@ -306,6 +312,8 @@ class ControlledGroup:
         if self._rates.protective is not None:
             self._suspended(self._rates.protective)
         self.setpoint = self.planner.advance()
+        if current is not None:
+            current.passed_s += self.planner.period_s * (1.0 if self.planner.finished else self.speed)
         if current is not None and current.stream is not None and current.stream.fault is not None:
             self._interrupt(current.stream.fault)
         return self.setpoint
@@ -407,25 +415,18 @@ class ControlledGroup:
             return  # it takes over in the tick in which it is ready, and that is at a knot
         if not replaces and before is None and not self._end_known():
             return
+        queued.prepared_ticks += 1
         try:
             if queued.preparation is None:
-                queued.preparation = prepare(self.context, queued.move, lambda: self._start(queued))
+                queued.preparation = prepare(
+                    self.context, queued.move, lambda: self._start(queued), at_once=queued.at_once
+                )
             queued.trajectory = queued.preparation.step()
-        except RestNeededError:
-            self._stop_before(rank, queued)
         except ImError as fault:
             self._end_queued(rank, fault)
         except Exception as error:  # one motion that cannot be planned must not take the power of all groups
             unplanned = f"group '{self.name}': the motion cannot be planned: {error!r}"
             self._end_queued(rank, ImError(unplanned, code="internal", group=self.name))
-
-    def _stop_before(self, rank: int, queued: Queued) -> None:
-        """Stop the motion before a waiting one, which was to take over."""
-        waiting = list(self._queue)
-        self._queue = deque(waiting[:rank])
-        self._interrupt(self._replaced(queued.goal))
-        queued.policy, queued.preparation = Policy.APPEND, None
-        self._queue = deque(waiting[rank:])
 
     def _end_known(self) -> bool:
         """Return whether the begin of the next motion is known: the present one will reach the end of the path."""
@@ -448,26 +449,41 @@ class ControlledGroup:
     def _begin_next(self) -> None:
         if not self._queue or not self.planner.at_knot:
             return
-        rank = next((k for k, q in enumerate(self._queue) if q.policy is Policy.REPLACE and q.trajectory), 0)
-        queued = self._queue[rank]
-        if queued.trajectory is None:
+        queued, current, planner = self._queue[0], self._current, self.planner
+        trajectory = queued.trajectory
+        if trajectory is None:
             return
-        current = self._current
-        if queued.policy is Policy.REPLACE:
-            fault = self._replaced(queued.goal)
-            while self._queue[0] is not queued:
-                self._finish(self._queue.popleft().goal, fault, 0)
-            if current is not None:
-                self._end_current(current.goal.fault or fault)
-        elif current is not None:
-            if current.goal.fault is not None or not self.planner.finished or current.judges_goal:
+        if current is not None:
+            if queued.policy is Policy.REPLACE:
+                self._end_current(current.goal.fault or self._replaced(queued.goal))
+            elif current.goal.fault is None and planner.finished and current.tolerances is None:
+                self._end_current(None)
+            else:
                 return
-            self._end_current(None)
         self._queue.popleft()
-        self.planner.follow(queued.trajectory, self._start_rate(queued))
-        retimed = queued.trajectory if isinstance(queued.trajectory, RetimedTrajectory) else None
-        self._current = Current(queued.goal, queued.share, queued.tolerances, retimed)
+        if isinstance(trajectory, TrackedTrajectory):
+            rate = self._start_rate(queued)
+            follower = TrackingFollower(
+                planner.setpoint, trajectory, rate, planner.limits, planner.period_s, planner.divisor
+            )
+            planner.follower = follower
+        else:
+            planner.follow(trajectory, self._start_rate(queued))
+        self._current = Current(queued.goal, queued.share, queued.tolerances, asked_s=trajectory.duration)
+        self._note_asked(self._current, queued, trajectory)
         self._begun()
+
+    def _note_asked(self, current: Current, queued: Queued, trajectory: Trajectory) -> None:
+        """Note what tolerances of the client hold against: the trajectory as it came, from when it could have begun."""
+        if isinstance(trajectory, TrackedTrajectory):
+            current.asked = trajectory
+        elif isinstance(trajectory, RetimedTrajectory):
+            current.retimed, current.asked = trajectory, trajectory.asked
+            current.asked_s = trajectory.asked.duration
+            if queued.policy is not Policy.APPEND:
+                current.passed_s = queued.prepared_ticks * self.planner.period_s
+        elif isinstance(queued.move, TrajectoryMove) and queued.move.points.times[-1] == 0.0:
+            current.asked_s = 0.0
 
     # ends
 
@@ -556,28 +572,35 @@ class ControlledGroup:
             return
         if not planner.finished or not self.still:
             return
-        if current.tolerances is not None and current.tolerances.judges_goal:
-            error = self._error()
-            late_s = current.late_ticks * planner.period_s
-            current.late_ticks += 1
-            missed = current.tolerances.at_goal(error, late_s, self.settled, current.goal.since_tick + current.ticks)
-            if current.tolerances.reached(error) or missed is not None:
+        if current.tolerances is not None:
+            if current.tolerances.reached(self._error(planner.setpoint)):
+                self._end_current(None)
+            elif (missed := self._missed(current, current.tolerances)) is not None:
                 self._end_current(missed)
         elif self.settled:
             self._end_current(None if self.monitor.at_rest else self._not_settled())
 
-    def _error(self) -> NDArray[np.float64]:
+    def _error(self, wanted: Setpoint) -> NDArray[np.float64]:
         """Return request minus measurement of position and velocity, shape (2, n)."""
-        setpoint = self.planner.setpoint
-        return np.array([setpoint.q - self._position, setpoint.v - self._velocity])
+        return np.array([wanted.q - self._position, wanted.v - self._velocity])
+
+    def _missed(self, current: Current, tolerances: TrajectoryTolerances) -> ImError | None:
+        """Return the fault of a goal that is not reached in the time that its message allows."""
+        error, late_s = self._error(self.planner.follower.end_setpoint), current.passed_s - current.asked_s
+        settled = self.planner.finished and self.settled
+        return tolerances.at_goal(error, late_s, settled, current.goal.since_tick + current.ticks)
 
     def _judge(self, tick: int) -> None:
-        """Interrupt a trajectory beyond the path tolerance."""
+        """Interrupt a trajectory beyond its tolerances: on the way, or because it is still on the way too late."""
         current = self._current
-        if current is not None and current.tolerances is not None and current.goal.fault is None:
-            fault = current.tolerances.on_path(self._error(), tick)
-            if fault is not None and not self.planner.finished:
-                self._interrupt(fault)
+        if current is None or current.tolerances is None or current.goal.fault is not None or self.planner.finished:
+            return
+        followed = asked = self._error(self.planner.setpoint)
+        if current.asked is not None and current.passed_s < current.asked_s:
+            asked = self._error(current.asked.at(current.passed_s))
+        fault = current.tolerances.on_path(asked, followed, tick) or self._missed(current, current.tolerances)
+        if fault is not None:
+            self._interrupt(fault)
 
     def _begun(self) -> None:
         self.monitor.restart()

@@ -173,7 +173,7 @@ def _act(rig, act, way, random):
         case "move" | "corners":
             return rig.move(*points, policy=policy, blend=0.2 if act == "corners" else 0.0)
         case "trajectory":
-            times = np.cumsum(random.uniform(2.0, 3.0, len(points)))
+            times = np.cumsum(random.uniform(*random.choice([[2.0, 3.0], [0.1, 0.5]]), len(points)))
             given = [{"time": t, "positions": q.tolist()} for t, q in zip(times.tolist(), points, strict=True)]
             return rig.request({"kind": "trajectory", "points": given}, policy=policy)
         case "stream":

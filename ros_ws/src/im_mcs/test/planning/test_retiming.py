@@ -250,14 +250,16 @@ def test_one_joint_that_turns_round_reaches_where_it_turns(rig, config):
     check_executed(rig, config)
 
 
-def test_what_takes_over_from_a_motion_and_must_be_re_timed_begins_at_rest(rig, way, config):
+def test_what_takes_over_from_a_motion_and_is_beyond_limits_begins_without_a_rest(rig, way, config):
     first = rig.move(rig.home + way)
     rig.ticks(120)
-    assert rig.trace[-1].v.any()
     end = rig.home + 0.2 * way
     second = rig.request({"kind": "trajectory", "points": points([0.3], end[None])}, policy="replace")
+    rig.ticks(3)
+    assert rig.code(first) == "replaced"
+    assert rig.trace[-1].v.any()
     rig.run()
-    assert (rig.code(first), rig.code(second)) == ("replaced", None)
+    assert rig.code(second) is None
     np.testing.assert_allclose(rig.trace[-1].q, end, atol=1e-9)
     rig.check_motion()
     check_executed(rig, config)
@@ -309,6 +311,61 @@ def test_tolerances_are_judged_against_what_was_asked_for(rig, way):
     rig.error[:] = 0.0
     rig.run()
     assert rig.code(goal) == "path_tolerance"
+
+
+def late_goal(rig, way, **tolerances):
+    """A goal that is re-timed to 1.7 instead of 1.3 s; the time asked for."""
+    t, *rows = trapezoid(0.1, 0.9, 1.2 * way, rig.limits)
+    goal = rig.request({"kind": "trajectory", "points": points(t, rig.home + rows[0], rows[1]), **tolerances})
+    return goal, float(t[-1])
+
+
+@pytest.mark.parametrize(("allowed_s", "code"), [(1e-8, "goal_tolerance"), (0.1, "goal_tolerance"), (0.8, None)])
+def test_who_comes_later_than_the_message_allows_has_missed_its_goal(rig, way, allowed_s, code):
+    goal, asked_s = late_goal(rig, way, goal_time_tolerance=allowed_s)
+    rig.run()
+    assert rig.code(goal) == code
+    if code:
+        fault, results, _ = rig.results[goal]
+        assert results["duration"] < asked_s + allowed_s + 0.5
+        assert {"joint", "value", "limit"} <= set(fault.facts)
+        assert re.search(r"beyond the goal tolerance [\d.]+ (m|rad)(/s)? 0\.[01]\d* s after the end", fault.message)
+    else:
+        assert "re-timed" in rig.results[goal][1]["retimed"]
+
+
+def test_who_names_no_time_waits_for_what_is_re_timed(rig, way):
+    goal, asked_s = late_goal(rig, way)
+    rig.run()
+    assert rig.code(goal) is None
+    assert rig.results[goal][1]["duration"] > asked_s
+
+
+@pytest.mark.parametrize(("tolerance", "code"), [(5e-4, "path_tolerance"), (0.0, None), (-1.0, None)])
+def test_a_path_tolerance_holds_against_the_message_in_its_time(rig, way, tolerance, code):
+    """What is re-timed is behind it; the default is a bound of the following error, which says nothing of time."""
+    goal, _ = late_goal(rig, way, path_tolerance=[tolerance] * 9)
+    rig.run()
+    assert rig.code(goal) == code
+    if code:
+        fault = rig.results[goal][0]
+        assert abs(fault.facts["value"]) > fault.facts["limit"] == tolerance
+        rig.check_motion()
+
+
+def test_what_is_tracked_is_held_against_its_message_too(rig, way):
+    for tolerances, code in (
+        ({"goal_time_tolerance": 0.1}, "goal_tolerance"),
+        ({"path_tolerance": [0.01] * 9}, "path_tolerance"),
+    ):
+        rig.move(rig.home + way)
+        rig.ticks(120)
+        hasty = {"kind": "trajectory", "points": points([0.3], rig.home[None] - 0.2 * way), **tolerances}
+        goal = rig.request(hasty, policy="replace")
+        rig.run()
+        assert rig.code(goal) == code
+        rig.move(rig.home)
+        rig.run()
 
 
 @pytest.mark.parametrize("period_s", PERIODS)

@@ -256,7 +256,7 @@ def test_an_error_of_velocity_beyond_its_path_tolerance_ends_it(rig, course):
 @pytest.mark.parametrize(("error", "code"), [(0.04, None), (0.06, "goal_tolerance")])
 def test_the_velocity_at_the_end_is_judged_if_asked_for(rig, course, error, code):
     q, _, _ = course
-    more = {"goal_velocity_tolerance": [0.0] * 4 + [0.05] * 5, "goal_time_tolerance": 0.1}
+    more = {"goal_velocity_tolerance": [-1.0] * 4 + [0.05] * 5, "goal_time_tolerance": 0.1}
     goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), **more})
     rig.velocity_error[0], rig.velocity_error[7] = 1.0, error
     while goal not in rig.results:
@@ -264,6 +264,31 @@ def test_the_velocity_at_the_end_is_judged_if_asked_for(rig, course, error, code
     assert rig.code(goal) == code
     if code:
         assert "left_j5: velocity error 0.06 rad/s is beyond the goal tolerance" in rig.results[goal][0].message
+
+
+def test_without_goal_tolerances_it_ends_with_the_trajectory_and_not_when_all_has_settled(rig, course, config):
+    q, _, _ = course
+    default = config.planning.goal
+    for error, speed, code in (
+        (0.9 * default.rad, 0.9 * default.stopped_velocity, None),
+        (0.0, 1.1 * default.stopped_velocity, "goal_tolerance"),
+        (1.1 * default.rad, 0.0, "goal_tolerance"),
+    ):
+        rig.error[7], rig.velocity_error[7] = error, speed
+        goal = rig.request({"kind": "trajectory", "points": points(TIMES, q), "goal_time_tolerance": 0.05})
+        while goal not in rig.results:
+            rig.ticks(1)
+        assert rig.code(goal) == code
+        late = rig.results[goal][1]["duration"] - TIMES[-1]
+        assert (0.05 if code else 0.0) <= late + 1e-9 <= (0.06 if code else 0.005)
+        rig.error[:] = rig.velocity_error[:] = 0.0
+
+
+def test_a_move_ends_when_its_arm_has_settled(rig, way, config):
+    goal = rig.move(rig.home + 0.1 * way)
+    rig.run()
+    stood = np.flatnonzero(rig.v.any(axis=1))[-1]
+    assert rig.results[goal][2] - stood >= config.servo.settle.window_ticks + config.servo.rest_window_ticks
 
 
 @pytest.mark.parametrize("kind", [1, 2, 3])

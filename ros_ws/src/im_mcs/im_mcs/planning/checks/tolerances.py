@@ -15,12 +15,14 @@ class TrajectoryTolerances:
     """Bounds of the errors of position and velocity, on the way and at the end.
 
     An error has shape (2, n): position [rad or m], and velocity [rad/s or m/s], which is measured as the filtered
-    slope of the encoders: it is late by some milliseconds, and as noisy as they are coarse.
+    slope of the encoders: it is late by some milliseconds, and as noisy as they are coarse. Bounds of the client hold
+    against the trajectory as it came, in its own time, the default against what is followed, perhaps later.
 
     Args:
         names: Joints.
         units: Of their positions.
-        path: Bounds on the way, shape (2, n); infinite: none.
+        path: Bounds of the client on the way, shape (2, n); infinite: none.
+        follow: Default bounds on the way, shape (2, n); infinite: none.
         goal: Bounds at the end, shape (2, n); infinite: none.
         goal_s: Time allowed beyond the end to be within ``goal`` [s]; 0: as long as settling may take.
     """
@@ -30,16 +32,24 @@ class TrajectoryTolerances:
         names: Sequence[str],
         units: Sequence[str],
         path: NDArray[np.float64],
+        follow: NDArray[np.float64],
         goal: NDArray[np.float64],
         goal_s: float,
     ) -> None:
         self._names, self._units = names, units
-        self._path, self._goal, self._goal_s = path, goal, goal_s
-        self.judges_goal = bool(np.isfinite(goal).any())
+        self._path, self._follow, self._goal, self._goal_s = path, follow, goal, goal_s
 
-    def on_path(self, error: NDArray[np.float64], tick: int) -> ImError | None:
-        """Return the fault of an error, shape (2, n), beyond the bound on the way."""
-        return self._fault(error, self._path, "path_tolerance", f"at tick {tick}", tick)
+    def on_path(self, asked: NDArray[np.float64], followed: NDArray[np.float64], tick: int) -> ImError | None:
+        """Return the fault of an error beyond the bound on the way.
+
+        Args:
+            asked: Error against the trajectory as it came, shape (2, n).
+            followed: Error against the setpoint, shape (2, n).
+            tick: Of the errors.
+        """
+        when = f"at tick {tick}"
+        fault = self._fault(asked, self._path, "path_tolerance", when, tick)
+        return fault or self._fault(followed, self._follow, "path_tolerance", when, tick)
 
     def reached(self, error: NDArray[np.float64]) -> bool:
         """Return whether errors, shape (2, n), are within the bounds at the end."""
@@ -49,8 +59,8 @@ class TrajectoryTolerances:
         """Return the fault of an error beyond the bound after the allowed time.
 
         Args:
-            error: Shape (2, n).
-            late_s: Time since the end [s].
+            error: Against the end, shape (2, n).
+            late_s: Time since the end of the trajectory as it came [s].
             settled: Whether the joints have settled, or have been given up on.
             tick: Of the error.
         """
@@ -82,7 +92,9 @@ class TrajectoryTolerances:
 
 
 def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | None:
-    """Return the tolerances of a trajectory; 0 is the bound of the following error, below 0 none.
+    """Return the tolerances of a trajectory; 0 is the default, below 0 none.
+
+    The default on the way is the bound of the following error; that of the end is configured.
 
     Raises:
         DataError: Not as many bounds as joints, or one is not finite.
@@ -94,15 +106,18 @@ def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | No
     for name in ("path_tolerance", "path_velocity_tolerance", "goal_tolerance", "goal_velocity_tolerance"):
         bounds = per_joint(context, getattr(move, name), name)
         given.append(unset if bounds is None else bounds)
-    path = _bounds(given[0], given[1], limits.following_error[index])
-    goal = _bounds(given[2], given[3], np.inf)
+    path = _bounds(given[0], given[1], np.inf, np.inf)
+    follow = np.array([np.where(given[0] == 0.0, limits.following_error[index], np.inf), np.full(len(index), np.inf)])
     names, units = [limits.names[i] for i in index], [limits.units[i] for i in index]
-    return TrajectoryTolerances(names, units, path, goal, move.goal_time_tolerance)
+    default = context.config.planning.goal
+    ends = np.array([default.rad if unit == "rad" else default.m for unit in units])
+    goal = _bounds(given[2], given[3], ends, default.stopped_velocity)
+    return TrajectoryTolerances(names, units, path, follow, goal, move.goal_time_tolerance)
 
 
 def _bounds(
-    q: NDArray[np.float64], v: NDArray[np.float64], default: NDArray[np.float64] | float
+    q: NDArray[np.float64], v: NDArray[np.float64], default_q: NDArray[np.float64] | float, default_v: float
 ) -> NDArray[np.float64]:
-    """Return bounds of positions and velocities, shape (2, n); there is no default for velocities."""
-    bounds = np.array([np.where(q == 0.0, default, q), np.where(v == 0.0, np.inf, v)])
+    """Return bounds of positions and velocities, shape (2, n)."""
+    bounds = np.array([np.where(q == 0.0, default_q, q), np.where(v == 0.0, default_v, v)])
     return np.where(bounds < 0.0, np.inf, bounds)

@@ -27,13 +27,14 @@ class Preparation(Protocol):
         ...
 
 
-def prepare(context: PlanContext, move: Move, start: Start) -> Preparation:
+def prepare(context: PlanContext, move: Move, start: Start, *, at_once: bool) -> Preparation:
     """Begin to prepare a motion.
 
     Args:
         context: What it is planned with.
         move: What is asked for.
         start: Gives the state it begins with; for a line that must be at rest.
+        at_once: Whether a trajectory begins before it could be re-timed.
 
     Raises:
         ImError: It is refused at once.
@@ -44,4 +45,4 @@ def prepare(context: PlanContext, move: Move, start: Start) -> Preparation:
         return LinePreparation(context, start().q, move)
     if move.may_be_late or move.points.times[-1] == 0.0:
         return MeetingPreparation(context, move, start)
-    return SplinePreparation(context, move, start)
+    return SplinePreparation(context, move, start, at_once=at_once)

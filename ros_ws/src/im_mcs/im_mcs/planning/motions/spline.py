@@ -16,68 +16,63 @@ where they have accelerations too; the point before the first is the present set
 
 What leaves the range of a joint is refused. What is beyond a limit of velocity, acceleration or jerk between its
 points, as trapezoidal profiles and cubic splines are (their acceleration jumps), is re-timed along its own path
-(:mod:`im_mcs.planning.retiming`), or refused, as ``planning.beyond_limits`` says.
+(:mod:`im_mcs.planning.retiming`), or refused, as ``planning.beyond_limits`` says. What takes over from a motion is
+tracked (:mod:`im_mcs.planning.motions.tracked`).
 """
 
 from collections.abc import Callable, Generator
-from typing import TypeVar
 
 import numpy as np
 
-from im_core.errors import ImError, LimitError
+from im_core.errors import LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.checks.admission import POINTS_AT_ONCE, check_timed_points
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.checks.envelope import check_range, first_excess, force_at_end
+from im_mcs.planning.checks.envelope import check_range, first_excess
+from im_mcs.planning.motions.tracked import TrackedTrajectory
 from im_mcs.planning.retiming import retime
 from im_mcs.planning.trajectories.interpolation import interpolated
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.requests import TrajectoryMove
 
-_PIECES_A_SLICE, _PIECES_IN_RANGE = 12, 100
-# so many points can be joined anew to a motion under way in every slice
-_MOST_ON_THE_MOVE = 1000
-ResultT = TypeVar("ResultT")
-
-
-class RestNeededError(ImError):
-    """Trajectory with a preparation only from rest: the motion before must end first."""
-
-    default_code = "rest_needed"
+# pieces whose range is looked at in one slice
+_PIECES_IN_RANGE = 100
 
 
 class SplinePreparation:
     """Prepares a trajectory.
 
-    From rest it is checked, and re-timed if it must be. From a motion under way it is joined to that anew in every
-    slice, and taken as it is or not at all.
+    From rest it is checked, and re-timed if it must be. One that takes over from a motion under way, or from another
+    that has not begun, is tracked instead: it begins without delay.
 
     Args:
         context: What it is planned with.
         move: Points in time.
         start: Gives the state it begins with.
+        at_once: Whether it is tracked from rest, too.
     """
 
-    def __init__(self, context: PlanContext, move: TrajectoryMove, start: Callable[[], Setpoint]) -> None:
+    def __init__(
+        self, context: PlanContext, move: TrajectoryMove, start: Callable[[], Setpoint], *, at_once: bool
+    ) -> None:
         self._context, self._points, self._start = context, move.points, start
         self._limits = context.limits.motion.of(context.index)
+        self._tracked = at_once
         self._work: Generator[None, None, Trajectory] | None = None
         self._from = np.empty(0)
-        self._checked = 0
 
     def step(self) -> Trajectory | None:
         """Check or re-time some pieces.
 
         Raises:
             LimitError: It goes beyond a limit that holds it up, or the first point is at time 0 and elsewhere.
-            RestNeededError: It begins with a motion, and would have to be re-timed, or is too long.
         """
         start = self._start()
-        if start.v.any() or start.a.any():
-            self._work = None
-            return self._joined(start)
-        if self._work is None or not np.array_equal(start.q, self._from):
+        moves = bool(start.v.any() or start.a.any())
+        # what is tracked may begin elsewhere than where its preparation has
+        if self._work is None or (not self._tracked and (moves or not np.array_equal(start.q, self._from))):
+            self._tracked |= moves
             self._work, self._from = self._prepare(start), start.q
         try:
             next(self._work)
@@ -87,40 +82,23 @@ class SplinePreparation:
         return None
 
     def _prepare(self, start: Setpoint) -> Generator[None, None, Trajectory]:
-        """The trajectory from rest."""
         for k in range(POINTS_AT_ONCE, len(self._points.times), POINTS_AT_ONCE):
             check_timed_points(self._context, self._points, k)
             yield
         spline = yield from self._interpolated(start)
         for k in range(0, len(spline.lengths), _PIECES_IN_RANGE):
-            yield
+            if k or not self._tracked:
+                yield
             check_range(self._context, spline, slice(k, k + _PIECES_IN_RANGE))
+        refuses = self._context.config.planning.beyond_limits is BeyondLimits.REFUSE
+        if self._tracked and not refuses:
+            return TrackedTrajectory.of(spline)
         fault = yield from first_excess(self._context, spline, range(len(spline.lengths)), start.a)
         if fault is None:
-            return spline
-        if self._context.config.planning.beyond_limits is BeyondLimits.REFUSE:
+            return TrackedTrajectory.of(spline) if self._tracked else spline
+        if refuses:
             raise fault
         return (yield from retime(self._context, spline, fault))
-
-    def _joined(self, start: Setpoint) -> Trajectory | None:
-        """Return the trajectory from the motion under way, once all the pieces are proved within the limits."""
-        if len(self._points.times) > _MOST_ON_THE_MOVE:
-            raise RestNeededError(f"a trajectory of {len(self._points.times)} points begins at rest")
-        spline = _run(self._interpolated(start))
-        count = len(spline.lengths)
-        if self._checked < count:
-            # from the end: what depends on the state at which it takes over comes last
-            first = max(count - self._checked - _PIECES_A_SLICE, 0)
-            pieces = slice(first, count - self._checked)
-            check_range(self._context, spline, pieces)
-            before = start.a if first == 0 else force_at_end(spline, slice(first - 1, first))[0]
-            fault = _run(first_excess(self._context, spline, range(first, pieces.stop), before))
-            if fault is not None:
-                if self._context.config.planning.beyond_limits is BeyondLimits.REFUSE:
-                    raise fault
-                raise RestNeededError(f"the new trajectory cannot take over without a stop: {fault.message}")
-            self._checked += _PIECES_A_SLICE
-        return spline if self._checked >= count else None
 
     def _interpolated(self, start: Setpoint) -> Generator[None, None, PiecewisePolynomial]:
         """The spline; a point at time 0 is where the motion begins."""
@@ -143,13 +121,3 @@ class SplinePreparation:
                 unit=limits.units[i],
                 what="distance of the first point, at time 0, from the present setpoint",
             )
-
-
-def _run(work: Generator[None, None, ResultT]) -> ResultT:
-    """All slices at once."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as done:
-            result: ResultT = done.value
-            return result

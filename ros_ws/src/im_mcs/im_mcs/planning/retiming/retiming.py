@@ -31,32 +31,37 @@ class RetimedTrajectory(PiecewisePolynomial):
 
     Attributes:
         because: The first place where the asked one is beyond a limit.
-        asked_duration: Of the asked one [s].
+        asked: The asked one.
 
     Args:
         lengths, coefficients, points: As for every trajectory.
-        asked: Asked times at the ends of its pieces, shape (m + 1,) [s].
+        times: Asked times at the ends of its pieces, shape (m + 1,) [s].
+        asked: As above.
         because: As above.
     """
 
     def __init__(
-        self, lengths: Array, coefficients: Array, points: Sequence[int], asked: Array, because: LimitError
+        self,
+        lengths: Array,
+        coefficients: Array,
+        points: Sequence[int],
+        times: Array,
+        asked: PiecewisePolynomial,
+        because: LimitError,
     ) -> None:
         super().__init__(lengths, coefficients, points)
-        self._asked = asked
-        self.because = because
-        self.asked_duration = float(asked[-1])
+        self._times, self.asked, self.because = times, asked, because
 
     def asked_time(self, t: float) -> float:
         """Return the requested trajectory's time at the place of the re-timed one at time ``t`` [s]."""
-        return float(np.interp(t, np.append(self.edges, self.duration), self._asked))
+        return float(np.interp(t, np.append(self.edges, self.duration), self._times))
 
     @property
     def report(self) -> str:
         """Changes, with the reasons."""
         facts = self.because.facts
         return (
-            f"re-timed along its path: {self.duration:.3f} s instead of {self.asked_duration:.3f} s, because of "
+            f"re-timed along its path: {self.duration:.3f} s instead of {self.asked.duration:.3f} s, because of "
             f"{facts['quantity']} of {facts['joint']} at {facts['time']:.3f} s"
         )
 
@@ -105,6 +110,7 @@ def retime(
         whole,
         points,
         ends,
+        asked,
         because,
     )
 

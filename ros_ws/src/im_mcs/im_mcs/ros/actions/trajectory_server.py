@@ -117,9 +117,8 @@ class TrajectoryServer:
             trajectory = replace(trajectory, tolerances=goal_tolerances(goal))
         snapshot = self._mcs.client().snapshot()
         index = self._mcs.index(description)
-        present = Present(
-            int(snapshot["stamp_ns"]) * 1e-9, snapshot["setpoint"][index], bool(snapshot["at_rest"][index].all())
-        )
+        moves = snapshot["setpoint_v"][index].any() or snapshot["setpoint_a"][index].any()
+        present = Present(int(snapshot["stamp_ns"]) * 1e-9, snapshot["setpoint"][index], at_rest=not moves)
         path = trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=goal is None)
         return {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
 
