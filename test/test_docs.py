@@ -10,9 +10,8 @@ from catkin_pkg.package import parse_package
 from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
-OTHERS = ("im_cell", "im_mcs", "im_sim")
 EVIDENCE = sorted((ROOT / "docs" / "evidence").glob("*.md"))
-PACKAGES = [path for path in (ROOT / "ros_ws").glob("*/*/package.xml") if path.parent.name not in OTHERS]
+PACKAGES = sorted((ROOT / "ros_ws").glob("*/*/package.xml"))
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), *EVIDENCE, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 
 

@@ -17,7 +17,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="Motion Control System of an intelligent machine",
     license="MIT",
     entry_points={

@@ -14,7 +14,7 @@ setup(
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",
-    maintainer_email="maintainers@example.org",
+    maintainer_email="maintainers@im.invalid",
     description="The simulated testbed",
     license="MIT",
     entry_points={"console_scripts": ["testbed = im_sim.ros.launch:main"]},

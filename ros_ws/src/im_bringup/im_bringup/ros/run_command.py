@@ -21,7 +21,7 @@ from im_bringup.machine import machine_state
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, own_output
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ArgumentError, ImError, NotFoundError, StoreError, require_text
-from im_core.files import FileError, write_whole
+from im_core.files import FileError, read_text, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
@@ -36,6 +36,8 @@ MOST_SHOWN = 1000
 #: How long a machine is looked for that this host knows nothing of [s], and a silent dispatcher waited for: one that
 #: died is started again within a few seconds, on a busy computer later.
 LOOKED_FOR_S, SILENCE_S = 5.0, 60.0
+#: What the last machine told of its commands, in the folder of the run.
+_TOLD = "commands.json"
 
 
 def main() -> int:
@@ -59,14 +61,27 @@ def main() -> int:
         parser.error(f"the command comes first: im run {options.name} ...; a number stands for one that was begun")
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
-    return talk(lambda machine: _do(machine, options, texts[1:]))
+    if named and {"-h", "--help"} & set(texts[1:]) and (told := told_last(texts[0])):
+        CommandParser(told).read(["--help"])
+    return talk(lambda machine: _do(machine, options, texts[1:]), "im run", "; the machine goes on with the command")
 
 
-def talk(use: Callable[[Machine], int]) -> int:
+def told_last(name: str) -> Mapping[str, Any] | None:
+    """Return the description of a command by the last machine of this host; None if a machine runs, or none knew it."""
+    with contextlib.suppress(ImError, ValueError):
+        record = machine_state.read()
+        if record is None or not record.alive:
+            return command_told(json.loads(read_text(run_dir() / _TOLD)), name)
+    return None
+
+
+def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
     """Connect to the machine; print the reason of a failure in one sentence; return the exit code.
 
     Args:
         use: Uses the machine; returns the exit code.
+        who: Name of the program, for messages.
+        goes_on: What goes on after an interruption, a sentence's second half.
     """
     try:
         with own_output():
@@ -76,15 +91,15 @@ def talk(use: Callable[[Machine], int]) -> int:
             try:
                 machine = Machine.connect(timeout=LOOKED_FOR_S, watch=watch)
             except UnreachableError as error:
-                complain(f"im run: {error.message}")
+                complain(f"{who}: {error.message}")
                 return NOT_RUNNING
             with contextlib.closing(machine):
                 return use(machine)
     except KeyboardInterrupt:
-        complain("im run: no longer waiting; the machine goes on with the command")
+        complain(f"{who}: no longer waiting{goes_on}")
         return INTERRUPTED
     except (ImError, MachineError) as error:
-        complain(f"im run: {error.message}")
+        complain(f"{who}: {error.message}")
         return FAILED
 
 
@@ -112,6 +127,7 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     commands = machine.commands
     with contextlib.suppress(StoreError):  # a shell then completes no names
         write_whole(run_dir() / "commands.txt", completions(list(commands.values())))
+        write_whole(run_dir() / _TOLD, json.dumps(list(commands.values())))
     if options.name is None:
         print_list(list(commands.values()), machine.under_way)
         return DONE
