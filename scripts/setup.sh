@@ -200,7 +200,8 @@ make_underlay() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/underlay.py" "$IM_VENV
 # What decides whether the workspace must be built anew. Python files need no build: they are linked.
 workspace_files() {
   find "$IM_WS/src" "$IM_WS/standard_msgs" \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name setup.cfg \
-    -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \) -type f -print0 | LC_ALL=C sort -z
+    -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
+    -o -path '*/moveit/*' -o -path '*/foxglove/*' \) -type f -print0 | LC_ALL=C sort -z
 }
 # Paths are part of the hash: a file that is added, moved or removed counts.
 workspace_hash() { { cat "$INSTALLED"; workspace_files | xargs -0 sha256sum; } | sha256sum | cut -d' ' -f1; }

@@ -16,7 +16,7 @@ from im_core.ros.node import HEARTBEAT_PERIOD_S, STARTING_PERIOD_S, ManagedNode
 from im_core.ros.rclpy_fixes.one_reader import shared_readers
 from im_core.startup import STATUS_TOPIC
 from im_mcs.model import CellModel
-from im_mcs.ros.topics.publishers import Frames
+from im_mcs.ros.topics.publishers import Frames, JawSpeeds
 from im_msgs.msg import TaskStatus
 
 SIM_TIME = Parameter("use_sim_time", value=True)
@@ -125,3 +125,15 @@ def test_a_robot_without_grippers_says_nothing_of_their_jaws():
     description = robot_description(cell, {joint.name: joint.limits for joint in cell.joints})
     message = deserialize_message(Frames(description, cell.joint_names).moving(cell.home, 0), TFMessage)
     assert [told.child_frame_id for told in message.transforms] == [joint.child for joint in cell.joints]
+
+
+def test_speeds_of_jaws_are_differences_of_their_openings():
+    speeds = JawSpeeds(2)
+    for stamp_ns, openings, expected in (
+        (20_000_000, [0.08, 0.08], [0.0, 0.0]),  # nobody knows what was before
+        (40_000_000, [0.075, 0.08], [-0.25, 0.0]),
+        (40_000_000, [0.075, 0.08], [-0.25, 0.0]),  # the same sample again, as where time stands still
+        (50_000_000, [0.075, 0.079], [0.0, -0.1]),
+        (20_000_000, [0.08, 0.08], [0.0, 0.0]),  # the testbed was started anew
+    ):
+        assert speeds.take_sample({"stamp_ns": stamp_ns, "gripper": openings}) == pytest.approx(expected)

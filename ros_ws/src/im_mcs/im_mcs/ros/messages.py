@@ -1,6 +1,5 @@
 """State of MCS, as messages."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -62,17 +61,18 @@ def group_state(state: GroupState) -> GroupStateMessage:
     return message
 
 
-def joint_state(names: tuple[str, ...], sample: dict[str, Any]) -> JointState:
+def joint_state(names: tuple[str, ...], sample: dict[str, Any], jaw_speeds: Sequence[float]) -> JointState:
     """Return a ``sensor_msgs/JointState`` of a sample of the servo.
 
     Args:
-        names: Of the joints, then of the grippers; what is not measured, like their velocity, is NaN.
+        names: Of the joints, then of the grippers.
         sample: Of the servo.
+        jaw_speeds: Of the grippers [m/s].
     """
     message = JointState(
         name=list(names),
         position=[*sample["q"], *sample["gripper"]],
-        velocity=[*sample["v"], *(math.nan for _ in sample["gripper"])],
+        velocity=[*sample["v"], *jaw_speeds],
         effort=[*sample["tau"], *sample["gripper_force"]],
     )
     message.header.stamp = to_stamp(int(sample["stamp_ns"]))

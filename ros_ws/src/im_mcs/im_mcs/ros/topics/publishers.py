@@ -40,6 +40,7 @@ class Publishers:
         self._names = (*cell.joint_names, *grippers)
         description = robot_description(cell, limits.enforced())
         self._frames = Frames(description, self._names)
+        self._jaws = JawSpeeds(len(grippers))
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
         self._joints = node.create_publisher(JointState, "/joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
@@ -57,9 +58,11 @@ class Publishers:
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
         """Publish ``/joint_states`` and ``/tf`` of every sample of the servo, for subscribers only."""
-        if self._joints.get_subscription_count():
-            for sample in samples:
-                self._joints.publish(messages.joint_state(self._names, sample))
+        listened = self._joints.get_subscription_count() > 0
+        for sample in samples:
+            speeds = self._jaws.take_sample(sample)
+            if listened:
+                self._joints.publish(messages.joint_state(self._names, sample, speeds))
         if self._tf.get_subscription_count():
             for sample in samples:
                 positions = np.array([*sample["q"], *sample["gripper"]])
@@ -70,6 +73,27 @@ class Publishers:
         message = DiagnosticArray(status=list(statuses))
         message.header.stamp = to_stamp(stamp_ns)
         self._diagnostics.publish(message)
+
+
+class JawSpeeds:
+    """Speeds of the jaws by differences of their openings; 0 where there is nothing to compare with.
+
+    Args:
+        count: Number of grippers.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._stamp_ns, self._openings, self._speeds = 0, [0.0] * count, [0.0] * count
+
+    def take_sample(self, sample: dict[str, Any]) -> list[float]:
+        """Return the speeds at a sample of the servo [m/s]; the same sample may come again."""
+        openings, seconds = sample["gripper"], 1e-9 * (sample["stamp_ns"] - self._stamp_ns)
+        if seconds != 0.0:
+            known = self._stamp_ns and seconds > 0.0  # else it is the first, or of another start of the testbed
+            before = self._openings if known else openings
+            self._speeds = [(now - then) / seconds for now, then in zip(openings, before, strict=True)]
+            self._stamp_ns, self._openings = sample["stamp_ns"], openings
+        return self._speeds
 
 
 class Frames:
