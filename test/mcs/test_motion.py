@@ -171,7 +171,7 @@ def test_protective_stop_is_named_and_resumed(ready):
     ready.until(lambda: ready.states[-1].protective_stop)
     assert "request on /mcs/protective_stop" in ready.states[-1].protective_stop
     assert ready.state() == "motion"
-    answer = ready.call(GroupCommand, "resume", group="left")
+    answer = ready.call(GroupCommand, "resume")
     assert answer.success, answer.message
     assert result().success
     ready.until(lambda: not ready.states[-1].protective_stop)

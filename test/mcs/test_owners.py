@@ -4,7 +4,7 @@ import contextlib
 
 import pytest
 import rclpy
-from control_msgs.action import FollowJointTrajectory
+from control_msgs.action import FollowJointTrajectory, GripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Inertia
 from rclpy.context import Context
@@ -14,7 +14,7 @@ from im_cell.robot import load_cell
 from im_core.ros import client_identity
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import spin_in_thread
-from im_msgs.srv import GroupCommand, ReserveGroup, SetController, SetPayload, SetSpeed
+from im_msgs.srv import GroupCommand, ReserveGroup, SetController, SetGripper, SetPayload, SetSpeed
 
 RIGHT = load_cell().home[9:]
 FAR = [RIGHT - [0.5, *[0.0] * 8], RIGHT] * 3
@@ -74,6 +74,12 @@ def test_strangers_are_refused_and_the_owner_is_served(client, newcomer):
     ):
         answer = stranger.call(service_type, name, **fields)
         assert (answer.success, sentence in answer.message) == (False, True), (name, answer.message)
+    jaws = {"gripper": "left_gripper", "close": False}
+    assert sentence in stranger.call(SetGripper, "set_gripper", **jaws).message
+    grip = GripperCommand.Goal()
+    assert not stranger.act(GripperCommand, "/left_gripper/gripper_cmd", grip)[1]().result.reached_goal
+    assert client.call(SetGripper, "set_gripper", **jaws).success
+    assert newcomer("gripper_coordinator").call(SetGripper, "set_gripper", **jaws).success
     assert client.group_state().q_rest == before
     assert client.status().owner == "ann"
 

@@ -230,6 +230,10 @@ def test_who_goes_on_streaming_after_a_stop_moves_nothing(owned, model, cell, ki
     while owned.mcs.wants_time:  # at clock factor 0 too his silence comes to its end
         owned.mcs.tick([])
     assert owned.mcs.measured.tick >= began + 10
+    if ending == "protective_stop":
+        held = owned.reply(send())["error"]["message"]
+        assert held == "group 'left' is held by a protective stop (protective stop: enough); resume it"
+        assert owned.ask("resume", group="left", sender=ANN)["success"]
     again = send()
     owned.mcs.tick([])
     while owned.mcs.wants_time:

@@ -36,7 +36,7 @@ def arguments(event, q, state=None):
         Event.STREAM: {"group": "left", "kind": "setpoint", "positions": q.tolist(), "owner": "tester", "lease_s": 0.1},
         Event.CANCEL: {"goal": 77},
         Event.SET_SPEED: {"group": "left", "scale": 0.5, **BY},
-        Event.SET_GRIPPER: {"gripper": "left_gripper", "opening": 0.01},
+        Event.SET_GRIPPER: {"gripper": "left_gripper", "opening": 0.01, **BY},
         Event.SET_CONTROLLER: {"group": "left", "controller": LAW, **BY},
         Event.SET_PAYLOAD: {"group": "left", "mass": 1.0, "center": [0, 0, 0.1], "inertia": [0.0] * 6, **BY},
         Event.PROTECTIVE_STOP: {"reason": "test"},
@@ -115,8 +115,8 @@ def test_the_machine_is_cold_when_the_last_group_is_released(bench):
     assert bench.mcs.manager.state is State.COLD
 
 
-@pytest.mark.parametrize("event", [e for e in EVENTS if e not in (Event.ESTOP, Event.RENEW)])
-def test_while_a_transition_is_under_way_only_estop_and_renew_are_heard(bench, cell, event):
+@pytest.mark.parametrize("event", [e for e in EVENTS if e not in (Event.ESTOP, Event.PROTECTIVE_STOP, Event.RENEW)])
+def test_while_a_transition_is_under_way_only_stops_and_renew_are_heard(bench, cell, event):
     bench.ask("reserve", group="left", owner="tester")
     bench.ask("power_on", **BY)
     bench.send("enable_motion", **BY)

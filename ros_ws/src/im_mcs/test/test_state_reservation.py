@@ -136,6 +136,56 @@ def test_anyone_may_stop_what_another_moves(bench, cell):
         assert bench.reply(bench.send(stop, **given))["success"]
 
 
+@pytest.mark.parametrize("preset", ["2x9", "3x6", "1x18"])
+def test_a_gripper_is_driven_by_the_owner_of_its_arm_and_by_the_nodes_that_are_named(make_bench, frictionless, preset):
+    bench = make_bench(frictionless.with_preset(preset))
+    group = "testbed" if preset == "1x18" else "left"
+    bench.ask("reserve", group=group, owner="ann", sender={"client": "0a"})
+    bench.ask("power_on", sender=BY_ANN)
+    for sender, served in (
+        ({"client": "0b", "names": ["/bob"]}, False),
+        ({}, False),
+        (BY_ANN, True),
+        ({"client": "0a"}, True),
+        ({"names": ["/gripper_coordinator"]}, True),
+    ):
+        reply = bench.ask("set_gripper", gripper="left_gripper", opening=0.0, sender=sender)
+        assert reply["success"] == served, reply
+        assert served or f"group '{group}' is driven by its owner 'ann' only" in reply["error"]["message"]
+    right = bench.ask("set_gripper", gripper="right_gripper", opening=0.0)
+    assert right["success"] == (preset != "1x18")  # nobody has reserved that arm
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2, 3])
+def test_a_protective_stop_is_latched_in_every_state(bench, cell, steps):
+    ways = (("reserve", {"group": "left"}), ("power_on", {}), ("enable_motion", {}))
+    for request, given in ways[:steps]:
+        assert bench.ask(request, **given)["success"]
+    assert bench.ask("protective_stop", reason="a hand")["success"]
+    assert not bench.mcs.wants_time
+    assert all(group.protective for group in bench.mcs.groups.values())
+    for request, given in ways[steps:]:
+        assert bench.ask(request, **given)["success"]
+    near = cell.home[LEFT] + 0.05
+    for policy in ("refuse", "append", "replace"):
+        refused(bench.move("left", near, policy=policy), "held by a protective stop (protective stop: a hand)")
+    assert bench.ask("resume")["success"]
+    assert bench.move("left", near)["success"]
+    assert not any(group.protective for group in bench.mcs.groups.values())  # those that nobody has reserved, too
+
+
+def test_a_protective_stop_outlives_a_partition_and_ends_with_a_reset(bench, cell):
+    bench.ask("protective_stop", reason="a hand")
+    assert bench.ask("repartition", preset="3x6")["success"]
+    bench.to_motion("left")
+    near = cell.home[3:9] + 0.05
+    refused(bench.move("left", near), "a hand")
+    bench.ask("estop", reason="another")
+    assert bench.ask("reset")["success"]
+    bench.to_motion("left")
+    assert bench.move("left", near)["success"]
+
+
 def test_an_operator_takes_a_group_over_and_gives_it_back(bench, cell):
     bench.ask("reserve", group="left", owner="ann", lease_s=5.0, sender={"client": "0a"})
     bench.ask("power_on", sender=BY_ANN)

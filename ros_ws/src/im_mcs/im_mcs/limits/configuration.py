@@ -122,9 +122,9 @@ class Line(Model):
 class Goal(Model):
     """When a trajectory without goal tolerances has come to its end."""
 
-    rad: float = Field(gt=0, description="largest error of a joint [rad]")
-    m: float = Field(gt=0, description="largest error of a track [m]")
-    stopped_velocity: float = Field(gt=0, description="largest estimated velocity of each [rad/s or m/s]")
+    rad: float = Field(default=5e-3, gt=0, description="largest error of a joint [rad]")
+    m: float = Field(default=2e-3, gt=0, description="largest error of a track [m]")
+    stopped_velocity: float = Field(default=0.02, gt=0, description="largest estimated velocity of each [rad/s or m/s]")
 
 
 class Planning(Model):
@@ -136,7 +136,7 @@ class Planning(Model):
     )
     max_points: int = Field(ge=1, description="most points of one path")
     max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
-    goal: Goal
+    goal: Goal = Goal()
     line: Line
 
 
@@ -183,6 +183,9 @@ class McsConfig(Model):
     )
     planning: Planning
     protective: Protective
+    gripper_nodes: tuple[str, ...] = Field(
+        default=(), description="nodes that drive the grippers of every owner of an arm"
+    )
     presets: dict[str, dict[str, Group]]
     preset: str
     collision: Collision

@@ -74,6 +74,11 @@ class Slot(Model):
     channel: int = Field(ge=0)
     limits: SlotLimits | None = None
 
+    @property
+    def wrist(self) -> str:
+        """Frame of the wrist with the gripper or sensor: ``left_force`` measures at ``left_wrist``."""
+        return f"{self.name.rpartition('_')[0]}_wrist"
+
     @model_validator(mode="after")
     def _limited(self) -> Self:
         if self.limits is not None and self.kind != "joint":

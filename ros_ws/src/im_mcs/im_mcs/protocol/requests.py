@@ -328,6 +328,7 @@ class SetGripperRequest(ServoRequest):
     opening: Annotated[float, Field(description="a number [m]")]
     force: Amount = 0.0
     replaces: bool = False
+    sender: By = NOBODY
 
 
 class SetControllerRequest(ServoRequest):

@@ -193,9 +193,10 @@ class MotionServices:
         await self._mcs.request(Event.SET_CONTROLLER, arguments)
         return f"{request.controller} takes over {request.group}"
 
-    async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, _: str) -> str:
+    async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, client: str) -> str:
         opening = 0.0 if request.close else self._mcs.cell.gripper.stroke
-        arguments = {"gripper": request.gripper, "opening": opening, "force": request.force}
+        sender = await self._mcs.sender(client)
+        arguments = {"gripper": request.gripper, "opening": opening, "force": request.force, "sender": sender}
         results = await self._mcs.request(Event.SET_GRIPPER, arguments)
         response.opening = float(results["opening"])
         return ""

@@ -171,13 +171,20 @@ class Mcs:
         else:
             self.answers.reply(request_id(message), error)
 
-    def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None) -> None:
-        """Decelerate groups on the paths and hold the groups until resumed; all groups if none are named."""
+    def protective_stop(self, fault: ImError, groups: Sequence[str] | None = None, *, latched: bool = False) -> None:
+        """Decelerate groups on the paths and hold the groups until resumed; all groups if none are named.
+
+        Args:
+            fault: Why.
+            groups: Which groups.
+            latched: Whether it holds groups without goals, too.
+        """
         self.end_torque_streams(self.loop.torque_streams.end_streams(fault, groups))
-        for group in self.loop.engaged:
-            if group.goals and group.protective is None and (groups is None or group.name in groups):
-                self.answers.accuse(fault)
-                group.protective_stop(fault)
+        for name, group in self.groups.items():
+            if groups is None or name in groups:
+                if group.goals and group.protective is None:
+                    self.answers.accuse(fault)
+                group.protective_stop(fault, latched=latched)
 
     def end_torque_streams(self, ended: Iterable[Ended]) -> None:
         """Let the laws of groups driven by torques take over at the present place."""
@@ -226,7 +233,10 @@ class Mcs:
         """
         config = self.config.with_preset(preset)
         self.manager.check_repartition({name: group.joints for name, group in config.groups.items()}, preset)
+        held = next((group.held for group in self.groups.values() if group.held is not None), None)
         self.groups, self._collision = self._partitions.enter(preset)
+        for group in self.groups.values():
+            group.held = held
         self.manager.repartition(
             {name: group.joints for name, group in config.groups.items()},
             {name: group.index for name, group in self.groups.items()},
@@ -258,7 +268,7 @@ class Mcs:
         self.disengage(tuple(self.groups))
 
     def forget_stop(self) -> None:
-        """Let no later process begin with the emergency stop being reset.
+        """Let no later process begin with the emergency stop being reset, and no protective stop hold any more.
 
         Raises:
             StoreError: The mark cannot be removed.
@@ -266,6 +276,8 @@ class Mcs:
         if self._latch is not None:
             self._latch.clear()
         self._kept = False
+        for group in self.groups.values():
+            group.held = None
 
     def moving(self, groups: Sequence[str]) -> str | None:
         """Return one of the groups with a goal."""

@@ -64,7 +64,7 @@ class Machine(Protocol):
         """Divide the joints into the groups of another preset."""
         ...
 
-    def protective_stop(self, fault: ImError) -> None:
+    def protective_stop(self, fault: ImError, *, latched: bool) -> None:
         """Decelerate all groups on the paths and hold the groups."""
         ...
 
@@ -157,6 +157,7 @@ class Dispatch:
             case StreamRequest():
                 return self._stream(number, request)
             case SetGripperRequest():
+                self._require_jaws(request)
                 mcs.grippers.move(number, request, mcs.measured.gripper)
                 return True
             case CancelRequest():
@@ -165,9 +166,11 @@ class Dispatch:
                 self._pause(self._named(event, request.group))
             case ResumeRequest():
                 # all or none: a refusal comes before any group moves
-                groups = self._named(event, request.group, request.sender)
+                held, every = manager.reservations, not request.group
+                groups = self._named(event, request.group, request.sender) if held.groups or not every else []
                 for group in groups:
-                    manager.reservations.require_driver(group.name, request.sender)
+                    held.require_driver(group.name, request.sender)
+                groups += [group for name, group in mcs.groups.items() if every and held.of(name) is None]
                 for group in groups:
                     group.resume()
             case SetSpeedRequest():
@@ -178,7 +181,8 @@ class Dispatch:
                 self._set_payload(request)
             case ProtectiveStopRequest():
                 reason = request.reason
-                mcs.protective_stop(ImError(f"protective stop: {reason}", code="protective_stop", reason=reason))
+                stop = ImError(f"protective stop: {reason}", code="protective_stop", reason=reason)
+                mcs.protective_stop(stop, latched=True)
         return False
 
     def _stream(self, number: int, request: StreamRequest) -> bool:
@@ -191,6 +195,22 @@ class Dispatch:
             return mcs.loop.torque_streams.take_torques(group, goal, request)
         mcs.loop.torque_streams.require_free(request.group)
         return group.stream(goal, request)
+
+    def _require_jaws(self, request: SetGripperRequest) -> None:
+        """Check whether the sender drives the arm with a gripper, if that is reserved, or may drive every gripper.
+
+        Raises:
+            StateError: It belongs to another owner, who is named, or the lease has lapsed.
+        """
+        mcs, reservations, names = self._mcs, self._manager.reservations, request.sender.names
+        if any(name.rpartition("/")[2] in mcs.config.gripper_nodes for name in names):
+            return
+        for slot in mcs.config.gripper_slots:
+            if slot.name == request.gripper:
+                joint = mcs.model.joints_below(slot.wrist)[-1]
+                for name, group in mcs.groups.items():
+                    if joint in group.index and reservations.of(name) is not None:
+                        reservations.require_driver(name, request.sender)
 
     def _pause(self, groups: list[ControlledGroup]) -> None:
         """Pause all paths; a group driven by torques has none, and is named after all others halt.

@@ -50,6 +50,7 @@ class ControlledGroup:
         monitor: Judge of rest.
         gate: Whether it takes a stream.
         engaged: Whether it has setpoints and torques.
+        held: Fault of a protective stop that was asked for: latched until the group is resumed.
 
     Args:
         name: Name of the group.
@@ -73,6 +74,7 @@ class ControlledGroup:
         self.monitor = monitor
         self.gate = StreamGate(name, planner.period_s)
         self.engaged = False
+        self.held: ImError | None = None
         self.setpoint = planner.setpoint
         self._position, self._velocity = planner.setpoint.q, planner.setpoint.v
         self._rates = Rates()
@@ -101,8 +103,8 @@ class ControlledGroup:
 
     @property
     def protective(self) -> ImError | None:
-        """Fault of the protective stop with suspended goals, if there is one."""
-        return self._rates.protective
+        """Fault of the protective stop that holds the group, if there is one."""
+        return self._rates.protective or self.held
 
     @property
     def speed(self) -> float:
@@ -256,8 +258,28 @@ class ControlledGroup:
         """End all goals with ``fault``, decelerating on the path."""
         self._end_all(fault)
 
-    def protective_stop(self, fault: ImError) -> None:
-        """Decelerate on the path and hold; goals are suspended until :meth:`resume`, or until patience is over."""
+    def require_released(self) -> None:
+        """Check whether no protective stop holds the group.
+
+        Raises:
+            StateError: One does.
+        """
+        if self.protective is not None:
+            end = "" if self.held is not None else ", or wait until its goals have ended"
+            raise StateError(
+                f"group '{self.name}' is held by a protective stop ({self.protective.message}); resume it{end}",
+                group=self.name,
+            )
+
+    def protective_stop(self, fault: ImError, *, latched: bool = False) -> None:
+        """Decelerate on the path and hold; goals are suspended until :meth:`resume`, or until patience is over.
+
+        Args:
+            fault: Why.
+            latched: Whether it refuses motions until :meth:`resume`, also without goals.
+        """
+        if latched and self.held is None:
+            self.held = fault
         if self._rates.protective is None and self.goal is not None:
             self._rates.protective = fault
             self._patience_ticks = round(self.context.config.protective.patience_s / self.planner.period_s)
@@ -270,7 +292,7 @@ class ControlledGroup:
         """Go on along the path after a pause or a protective stop, and admit ended streams again."""
         self.gate.open()
         self._rates.paused = False
-        self._rates.protective = None
+        self._rates.protective = self.held = None
 
     def set_speed(self, scale: float) -> None:
         """Set the share of the planned speed, above 0 and up to 1, for the current motion and later ones."""
@@ -493,13 +515,7 @@ class ControlledGroup:
         )
 
     def _require_free(self, policy: Policy) -> None:
-        held = self._rates.protective
-        if held is not None:
-            raise StateError(
-                f"group '{self.name}' is held by a protective stop ({held.message}); resume it, or wait until its "
-                f"goals have ended",
-                group=self.name,
-            )
+        self.require_released()
         goal = self.goal
         if policy is Policy.REFUSE and goal is not None:
             raise StateError(

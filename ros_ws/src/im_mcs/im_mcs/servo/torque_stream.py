@@ -69,13 +69,14 @@ class TorqueStreams:
             Whether they opened it.
 
         Raises:
-            StateError: The group follows a motion.
+            StateError: The group follows a motion, or a protective stop holds it.
             DataError: A wrong size, or a value that is not finite.
         """
         tau = self._limits.check_finite(group.index, request.torques, "stream", "torque")
         lease = StreamLease(request.owner, request.lease_s, self._period_s, "torques")
         stream = self._streams.get(group.name)
         if stream is None:
+            group.require_released()
             if group.goals:
                 raise StateError(
                     f"group '{group.name}' is moving (goal {group.goals[0].id}); wait for its end or cancel it",

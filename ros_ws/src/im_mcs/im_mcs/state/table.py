@@ -96,6 +96,7 @@ _SAFE = "by the owner of the group; every brake holds"
 _CARRIED = "by the owner of the group; gravity torque present before the brakes release"
 _AT_REST = "by the owner of the group, or its lease has lapsed; at rest first"
 _UNUSED = "by the owner of the group, or its lease has lapsed; power stays while another group needs it"
+_LATCHED = "holds until the group is resumed, or an emergency stop is reset"
 _LAW = "by the owner of the group, which has such a law"
 
 TABLE: tuple[StateTransition, ...] = (
@@ -103,6 +104,8 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.COLD, Event.CLEANUP, State.UNCONFIGURED),
     StateTransition(State.COLD, Event.RESERVE, State.RESERVED, _FREE),
     StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
+    StateTransition(State.COLD, Event.RESUME, State.COLD, "of all groups"),
+    StateTransition(State.COLD, Event.PROTECTIVE_STOP, State.COLD, _LATCHED),
     StateTransition(State.COLD, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.RESERVED, Event.RELEASE, State.COLD, _OWNER),
     StateTransition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
@@ -112,6 +115,8 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.RESERVED, Event.SET_CONTROLLER, State.RESERVED, _LAW),
     StateTransition(State.RESERVED, Event.SET_PAYLOAD, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _OWNER),
+    StateTransition(State.RESERVED, Event.RESUME, State.RESERVED, _HOLDS),
+    StateTransition(State.RESERVED, Event.PROTECTIVE_STOP, State.RESERVED, _LATCHED),
     StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
     StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED, _UNUSED),
@@ -122,6 +127,8 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
     StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _OWNER),
     StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _OWNER),
+    StateTransition(State.ACTIVE, Event.RESUME, State.ACTIVE, _HOLDS),
+    StateTransition(State.ACTIVE, Event.PROTECTIVE_STOP, State.ACTIVE, _LATCHED),
     StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, _AT_REST),
     StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
@@ -135,9 +142,10 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
     StateTransition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
     StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _OWNER),
-    StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, "decelerates on the path and holds"),
+    StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, f"decelerates on the path; {_LATCHED}"),
     StateTransition(State.MOTION, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone, nothing is broken; nothing moves"),
+    StateTransition(State.ESTOPPED, Event.PROTECTIVE_STOP, State.ESTOPPED, _LATCHED),
     StateTransition(State.ESTOPPED, Event.ESTOP, State.ESTOPPED, "the first cause stays"),
 )
 

@@ -192,6 +192,23 @@ def test_a_protective_stop_without_goals_holds_nothing(rig, way):
     assert rig.code(_moved(rig, rig.home + 0.1 * way)) is None
 
 
+def test_a_protective_stop_that_was_asked_for_holds_until_it_is_resumed(rig, way):
+    for goals in (False, True):
+        goal = rig.move(rig.home + way) if goals else 0
+        rig.ticks(100)
+        stop = ImError("somebody comes", code="protective_stop")
+        rig.group.protective_stop(stop, latched=True)
+        rig.run()  # longer than the patience with suspended goals
+        assert rig.group.protective is stop
+        assert not goals or rig.code(goal) == "protective_stop"
+        for policy in ("refuse", "append", "replace"):
+            with pytest.raises(ImError, match=r"held by a protective stop \(somebody comes\); resume it$"):
+                rig.move(rig.home, policy=policy)
+        rig.group.resume()
+        assert rig.group.protective is None
+        assert rig.code(_moved(rig, rig.home)) is None
+
+
 @pytest.mark.parametrize("kind", ["straight", "corners", "spline"])
 @pytest.mark.parametrize("divisor", [2, 5])
 def test_what_is_prepared_while_nothing_waits_for_it_changes_no_setpoint(make_rig, way, kind, divisor):

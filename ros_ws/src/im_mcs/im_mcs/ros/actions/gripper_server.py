@@ -47,7 +47,8 @@ class GripperServer:
             self._mcs.client()
             self._mcs.check(command)
             wanted = {"opening": command.position, "force": command.max_effort}
-            arguments = {"gripper": gripper, **wanted, "replaces": True}
+            sender = await self._mcs.sender(self._goals.client(handle))
+            arguments = {"gripper": gripper, **wanted, "replaces": True, "sender": sender}
             require_wanted(handle)
             results = await self._mcs.request(Event.SET_GRIPPER, arguments, partial(self._begin, gripper, handle))
         except ImError as error:

@@ -26,7 +26,7 @@ class Layers:
         self._names = list(access.model.names)
         self._drivers = [access.config.testbed.drivers[slot.driver].driver for slot in access.config.joint_slots]
         self._grippers = [slot.name for slot in access.config.gripper_slots]
-        self._wrists = [_wrist(slot.name) for slot in access.config.wrench_slots]
+        self._wrists = [slot.wrist for slot in access.config.wrench_slots]
         self._slots = access.node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
         self._wrenches = [
             access.node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists
@@ -100,11 +100,6 @@ class Layers:
     def _joints(self, group: str) -> tuple[list[str], list[int]]:
         description = self._mcs.config.groups[group]
         return list(description.joints), self._mcs.index(description).tolist()
-
-
-def _wrist(slot: str) -> str:
-    """Frame of the sensor in a slot: ``left_force`` measures at ``left_wrist``."""
-    return f"{slot.rpartition('_')[0]}_wrist"
 
 
 def _fill(message: Wrench, values: Sequence[float]) -> Wrench:
