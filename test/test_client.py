@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from std_msgs.msg import String
 
-from im import CommandCancelledError, Machine, MachineError, Pose
-from support.whole_machine import COMMAND_S, running_machine, write_few_poses
+from im import CommandCancelledError, Machine, MachineError, Pose, UnreachableError
+from support.whole_machine import COMMAND_S, free_port, running_machine, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
 
@@ -36,6 +36,16 @@ def machine():
 def im(machine):
     with Machine.connect(timeout=60.0) as im:
         yield im
+
+
+def test_a_machine_is_started_for_a_program_and_stopped_at_its_end():
+    """It comes first: the machine of the other tests has the ROS domain after it."""
+    with pytest.raises(MachineError, match="clock_factor: -1"):
+        Machine.start(factor=-1)
+    with Machine.start(factor=0, fresh=True, port=free_port()) as im:
+        im.run("home")
+    with pytest.raises(UnreachableError, match="no machine runs in ROS domain"):
+        Machine.connect(timeout=3.0)
 
 
 def test_all_examples_are_tried():
