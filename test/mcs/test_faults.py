@@ -66,6 +66,15 @@ def test_unconfigured(client):
     client.until(lambda: client.state() == "reserved")
 
 
+def test_deactivate_ends_the_goal_at_rest_and_takes_the_power(client):
+    client.to_motion()
+    _, result = client.start_far_move()
+    assert client.change("deactivate")
+    assert "the motion was ended: motion of its group is being disabled" in result().status.message
+    client.until(lambda: (client.state(), client.states[-1].power) == ("reserved", False))
+    assert client.lifecycle() == "inactive"
+
+
 def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
     client.to_motion()
     _, result = client.start_far_move()

@@ -174,7 +174,7 @@ def test_a_start_to_come_is_waited_for(ready):
 )
 def test_wrong_goals_are_refused_and_move_nothing(ready_once, change, code, sentence):
     client = ready_once
-    before = client.group_state().q_rest
+    before = client.rest()
     request = goal(client, (1.0, client.home + STEP / 2), (2.0, client.home + STEP))
     change(request)
     answer = client.follow(request)[1]()

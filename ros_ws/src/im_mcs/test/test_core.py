@@ -136,7 +136,6 @@ def test_cancel_decelerates_and_a_second_goal_is_refused(bench, cell, target):
     for _ in range(60):
         bench.mcs.tick([])
     refused(bench.reply(bench.send("move", group="left", path=joint_path(target))), "is moving")
-    refused(bench.reply(bench.send("disable_motion")), "'left' moves")
     limit = bench.mcs.limits.motion.acceleration[LEFT]
     bench.send("cancel", goal=goal)
     last = bench.mcs.groups["left"].planner.setpoint.v
@@ -149,6 +148,38 @@ def test_cancel_decelerates_and_a_second_goal_is_refused(bench, cell, target):
     assert bench.reply(goal)["error"]["code"] == "cancelled"
     assert bench.mcs.groups["left"].monitor.at_rest
     refused(bench.ask("cancel", goal=goal), f"goal {goal} is not under way")
+
+
+@pytest.mark.parametrize(
+    ("request_name", "state"),
+    [("disable_motion", State.ACTIVE), ("power_off", State.RESERVED), ("release", State.COLD)],
+)
+@pytest.mark.parametrize("kind", ["move", "paused", "torque"])
+def test_what_takes_motion_or_power_ends_the_goal_at_rest_first(bench, cell, model, target, request_name, state, kind):
+    bench.to_motion("left")
+    if kind == "torque":
+        tau = model.gravity(cell.home)[LEFT].tolist()
+        goal = bench.send("stream", group="left", kind="torque", torques=tau, lease_s=5.0)
+    else:
+        goal = bench.send("move", group="left", path=joint_path(target))
+    for _ in range(60):
+        bench.mcs.tick([])
+    if kind == "paused":
+        bench.ask("pause")
+    limit = bench.mcs.limits.motion.acceleration[LEFT]
+    number = bench.send(request_name, **({"group": "left"} if request_name == "release" else {}))
+    last = bench.mcs.groups["left"].planner.setpoint.v
+    while bench.reply(number) is None:
+        bench.mcs.tick([])
+        v = bench.mcs.groups["left"].planner.setpoint.v
+        assert (np.abs(v - last) <= 1.05 * limit * 0.0045 + 1e-9).all()
+        assert not last.any() or not bench.mcs.manager.brakes[LEFT].any()
+        last = v
+    assert bench.reply(number)["success"]
+    refused(bench.reply(goal), "the motion was ended: motion of its group is being disabled")
+    assert bench.mcs.manager.state is state
+    assert bench.mcs.manager.power == (state is State.ACTIVE)
+    assert bench.mcs.manager.brakes.all()
 
 
 def heard_together(bench, *requests):

@@ -27,7 +27,7 @@ class StillArms:
     """Layers above the slots that note who is engaged; nothing moves, all settle at once."""
 
     def __init__(self):
-        self.engaged, self.goals = set(), set()
+        self.engaged, self.goals, self.ended = set(), set(), []
 
     def engage(self, groups):
         assert not self.engaged & set(groups)  # an arm that is held is not taken hold of anew
@@ -39,6 +39,10 @@ class StillArms:
     def drop_goals(self, reason):
         self.engaged.clear()
         self.goals.clear()
+
+    def end_goals(self, groups, reason):
+        self.ended += [(group, reason.message) for group in groups if group in self.goals]
+        self.goals -= set(groups)
 
     def moving(self, groups):
         return next((group for group in groups if group in self.goals), None)
@@ -93,7 +97,8 @@ class Rig:
                 case Event.RESERVE:
                     manager.reserve(group, client, 0.0, sender)
                 case Event.RELEASE:
-                    manager.release(group, sender)
+                    manager.release(group, sender, reply)
+                    return number
                 case Event.TAKE_OVER:
                     manager.take_over(group, client, 0.0, sender)
                 case Event.RESET:
@@ -154,10 +159,9 @@ def test_a_request_without_a_group_is_for_those_of_the_caller_that_it_leads_on()
     assert rig.result(Event.POWER_ON, "ann") is None
     assert states(rig) == {"left": State.MOTION, "right": State.ACTIVE, "third": State.RESERVED}
     rig.arms.goals = {"left"}
-    assert "disable_motion is refused while group 'left' moves" in rig.result(Event.DISABLE_MOTION, "ann")
     assert rig.result(Event.ENABLE_MOTION, "ann") is None
-    rig.arms.goals = set()
     assert rig.result(Event.DISABLE_MOTION, "ann") is None
+    assert rig.arms.ended == [("left", "the motion was ended: motion of its group is being disabled")]
     assert rig.result(Event.POWER_OFF, "ann") is None
     assert states(rig) == dict.fromkeys(JOINTS, State.RESERVED)
     assert not rig.manager.power

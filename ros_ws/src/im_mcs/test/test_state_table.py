@@ -37,7 +37,7 @@ def test_the_architecture_s_rows_are_there():
         **{(s, Event.ESTOP): State.ESTOPPED for s in (State.RESERVED, State.ACTIVE, State.MOTION)},
     }
     assert expected.items() <= ROWS.items()
-    assert (State.MOTION, Event.POWER_OFF) not in ROWS
+    assert (State.RESERVED, Event.ENABLE_MOTION) not in ROWS
 
 
 def test_lifecycle_is_active_exactly_with_power():

@@ -119,7 +119,7 @@ class Line(Model):
     rotation_lever_m: float = Field(gt=0, description="distance equivalent to a rotation of one radian [m]")
 
 
-class GoalBounds(Model):
+class GoalSettings(Model):
     """When a trajectory without goal tolerances has come to its end."""
 
     rad: float = Field(default=5e-3, gt=0, description="largest error of a joint [rad]")
@@ -136,7 +136,7 @@ class Planning(Model):
     )
     max_points: int = Field(ge=1, description="most points of one path")
     max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
-    goal: GoalBounds = GoalBounds()
+    goal: GoalSettings = GoalSettings()
     line: Line
 
 

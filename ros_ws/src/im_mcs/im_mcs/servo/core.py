@@ -279,6 +279,12 @@ class Mcs:
         for group in self.groups.values():
             group.held = None
 
+    def end_goals(self, groups: Sequence[str], reason: ImError) -> None:
+        """End the goals of groups with ``reason``; what moves decelerates on its path."""
+        self.end_torque_streams(self.loop.torque_streams.end_streams(reason, groups))
+        for name in groups:
+            self.groups[name].stop(reason)
+
     def moving(self, groups: Sequence[str]) -> str | None:
         """Return one of the groups with a goal."""
         return self.loop.moving(groups)

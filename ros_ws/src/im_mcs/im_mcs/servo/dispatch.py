@@ -129,8 +129,8 @@ class Dispatch:
                 manager.reserve(request.group, request.owner, request.lease_s, request.sender)
                 return False
             case ReleaseRequest():
-                manager.release(request.group, request.sender)
-                return False
+                manager.release(request.group, request.sender, partial(mcs.answers.reply, number))
+                return True
             case RenewRequest():
                 manager.renew(request.owner)
                 return False

@@ -17,7 +17,7 @@ from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_mcs.limits.configuration import Servo
 from im_mcs.protocol.requests import NOBODY, Sender
 from im_mcs.state.reservation import Reservations
-from im_mcs.state.table import ANYTIME, Event, State, allows, highest, next_state
+from im_mcs.state.table import ANYTIME, POWERED, Event, State, allows, highest, next_state
 from im_mcs.testbed.driver import Measured
 
 OnEnd = Callable[[ImError | None], None]
@@ -49,6 +49,10 @@ class Arms(Protocol):
         Raises:
             StoreError: The mark of the stop cannot be removed.
         """
+        ...
+
+    def end_goals(self, groups: Sequence[str], reason: ImError) -> None:
+        """End the goals of groups with ``reason``; what moves decelerates on its path."""
         ...
 
     def moving(self, groups: Sequence[str]) -> str | None:
@@ -241,8 +245,8 @@ class StateManager:
         self.check(Event.TAKE_OVER, group)
         return self.reservations.take_over(group, owner, lease_s, self.measured.stamp_ns, sender)
 
-    def release(self, group: str, sender: Sender) -> None:
-        """Take a group's slots back.
+    def release(self, group: str, sender: Sender, reply: OnEnd) -> None:
+        """Start to take a group's slots back, as :meth:`begin`: its goals end, motion and power go first.
 
         Raises:
             StateError: Not allowed now, the group is not reserved, or ``sender`` is not its owner.
@@ -250,7 +254,11 @@ class StateManager:
         """
         self.check(Event.RELEASE, group)
         self.reservations.require_owner(group, sender)
-        self._free(group)
+        if self._states[group] in POWERED:
+            self._running.append(_Running(Event.RELEASE, (group,), self._release(group), reply))
+        else:
+            self._free(group)
+            reply(None)
 
     def _free(self, group: str) -> None:
         self.reservations.release(group)
@@ -319,11 +327,6 @@ class StateManager:
         else:
             groups = self.allowed(event, sender)
             self._require_idle(event, groups)
-        if event is Event.DISABLE_MOTION and (moving := self._arms.moving(groups)) is not None:
-            raise StateError(
-                f"disable_motion is refused while group '{moving}' moves; cancel the motion or wait for its end",
-                group=moving,
-            )
         self._begin(event, groups, reply)
 
     def reset(self, reply: OnEnd) -> None:
@@ -460,7 +463,9 @@ class StateManager:
         enter()
 
     def _power_off(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Switch power off, unless another group needs power; if the power stays on, do an e-stop."""
+        """Disable motion, then switch power off, unless another group needs it; if it stays on, do an e-stop."""
+        if moves := [group for group in groups if self._states[group] is State.MOTION]:
+            yield from self._disable_motion(moves, partial(self._enter, moves, State.ACTIVE))
         self._needing.difference_update(groups)
         try:
             yield from self._until(
@@ -489,7 +494,11 @@ class StateManager:
             yield
 
     def _disable_motion(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
-        """Engage the brakes before the torque leaves; if a brake does not hold, the torque goes on carrying the arm."""
+        """End goals, engage brakes, then take the torque; if a brake does not hold, it goes on carrying the arm."""
+        if self._arms.moving(groups) is not None:
+            self._arms.end_goals(groups, StateError("the motion was ended: motion of its group is being disabled"))
+            while self._arms.moving(groups) is not None or not self._arms.settled(groups):
+                yield
         joints = self._joints(groups)
         self.brakes[joints] = True
         try:
@@ -499,6 +508,11 @@ class StateManager:
             raise
         self._arms.disengage(groups)
         enter()
+
+    def _release(self, group: str) -> Generator[None, None, None]:
+        """Take the power of a group, then free the slots."""
+        yield from self._power_off((group,), partial(self._enter, (group,), State.RESERVED))
+        self._free(group)
 
     def _until_braked(
         self, groups: Sequence[str], cause: WaitTimeoutError | None = None

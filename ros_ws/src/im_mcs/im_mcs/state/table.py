@@ -94,7 +94,7 @@ _UNDER_WAY = "the goal is under way or waits"
 _SAME = "the reserved groups have the same joints in it"
 _SAFE = "by the owner of the group; every brake holds"
 _CARRIED = "by the owner of the group; gravity torque present before the brakes release"
-_AT_REST = "by the owner of the group, or its lease has lapsed; at rest first"
+_AT_REST = "by the owner of the group, or its lease has lapsed; goals end, at rest first"
 _UNUSED = "by the owner of the group, or its lease has lapsed; power stays while another group needs it"
 _LATCHED = "holds until the group is resumed, or an emergency stop is reset"
 _LAW = "by the owner of the group, which has such a law"
@@ -120,6 +120,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
     StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED, _UNUSED),
+    StateTransition(State.ACTIVE, Event.RELEASE, State.COLD, f"{_OWNER}; power off first"),
     StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
     StateTransition(State.ACTIVE, Event.TAKE_OVER, State.ACTIVE, _RESERVED),
     StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
@@ -131,6 +132,8 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.PROTECTIVE_STOP, State.ACTIVE, _LATCHED),
     StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, _AT_REST),
+    StateTransition(State.MOTION, Event.POWER_OFF, State.RESERVED, f"{_AT_REST}, motion disabled"),
+    StateTransition(State.MOTION, Event.RELEASE, State.COLD, f"{_OWNER}; goals end, power off first"),
     StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
     StateTransition(State.MOTION, Event.TAKE_OVER, State.MOTION, _RESERVED),
     StateTransition(State.MOTION, Event.MOVE, State.MOTION, _HOLDS),
