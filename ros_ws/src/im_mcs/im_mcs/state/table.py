@@ -97,6 +97,7 @@ _CARRIED = "by the owner of the group; gravity torque present before the brakes 
 _AT_REST = "by the owner of the group, or its lease has lapsed; goals end, at rest first"
 _UNUSED = "by the owner of the group, or its lease has lapsed; power stays while another group needs it"
 _LATCHED = "holds until the group is resumed, or an emergency stop is reset"
+_JAWS = "by the driver of its arm, if that is reserved, or by a node that mcs.yaml names"
 _LAW = "by the owner of the group, which has such a law"
 
 TABLE: tuple[StateTransition, ...] = (
@@ -123,7 +124,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.RELEASE, State.COLD, f"{_OWNER}; power off first"),
     StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
     StateTransition(State.ACTIVE, Event.TAKE_OVER, State.ACTIVE, _RESERVED),
-    StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE),
+    StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE, _JAWS),
     StateTransition(State.ACTIVE, Event.CANCEL, State.ACTIVE, _UNDER_WAY),
     StateTransition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
     StateTransition(State.ACTIVE, Event.SET_PAYLOAD, State.ACTIVE, _OWNER),
@@ -142,7 +143,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.PAUSE, State.MOTION, _RESERVED),
     StateTransition(State.MOTION, Event.RESUME, State.MOTION, _HOLDS),
     StateTransition(State.MOTION, Event.SET_SPEED, State.MOTION, _OWNER),
-    StateTransition(State.MOTION, Event.SET_GRIPPER, State.MOTION),
+    StateTransition(State.MOTION, Event.SET_GRIPPER, State.MOTION, _JAWS),
     StateTransition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
     StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _OWNER),
     StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, f"decelerates on the path; {_LATCHED}"),
