@@ -313,14 +313,14 @@ def test_a_command_that_comes_in_the_turn_of_its_net_is_done_by_that_or_keeps_it
     dispatcher, monkeypatch, wait_until, needs
 ):
     assert done(dispatcher, dispatcher.load_net(holder("changed"))) is None
-    before, prepare = dispatcher.exchange.nets["changed"], dispatcher.loader.prepare
+    before, prepare = dispatcher.exchange.nets["changed"], dispatcher.loader._prepare
 
     async def prepared(*arguments):
         found = await prepare(*arguments)
         dispatcher.commands.write("changed", {})
         return found
 
-    monkeypatch.setattr(dispatcher.loader, "prepare", prepared)
+    monkeypatch.setattr(dispatcher.loader, "_prepare", prepared)
     refused = done(dispatcher, dispatcher.load_net(holder("changed", needs)))
     assert (dispatcher.exchange.nets["changed"] is before) == (needs == "right_arm") == (refused is not None)
     wait_until(lambda: not dispatcher.commands.open(), "the end of the command")

@@ -42,7 +42,7 @@ def test_cold(client):
     client.until(lambda: client.state() == "estopped" and CAUSE in client.states[-1].reason)
     for request in (lambda: client.call(ReserveGroup, "reserve", group="left"), lambda: client.trigger("power_on")):
         refusal = request().message
-        assert "is refused in state estopped; allowed here: reset, estop" in refusal
+        assert "is refused in state estopped; allowed here: reset, protective_stop, estop" in refusal
         assert refusal.endswith(f"; the cause of this state: {client.states[-1].reason}")
     assert client.trigger("estop").success  # once more
     assert client.trigger("reset").message == "MCS is cold"

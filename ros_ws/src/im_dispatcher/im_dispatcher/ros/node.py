@@ -1,5 +1,6 @@
 """Node ``/dispatcher``."""
 
+import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -9,7 +10,6 @@ from functools import partial
 from im_cell.robot import load_cell
 from im_core.errors import ArgumentError, ImError, StateError
 from im_core.ros import qos, run
-from im_core.ros.calibration_report import report_message
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import OneAtATime
 from im_dispatcher.cell import net as cell
@@ -19,7 +19,7 @@ from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
 from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.report import StepTimes
-from im_msgs.msg import Firing
+from im_msgs.msg import CalibrationReport, Firing
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.functions import Functions
@@ -244,11 +244,12 @@ class Dispatcher(PntNode):
             outcome = await self._run(calibrate_camera.SYMBOL, arguments)
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
-            match outcome.results:
-                case {"report": dict(report), "directory": str(directory)} if outcome.success:
-                    response.report = report_message(report, str(report["message"]), directory)
-                    left = str(outcome.results.get("message", ""))
-                    response.message = "; but ".join(filter(None, (response.report.message, left)))
+            if outcome.success:
+                response.report = await self.dom.get("calibration", CalibrationReport)
+                response.report.json = json.dumps(outcome.results["report"])
+                response.report.directory = str(outcome.results["directory"])
+                left = str(outcome.results.get("message", ""))
+                response.message = "; but ".join(filter(None, (response.report.message, left)))
         except ImError as error:
             response.success, response.message = False, error.message
         return response
