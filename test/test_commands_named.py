@@ -9,7 +9,7 @@ SOURCES = sorted(
     path
     for suffix in ("py", "yaml", "html", "js", "msg", "srv", "action")
     for path in (ROOT / "ros_ws" / "src").rglob(f"*.{suffix}")
-    if not {"test", "launch"} & set(path.parts)
+    if "test" not in path.parts
 )
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.suffix in ("", ".sh", ".py") and path.is_file())
 TEXTS = [*PAGES, *SOURCES, *SCRIPTS]

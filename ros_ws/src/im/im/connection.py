@@ -1,5 +1,6 @@
 """Connection to a machine: one ROS node, spun by a thread, with calls waiting for answers."""
 
+import concurrent.futures
 import itertools
 import os
 import threading
@@ -121,24 +122,19 @@ class Connection:
         """Call a function in the thread of the connection: each request is noted before the answer."""
         if threading.current_thread() is self._thread:
             return function()
-        ended, outcome = threading.Event(), list[Any]()
+        outcome: concurrent.futures.Future[ResultT] = concurrent.futures.Future()
 
         def carry() -> None:
             try:
-                outcome.extend((function(), None))
-            except Exception as error:  # raised at the caller below
-                outcome.extend((None, error))
-            ended.set()
+                outcome.set_result(function())
+            except Exception as error:  # raised at the caller
+                outcome.set_exception(error)
 
         self._executor.create_task(carry)
-        while not ended.wait(1.0):
+        while not concurrent.futures.wait([outcome], timeout=1.0).done:
             if not self._thread.is_alive():
                 raise MachineError("the connection is closed")
-        result, error = outcome
-        if error is not None:
-            raise error
-        returned: ResultT = result
-        return returned
+        return outcome.result()
 
     def result(self, future: Future, what: str, timeout: float = PATIENCE_S) -> Any:
         """Wait for a future, and return the result.

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 from im_msgs.msg import Status
 
@@ -49,6 +50,24 @@ class CommandFailedError(MachineError):
 
 class CommandCancelledError(CommandFailedError):
     """End of a command by a cancellation."""
+
+
+def require(answer: Any, code: str = "state", **facts: object) -> Any:
+    """Return the answer of a service that was carried out.
+
+    Args:
+        answer: The answer.
+        code: Kind of error of an answer without a status.
+        **facts: Named values of the sentence of an answer without a status.
+
+    Raises:
+        MachineError: The request was refused.
+    """
+    if answer.success:
+        return answer
+    if hasattr(answer, "status"):
+        raise MachineError.of(answer.status)
+    raise MachineError(answer.message, code, facts)
 
 
 def _value(text: str) -> object:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im.connection import Connection
-from im.errors import MachineError, UnreachableError
+from im.errors import MachineError, UnreachableError, require
 from im.geometry import Pose
 from im_msgs.action import Move
 from im_msgs.srv import (
@@ -46,9 +46,7 @@ class Group:
         Raises:
             MachineError: There is no such group, or it cannot be measured now.
         """
-        answer = self._connection.call(GetGroupState, "/mcs/get_group_state", group=self.name)
-        _require(answer)
-        return answer.state
+        return require(self._connection.call(GetGroupState, "/mcs/get_group_state", group=self.name)).state
 
     @property
     def joints(self) -> dict[str, float]:
@@ -92,9 +90,7 @@ class Group:
                 raise
 
     def _told(self, kind: Any, service: str, **fields: Any) -> None:
-        answer = self._connection.call(kind, f"/mcs/{service}", group=self.name, **fields)
-        if not answer.success:
-            raise MachineError(answer.message, "state", {"group": self.name})
+        require(self._connection.call(kind, f"/mcs/{service}", group=self.name, **fields), group=self.name)
 
     def _renew(self, stop: threading.Event, owner: str, period_s: float) -> None:
         while not stop.wait(period_s):
@@ -128,7 +124,7 @@ class Arm(Group):
         answer = self._connection.call(
             InverseKinematics, "/mcs/inverse_kinematics", group=self.name, wrist=wrist, avoid_collisions=True
         )
-        _require(answer)
+        require(answer)
         self._move(Move.Goal(path=_path(self.state.joints, answer.q), speed_scale=float(speed_scale)))
 
     def move_joints(self, speed_scale: float = 1.0, **positions: float) -> None:
@@ -206,16 +202,9 @@ class Gripper:
         answer = self._connection.call(
             SetGripper, "/mcs/set_gripper", gripper=self.name, close=close, force=float(force)
         )
-        if not answer.success:
-            raise MachineError(answer.message, "state", {"gripper": self.name})
-        return float(answer.opening)
+        return float(require(answer, gripper=self.name).opening)
 
 
 def _path(joints: Sequence[str], q: Sequence[float] | NDArray[np.float64]) -> JointTrajectory:
     point = JointTrajectoryPoint(positions=[float(value) for value in q])
     return JointTrajectory(joint_names=list(joints), points=[point])
-
-
-def _require(answer: Any) -> None:
-    if not answer.success:
-        raise MachineError.of(answer.status)

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 from im.calibration import Calibration
 from im.commands import DISPATCHER, Command, control
 from im.connection import EVENTS, PATIENCE_S, Connection
-from im.errors import MachineError
+from im.errors import MachineError, require
 from im.groups import Group
 from im.heartbeats import Heartbeats, Watch
 from im.objects import DataObjects
@@ -254,9 +254,7 @@ class Machine:
         """
         text = str(net) if "\n" in str(net) else Path(net).read_text(encoding="utf-8")
         answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + wait, net_yaml=text, wait=wait)
-        if not answer.success:
-            raise MachineError(answer.message, "net", {"counterexample": list(answer.counterexample)})
-        return str(answer.message)
+        return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
 
     def unload_net(self, name: str, wait: float = 0.0) -> None:
         """Take a net out of the Dispatcher.
@@ -269,8 +267,7 @@ class Machine:
             MachineError: Something keeps the net.
         """
         answer = self.connection.call(UnloadNet, "/dispatcher/unload_net", PATIENCE_S + wait, net=name, wait=wait)
-        if not answer.success:
-            raise MachineError(answer.message, "net")
+        require(answer, "net")
 
     @contextlib.contextmanager
     def firings(self, net: str = "") -> Iterator["Firings"]:
@@ -345,15 +342,10 @@ class Machine:
         return command
 
     def _switch(self, name: str, on: bool) -> None:
-        answer = self.connection.call(SetLight, "/testbed/set_light", name=name, on=on)
-        if not answer.success:
-            raise MachineError(answer.message, "not_found", {"light": name})
+        require(self.connection.call(SetLight, "/testbed/set_light", name=name, on=on), "not_found", light=name)
 
     def _trigger(self, service: str) -> str:
-        answer = self.connection.call(Trigger, service)
-        if not answer.success:
-            raise MachineError(answer.message, "state")
-        return str(answer.message)
+        return str(require(self.connection.call(Trigger, service)).message)
 
 
 class Firings:

@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.serialization import deserialize_message, serialize_message
 
 from im.connection import PATIENCE_S, Connection
-from im.errors import MachineError
+from im.errors import MachineError, require
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 
@@ -84,10 +84,7 @@ class DataObjects:
     def _ask(self, kind: Any, service: str, patience: float = PATIENCE_S, **fields: object) -> Any:
         if "source" in kind.Request.get_fields_and_field_types():
             fields["source"] = self._connection.name
-        answer = self._connection.call(kind, f"/dom/{service}", patience, **fields)
-        if not answer.success:
-            raise MachineError.of(answer.status)
-        return answer
+        return require(self._connection.call(kind, f"/dom/{service}", patience, **fields))
 
 
 def _type(name: str) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from im.connection import Connection
-from im.errors import MachineError
+from im.errors import MachineError, require
 from im_msgs.srv import Snap, SpotFind, SpotFindStereo
 
 
@@ -138,7 +138,4 @@ def _spot(message: Any) -> Spot:
 
 
 def _ask(connection: Connection, kind: Any, service: str, cameras: list[str], exposure: float) -> Any:
-    answer = connection.call(kind, service, cameras=cameras, exposure=float(exposure))
-    if not answer.success:
-        raise MachineError.of(answer.status)
-    return answer
+    return require(connection.call(kind, service, cameras=cameras, exposure=float(exposure)))

@@ -1,6 +1,6 @@
 """Machine of this ROS domain in the foreground, started as by scripts/start.sh; Ctrl-C stops it.
 
-    ros2 launch im_bringup machine.launch.py factor:=0 seed:=7
+    machine.launch.py factor:=0 seed:=7
 
 It imports launch alone, whose Python need not be that of the workspace.
 """

@@ -1,6 +1,6 @@
 """Nets alone, on a robot of your own whose nodes offer what they call (docs/your_robot.md); Ctrl-C ends them.
 
-    ros2 launch im_bringup nets.launch.py nets:="pick.yaml cell.yaml" page:=true
+    nets.launch.py nets:="pick.yaml cell.yaml" page:=true
 
 It imports launch alone, whose Python need not be that of the workspace.
 """

@@ -1,6 +1,6 @@
 """RViz on the running machine of this ROS domain: robot, frames, images, markers.
 
-    ros2 launch im_bringup view.launch.py
+    view.launch.py
 
 RViz comes with an installed ROS.
 """

@@ -124,15 +124,15 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
             return DONE
     if options.attach is not None:
         return ended(machine, machine.attach(options.attach), "im run", options.json)
-    commands = machine.commands
+    commands = list(machine.commands.values())
     with contextlib.suppress(StoreError):  # a shell then completes no names
-        write_whole(run_dir() / "commands.txt", completions(list(commands.values())))
-        write_whole(run_dir() / _TOLD, json.dumps(list(commands.values())))
+        write_whole(run_dir() / "commands.txt", completions(commands))
+        write_whole(run_dir() / _TOLD, json.dumps(commands))
     if options.name is None:
-        print_list(list(commands.values()), machine.under_way)
+        print_list(commands, machine.under_way)
         return DONE
     try:
-        parser = CommandParser(command_told(list(commands.values()), options.name))
+        parser = CommandParser(command_told(commands, options.name))
         arguments, given = parser.read(texts)
         require_text(json.dumps(taken := handed_over(arguments), allow_nan=False), "the arguments")
     except (NotFoundError, FileError, StoreError) as error:
