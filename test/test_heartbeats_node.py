@@ -79,20 +79,21 @@ def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(
 
 
 def test_in_a_machine_only_the_agent_says_that_a_task_has_begun_anew_or_starts(followed):
-    node, lost, returned = followed._node, [], []
+    node, lost, begun = followed._node, [], []
     node.incarnations = {"back": TaskIncarnation(1, 0, False), "front": TaskIncarnation(0, 0, False)}
-    followed.on_return(returned.append)
+    followed.on_incarnation(lambda *told: begun.append(told))
     followed._hear(beat_of("back", 0))
     followed.watch("back", 1, lost.append)
     for name, incarnation in (("back", 2), ("back", 0), ("front", 0), ("front", 7)):
         followed._hear(beat_of(name, os.getpid(), incarnation))  # made up
     followed._hear(TaskStatus(name="back", incarnation=1, phase=TaskStatus.LOADED, pid=os.getpid()))
-    assert (lost, returned, followed.incarnation("back"), followed.incarnation("front")) == ([], [], 1, None)
+    assert (lost, begun) == ([], [("back", False)])
+    assert (followed.incarnation("back"), followed.incarnation("front")) == (1, None)
     assert not followed.starting("back")
     node.incarnations = {"back": TaskIncarnation(2, 0, True)}
     assert followed.starting("back")
     followed._hear(beat_of("back", 0, 2))
-    assert (returned, followed.incarnation("back")) == (["back"], 2)
+    assert (begun[1:], followed.incarnation("back")) == ([("back", True)], 2)
     assert lost == ["back is missing (it died and was started again meanwhile)"]
 
 

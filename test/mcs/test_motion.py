@@ -228,8 +228,11 @@ def test_markers_show_the_planned_path_of_the_wrist(ready):
     ready.until(lambda: told and told[-1].markers[0].action == Marker.ADD)
     left, right = told[-1].markers
     assert (left.ns, left.header.frame_id, right.action) == ("paths", "world", Marker.DELETE)
-    for point, end in ((left.points[0], ends[0]), (left.points[-1], ends[1])):
-        np.testing.assert_allclose([point.x, point.y, point.z], position(end), atol=1e-3)
+    first, last = ([left.points[n].x, left.points[n].y, left.points[n].z] for n in (0, -1))
+    home, far_off = (np.array(position(end)) for end in ends)
+    np.testing.assert_allclose(last, far_off, atol=1e-3)
+    assert np.all(first > np.minimum(home, far_off) - 1e-3)  # drawn from where the arm is by then
+    assert np.all(first < np.maximum(home, far_off) + 1e-3)
     ready.cancel(handle)
     result()
     ready.until(lambda: told[-1].markers[0].action == Marker.DELETE)

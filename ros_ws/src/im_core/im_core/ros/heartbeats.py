@@ -81,7 +81,7 @@ class Heartbeats:
         self._last: dict[str, Heartbeat] = {}
         self._silences: dict[str, tuple[float, Silence]] = {}
         self._watches: dict[str, dict[TaskWatch, None]] = {}
-        self._returned: list[Callable[[str], None]] = []
+        self._begun: list[Callable[[str, bool], None]] = []
         self._check_timer = node.create_timer(CHECK_PERIOD_S, self._check, clock=node.steady_clock)
         self._check_timer.cancel()
         self._checked = 0.0
@@ -157,9 +157,14 @@ class Heartbeats:
 
         return unwatch
 
-    def on_return(self, returned: Callable[[str], None]) -> None:
-        """Register a function, called with the name of each task heard again after a restart."""
-        self._returned.append(returned)
+    def on_incarnation(self, begun: Callable[[str, bool], None]) -> None:
+        """Register a function, called with each task that a new incarnation is heard of.
+
+        Args:
+            begun: Takes the name, and whether a former incarnation was heard. An incarnation that dies early may be
+                heard by nobody, though its services have answered.
+        """
+        self._begun.append(begun)
 
     async def wait(self, future: Any, task: str, timeout_s: float, what: str) -> Any:
         """Await a future to be completed by ``task``.
@@ -212,10 +217,11 @@ class Heartbeats:
             return
         pid = vouched.pid if vouched is not None else message.pid if message.host == self._host else 0
         self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
-        if known.incarnation is not None:
+        again = known.incarnation is not None
+        if again:
             self._tell(message.name)
-            for returned in self._returned:
-                returned(message.name)
+        for begun in self._begun:
+            begun(message.name, again)
 
     def _check(self) -> None:
         if not self._watches:

@@ -132,7 +132,7 @@ class PntNode(ManagedNode):
         )
         self._book = StrategyBook()
         self._looked = False
-        self.heartbeats.on_return(self._task_returned)
+        self.heartbeats.on_incarnation(self._task_began)
         self.dom.damaged = self._observer.lost_object
 
     def _executor(self, net: Net) -> Executor:
@@ -262,9 +262,10 @@ class PntNode(ManagedNode):
         self._mission.begin()
         self._loop.wake()
 
-    def _task_returned(self, task: str) -> None:
-        self._observer.restarted(task)
-        if task == "dom":
+    def _task_began(self, task: str, again: bool) -> None:
+        if again:
+            self._observer.restarted(task)
+        if task == "dom" and (again or self.dom.seen.mark is not None):  # one that was never heard may have answered
             self.spawn(self._validity.compare())
 
     def _may_turn(self) -> bool:
