@@ -1,6 +1,7 @@
 """``docs/your_robot.md``: a task over two action servers of the standard types, run, killed and resumed as it says."""
 
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -224,3 +225,23 @@ def test_a_robot_that_dies_ends_the_task_with_its_death_as_reason(robot_process,
     assert command.returncode == 1
     assert "fetch failed: the result of /gripper_controller/gripper_cmd" in told
     assert "the node that owes it is gone" in told
+
+
+STUCK = """
+net: stuck
+places: {idle: 1, asked: }
+transitions:
+  ask: {symbol: ask, in: idle, out: asked}
+  hear: {in: asked, out: idle, guard: "answers:never", emit: ask_done}
+"""
+
+
+def test_a_command_without_a_way_out_does_not_keep_the_node(tmp_path, line, wait_until):
+    """What a function of Python says is free in the proof: it may be wrong for good."""
+    (tmp_path / "stuck.yaml").write_text(STUCK)
+    (tmp_path / "answers.py").write_text("def never(ctx):\n    return False\n")
+    child = line(f"run {tmp_path}/stuck.yaml --symbol ask")
+    wait_until(lambda: "ask" in child.out.read_text(), "the command")
+    child.send_signal(signal.SIGTERM)
+    assert child.wait(60.0) == 1
+    assert "ask: no way out of the marking stuck.asked; ends without it" in child.out.read_text()

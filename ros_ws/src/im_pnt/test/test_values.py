@@ -7,7 +7,7 @@ from typing import ClassVar
 import pytest
 
 from im_core.errors import DataError, ImError, NotFoundError
-from im_pnt.errors import NetFileError
+from im_pnt.errors import NetError, NetFileError
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity, Command
@@ -154,7 +154,8 @@ def test_a_guard_and_its_negation_are_complementary_in_verification():
     assert report.ok
     assert not any("becomes true" in text for text in report.assumptions)
     alone = parse_net(NET.replace("guard: not ${len", "guard: ${len"))
-    assert any("guard '${len(answers.look.spots)" in text for text in verify([alone]).assumptions)
+    with pytest.raises(NetError, match="nothing fires at 'looked'"):
+        verify([alone])
 
 
 def test_arguments_are_those_of_whom_a_transition_works_for():
@@ -392,6 +393,31 @@ def test_a_guard_over_a_data_object_lets_neither_way_pass_until_the_object_is_kn
     machine.process.command("n", "pick", width=0.1)
     objects.answer(machine.process)
     assert machine.process.recorder.troubles[-1].endswith("counts as false: there is no data object spot")
+
+
+def test_otherwise_lets_pass_where_no_other_guard_does():
+    """Also where another guard breaks, and not before it is known what the others say."""
+    text = NET.replace(
+        "guard: not ${len(answers.look.spots) >= arguments.least and answers.look.found}", "guard: otherwise"
+    )
+    assert parse_net(text).transitions["skip"].guard.unless == (parse_net(text).transitions["tell"].guard,)
+    for answer, told in (
+        ({"found": True, "spots": SPOTS}, ["tell"]),
+        ({"found": False, "spots": SPOTS}, ["skip"]),
+        ({"spots": SPOTS}, ["skip"]),
+    ):
+        machine = Machine(text, answer)
+        machine.process.command("n", "pick", width=0.1)
+        assert [name for name in machine.process.recorder.names("n") if name in ("tell", "skip")] == told
+    text = text.replace("len(answers.look.spots) >= arguments.least and answers.look.found", "data.spot.x > 3")
+    objects = MemoryObjects(spot={"x": 2.0})
+    machine = Machine(
+        text.replace("p_msgs/msg/Spot}", "p_msgs/msg/Spot, scope: global}"), {"spots": SPOTS}, objects=objects
+    )
+    machine.process.command("n", "pick", width=0.1)
+    assert machine.process.marking("n") == {"looked": 1}
+    objects.answer(machine.process)
+    assert "skip" in machine.process.recorder.names("n")
 
 
 def test_a_request_passes_values_on_and_its_results_are_an_answer():

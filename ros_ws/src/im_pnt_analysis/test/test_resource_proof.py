@@ -50,6 +50,8 @@ transitions:
 def pick(needs: str, arguments: str, guard: str = "") -> Net:
     view = "view: {type: string, choices: [wall, table], default: wall}"
     text = PICK.replace("VIEW", view).replace("NEEDS", needs).replace("ARGUMENTS", arguments)
+    if guard:
+        text += "  leave: {in: wanted, out: failed, guard: otherwise}\n"
     return parse_net(text.replace("GUARD", guard and f"guard: {guard}"), "pick.yaml")
 
 

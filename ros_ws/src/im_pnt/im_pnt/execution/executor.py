@@ -326,7 +326,7 @@ class Executor:
         if found.symbol is not None and not rule.ledger.tape.has(found.symbol):
             return f"symbol {found.symbol} is not on the tape"
         if found.guard is not None and not self._loop.conflicts.holds(index):
-            return f"its guard {'not ' if found.guard.negated else ''}{found.guard.name} is false"
+            return f"its guard {found.guard} is false"
         return ""
 
     def replay(self, entry: NetEntry) -> None:

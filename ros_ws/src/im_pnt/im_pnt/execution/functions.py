@@ -8,14 +8,14 @@ from dataclasses import replace
 from typing import Any
 
 from im_core import plugins
-from im_core.errors import ConfigError, ImError, nearest
+from im_core.errors import FOREIGN, ConfigError, ImError, nearest
 from im_pnt.errors import NetError, NetFileError
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.jobs import NO_COMMAND, NO_LINEAGE, Activity, Command, Lineage, object_name, scope_of
-from im_pnt.execution.values import NetValues
+from im_pnt.execution.values import NetValues, ObjectPendingError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.template import OPENS, read_objects
-from im_pnt.model.net import Net, Transition
+from im_pnt.model.net import Guard, Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
 JsonObject = dict[str, object]
@@ -360,6 +360,9 @@ class Functions:
 
     def sources(self, guard: str) -> frozenset[str] | None:
         """Return the sources of a guard, None without a declaration."""
+        if unless := Guard(guard).unless:
+            known = [self.sources(each.name) for each in unless]
+            return None if None in known else frozenset[str]().union(*(each for each in known if each is not None))
         if OPENS in guard:
             return frozenset(f"data:{name}" for name in read_objects(guard))
         declared: frozenset[str] | None = getattr(self.guards[guard], _WOKEN_BY, None)
@@ -367,12 +370,23 @@ class Functions:
 
     def wakes(self, net: Net) -> frozenset[str]:
         """Return the sources of the registered guards of a net."""
-        named = (guard for guard in net.guards() if OPENS not in guard)
+        named = (guard for guard in net.guards() if OPENS not in guard or Guard(guard).unless)
         return frozenset(source for guard in named for source in self.sources(guard) or ())
 
     def guards_of(self, net: Net) -> dict[str, GuardFunction]:
         """Return the guards of a net, registered or expressions."""
-        return {name: self.guards.get(name) or _expression_guard(name) for name in net.guards()}
+        return {name: self._guard(name) for name in net.guards()}
+
+    def _guard(self, name: str) -> GuardFunction:
+        unless = Guard(name).unless
+        if not unless:
+            return self.guards.get(name) or _expression_guard(name)
+        others = [(self._guard(each.name), each.negated) for each in unless]
+
+        def otherwise(context: ActionContext) -> bool:
+            return not any(_answer(guard, context) is not negated for guard, negated in others)
+
+        return otherwise
 
     def check(self, net: Net) -> None:
         """Check whether every function of a net is registered; import functions named ``module:function``.
@@ -381,8 +395,9 @@ class Functions:
             NetFileError: One is not there; names file, line and the nearest right name.
         """
         for transition in net.transitions.values():
-            if transition.guard and OPENS not in transition.guard.name:
-                _find(net, transition, "guard", transition.guard.name, self.guards)
+            for guard in () if transition.guard is None else transition.guard.unless or (transition.guard,):
+                if OPENS not in guard.name:
+                    _find(net, transition, "guard", guard.name, self.guards)
             for name in transition.action.functions if transition.action else ():
                 _find(net, transition, "action", name, self.actions)
 
@@ -405,6 +420,16 @@ def _find(
         sentence = f"transitions.{transition.name}: {error.message}"
         raise NetFileError(net.source, transition.line, sentence) from error
     known[name] = found
+
+
+def _answer(guard: GuardFunction, context: ActionContext) -> bool:
+    """Return the answer of a guard; a broken one counts as false."""
+    try:
+        return bool(guard(context))
+    except ObjectPendingError:
+        raise
+    except FOREIGN:  # told where the guard is asked for its own transition
+        return False
 
 
 def _expression_guard(text: str) -> GuardFunction:

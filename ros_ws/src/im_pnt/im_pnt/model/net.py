@@ -5,7 +5,9 @@ paper, section 6: tapes, enabling functions, actions, remote places, coordinatio
 """
 
 import enum
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,6 +17,11 @@ from im_pnt.model.delay import Delay
 
 LARGEST = 2**31 - 1
 """Largest number of tokens, weight or priority: analysis packs markings."""
+
+OTHERWISE = "otherwise"
+"""Guard that holds where no other guard of the transitions at the same places does."""
+
+_NOT = re.compile(r"not\s+")
 
 Arcs = Mapping[str, int]
 """Place name to arc weight (>= 1)."""
@@ -79,13 +86,39 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """Enabling function by the registered name, or an expression ``${...}``; or the negation of either."""
+    """Enabling function by the registered name, or an expression ``${...}``; or the negation of either; or `otherwise`.
+
+    Attributes:
+        name: What it asks; of `otherwise` also the guards that must not hold, so that the same name asks the same.
+        negated: Whether it holds where the answer is false.
+    """
 
     name: str
     negated: bool = False
 
     def __str__(self) -> str:
+        if self.unless:
+            return OTHERWISE
         return f"not {self.name}" if self.negated else self.name
+
+    @classmethod
+    def of(cls, text: str) -> "Guard":
+        """Return a guard as written in a file: a name or an expression, with ``not`` before it or not."""
+        name = text.strip()
+        negated = _NOT.match(name)
+        return cls(name[negated.end() :] if negated else name, negated is not None)
+
+    @classmethod
+    def otherwise(cls, others: Iterable["Guard"]) -> "Guard":
+        """Return the guard that holds where no other does."""
+        return cls(f"{OTHERWISE} {json.dumps(sorted(map(str, others)), ensure_ascii=False)}")
+
+    @property
+    def unless(self) -> tuple["Guard", ...]:
+        """Guards that must not hold; empty unless this is `otherwise`."""
+        if not self.name.startswith(f"{OTHERWISE} "):
+            return ()
+        return tuple(map(Guard.of, json.loads(self.name.removeprefix(OTHERWISE))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Content of a file as a :class:`~im_pnt.model.net.Net`: rules over several parts, and existing names."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from im_core.errors import DataError, nearest
@@ -23,6 +23,7 @@ from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy,
 from im_pnt.model.delay import Delay
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import (
+    OTHERWISE,
     Assumption,
     Guard,
     Mark,
@@ -35,6 +36,7 @@ from im_pnt.model.net import (
     Strategy,
     Transition,
 )
+from im_pnt.model.resources import resource_places
 from im_pnt.netfile.assume import faults
 from im_pnt.netfile.schema.commands import ArgumentFile
 from im_pnt.netfile.schema.delays import DelayFile
@@ -117,7 +119,22 @@ class _Reader:
         if self._foreign:
             self._require_names(net)
         check_net(net, NoTypes())
-        return net
+        return replace(net, transitions=dict(self._with_otherwise(net)))
+
+    def _with_otherwise(self, net: Net) -> Iterator[tuple[str, Transition]]:
+        """Yield the transitions; a guard `otherwise` knows which guards it stands against."""
+        resources = resource_places(net) if OTHERWISE in net.guards() else frozenset[str]()
+        for name, transition in net.transitions.items():
+            if transition.guard != Guard(OTHERWISE):
+                yield name, transition
+                continue
+            places = transition.inputs.keys() - resources
+            others = [t.guard for t in net.transitions.values() if t.guard is not None and places & t.inputs.keys()]
+            against = [guard for guard in others if guard.name != OTHERWISE]
+            if len(others) != len(against) + 1 or not against:
+                sentence = "'otherwise' needs other guards at the same places, none of them 'otherwise'"
+                raise self._error(("transitions", name, "guard"), sentence)
+            yield name, replace(transition, guard=Guard.otherwise(against))
 
     def _add_tries(self, places: dict[str, Place], transitions: dict[str, Transition]) -> None:
         """Write out the tries of transitions with several ones, each behind the first one."""
@@ -237,7 +254,7 @@ class _Reader:
             outputs,
             remote_outputs,
             inhibitors,
-            _guard(file.guard),
+            None if file.guard is None else Guard.of(file.guard),
             None if symbol is None else symbol.name,
             file.emit,
             action,
@@ -343,14 +360,6 @@ def _assumption(file: AssumptionFile) -> Assumption:
         return Assumption(at_most=file.at_most)
     net, _, place = file.returns.partition(".")
     return Assumption(returns=RemotePlace(net, place))
-
-
-def _guard(text: str | None) -> Guard | None:
-    if text is None:
-        return None
-    name = text.strip()
-    negated = re.match(r"not\s+", name)
-    return Guard(name[negated.end() :] if negated else name, negated is not None)
 
 
 def _action(file: TransitionFile) -> Action | None:

@@ -29,6 +29,7 @@ from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
+from im_pnt_analysis.guards.coverage import decide_guards
 
 _DISTURBANCES = (Role.WITHDRAWN, Role.CANCEL, Role.LOST)
 
@@ -76,7 +77,8 @@ def compose(nets: Sequence[Net]) -> Composition:
         nets: Nets as written or expanded, with different names.
 
     Raises:
-        NetError: Two nets of one name, a service or remote place that its net does not have, or no net at all.
+        NetError: Two nets of one name, a service or remote place that its net does not have, no net at all, or guards
+            that leave out a value.
 
     >>> composition = compose([oven])
     >>> list(composition.net.transitions), composition.external, composition.rest
@@ -86,8 +88,9 @@ def compose(nets: Sequence[Net]) -> Composition:
         raise NetError("there is no net to analyse")
     by_name = {name: expand(net) for name, net in nets_by_name(nets).items()}
     check_arguments(nets)
+    decided = {net.name: decide_guards(net) for net in nets}
     flat = FlatNet(by_name)
-    composer = _Composer(flat)
+    composer = _Composer(flat, decided)
     for net in by_name.values():
         composer.add(net)
     composer.close()
@@ -112,8 +115,8 @@ def compose(nets: Sequence[Net]) -> Composition:
 
 
 class _Composer:
-    def __init__(self, flat: FlatNet) -> None:
-        self.flat = flat
+    def __init__(self, flat: FlatNet, decided: Mapping[str, frozenset[str]]) -> None:
+        self.flat, self.decided = flat, decided
         self.assumed = Assumptions(flat)
         self.calls = ServiceCalls(flat, self.assumed.promises)
         self.disturbances: set[str] = set()
@@ -199,17 +202,18 @@ class _Composer:
         busy = {place: 1 for place in flat.places if place not in flat.rest}
         for transition in arrivals:
             flat.add_environment(replace(transition, inhibitors=busy))
-        for text in assumptions(list(flat.nets.values())):
+        for text in assumptions(list(flat.nets.values()), self.decided):
             flat.assume(text)
         if any(INPUT_SEMAPHORE in net.places for net in flat.nets.values()):
             flat.assume("requests of different callers are served in any order")
 
 
-def assumptions(nets: Sequence[Net]) -> Iterator[str]:
+def assumptions(nets: Sequence[Net], decided: Mapping[str, frozenset[str]]) -> Iterator[str]:
     """Return the assumptions.
 
     Args:
         nets: The nets, expanded.
+        decided: By net the transitions whose guards leave no value out.
     """
     if guarded := _names(net for net in nets if net.guards()):
         yield (
@@ -217,7 +221,7 @@ def assumptions(nets: Sequence[Net]) -> Iterator[str]:
             "and the return of resources hold unless a guard stays as it is for ever"
         )
     for net in nets:
-        yield from open_guards(net)
+        yield from open_guards(net, decided[net.name])
     if reading := _names(net for net in nets if net.symbols()):
         yield (
             f"tapes ({reading}) are free, any symbol may come at any time: bounds and safety hold for every tape; "
@@ -233,9 +237,9 @@ def _names(nets: Iterable[Net]) -> str:
     return ", ".join(net.name for net in nets)
 
 
-def open_guards(net: Net) -> Iterator[str]:
+def open_guards(net: Net, decided: frozenset[str]) -> Iterator[str]:
     """Return the guards without a counterpart: such a guard might keep a net waiting for ever."""
-    guarded = [t for t in net.transitions.values() if t.guard]
+    guarded = [t for t in net.transitions.values() if t.guard and t.origin not in decided]
     for transition in guarded:
         assert transition.guard is not None
         opposite = replace(transition.guard, negated=not transition.guard.negated)

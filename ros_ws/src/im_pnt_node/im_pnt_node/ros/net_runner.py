@@ -38,7 +38,8 @@ offer services, actions and topics, and the nets call them. docs/your_robot.md b
   scripts/im pnt run pick.yaml cell.yaml --page                  two nets, and the page that shows them live
 
 Functions that nets name as module:function are looked for beside the net files first. Ctrl-C cancels what runs and
-waits for it to end; Ctrl-C again ends at once. Parameters of the node follow --ros-args, as for every node.
+waits for its actions to end, and 5 s more at most; Ctrl-C again ends at once. Parameters of the node follow
+--ros-args, as for every node.
 
 Exit code: 0 done, 1 the command failed or the nets are refused, 2 a file, an option or the start went wrong."""
 
@@ -46,6 +47,8 @@ OK, REFUSED, BAD_INPUT = 0, 1, 2
 VERIFIER = "im_pnt_analysis:verify_to_load"
 PAGE = "im_pnt_display"
 DOM_S = 5.0
+PATIENCE_S = 5.0
+"""How long cancelled commands may go on without any action under way [s]."""
 
 
 def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> int:
@@ -172,7 +175,18 @@ class RunNode(PntNode):
                 if job.is_command:
                     self._tell(f"cancels {job.symbol}; once more ends at once")
                     self.commands.cancel(job.command.id, "cancelled from the keyboard")
-        while any(executor.jobs() for executor in self.exchange.nets.values()):
+        acted = monotonic()
+        while left := [job for executor in self.exchange.nets.values() for job in executor.jobs()]:
+            if any(executor.activities for executor in self.exchange.nets.values()):
+                acted = monotonic()
+            elif monotonic() - acted > PATIENCE_S:
+                commands = ", ".join(dict.fromkeys(job.symbol for job in left))
+                marked = {net: each.marking().items() for net, each in self.exchange.nets.items()}
+                places = " ".join(f"{net}.{place}" for net, places in marked.items() for place, n in places if n)
+                self._tell(f"{commands}: no way out of the marking {places}; ends without it")
+                self.exit_code = REFUSED
+                self.finished()
+                return
             await pause(self, 0.05)
         if self._order is None:
             self.finished()

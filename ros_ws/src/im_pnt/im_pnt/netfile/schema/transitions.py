@@ -101,7 +101,11 @@ class TransitionFile(FilePart):
                 like_truth=True,
             ),
         ]
-    ] = Field(None, description="Enabling function by its registered name, or ${...}; or 'not' and one of these.")
+    ] = Field(
+        None,
+        description="Enabling function by its registered name, or ${...}; 'not' and one of these; or 'otherwise': none "
+        "of the other guards at its places holds.",
+    )
     symbol: Given[SymbolFile] = Field(None, description="Symbol it needs from the input tape: its name, or its keys.")
     emit: Names = Field((), description="Symbols it writes to the output tape when it ends.")
     action: Given[Function] = Field(None, description="Calls a registered function, or module:function.")
