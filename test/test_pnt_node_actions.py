@@ -468,6 +468,24 @@ def test_a_server_that_was_there_is_waited_for_also_before_it_was_needed(machine
     assert outcomes[0].success
 
 
+def test_two_servers_of_one_name_are_asked_nothing(machine, monkeypatch):
+    """Each would carry out the goal: two robots without namespaces, or one that was left in the background."""
+    node, hardware, _, _ = machine
+    monkeypatch.setattr("im_pnt_node.ros.execution.actions.SUCCESSION_S", 1.0)
+    twin, goals = rclpy.create_node("twin"), []
+    servers = [
+        ActionServer(each, FollowJointTrajectory, "/elsewhere/follow", hardware._trajectory,
+                     goal_callback=lambda goal: goals.append(goal) or GoalResponse.ACCEPT)
+        for each in (hardware, twin)
+    ]  # fmt: skip
+    message = run(node, "elsewhere").status.message
+    for server in servers:
+        server.destroy()
+    twin.destroy_node()
+    assert "2 nodes serve the action /elsewhere/follow: /hardware, /twin; nothing is sent" in message
+    assert goals == []
+
+
 @pytest.mark.parametrize("waits", [True, False])
 def test_who_goes_on_after_a_death_waits_for_servers_that_may_have_died_too(machine, monkeypatch, waits):
     monkeypatch.setattr("im_pnt_node.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)

@@ -12,7 +12,8 @@ from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError
 from im_core.ros import qos
 from im_core.ros.calls import pause, wait
-from im_core.ros.heartbeats import Heartbeats
+from im_core.ros.failures import few
+from im_core.ros.heartbeats import LEASE_S, Heartbeats
 from im_core.ros.interfaces import interface_class
 from im_core.ros.node import ManagedNode
 from im_core.ros.servers import doubted, servers_of
@@ -30,6 +31,8 @@ DISCOVERY_TIMEOUT_S = 20.0
 """Time in which a server that lives is discovered, also on a busy computer [s]."""
 SETTLING_S = 2.0
 """Time in which a client and its server have certainly discovered each other, both ways [s]."""
+SUCCESSION_S = LEASE_S + 2.0
+"""How long a server that was killed stays in the graph of ROS, beside the one that was started in its place [s]."""
 LATE_ANSWER_S = 30.0
 LOOK_S, GONE_LOOKS = 0.5, 4
 """How often it is looked whether a node that sends no heartbeats is there [s]; so often in vain, and it is gone."""
@@ -149,7 +152,8 @@ class Surroundings:
 
         One that died, stood still, or went away is waited for, too: it may be there again soon. One whose task
         starts, and could not do yet what it is asked for, is waited for as long as a start may take. One of no task
-        that was never there is not waited for once no node has come or gone for :data:`SETTLING_S`.
+        that was never there is not waited for once no node has come or gone for :data:`SETTLING_S`. Of two servers that
+        are no tasks, each would take the request: nothing is sent before one is alone.
 
         Args:
             server: The server.
@@ -159,7 +163,7 @@ class Surroundings:
             unwanted: Whether nothing is to be sent any more.
 
         Raises:
-            StateError: It is not there.
+            StateError: It is not there, or not alone.
         """
         began, changed, nodes = monotonic(), server.made, self._nodes()
         while not unwanted() and ((why := self._not_yet(task)) or not server.ready()):
@@ -172,10 +176,20 @@ class Surroundings:
                 if monotonic() > changed + SETTLING_S and not servers_of(self.node, name):
                     raise StateError(f"nobody offers {what} in ROS domain {self.node.context.get_domain_id()}")
             await pause(self.node, 0.05)
+        if task is None:
+            await self._until_alone(name, what, unwanted)
         heard = self.heartbeats.heard_since(task) if task else None
         settled = SETTLING_S + max(server.made, heard or server.made)
         if settled > monotonic():
             await pause(self.node, settled - monotonic())
+
+    async def _until_alone(self, name: str, what: str, unwanted: Callable[[], bool]) -> None:
+        began = monotonic()
+        while len(servers := servers_of(self.node, name)) > 1 and not unwanted():
+            if monotonic() > began + SUCCESSION_S:
+                told = f"{len(servers)} nodes serve {what}: {few(servers)}; nothing is sent, for each would take it"
+                raise StateError(f"{told}; end all but one, or give each a namespace", servers=servers)
+            await pause(self.node, LOOK_S)
 
     def _nodes(self) -> list[tuple[str, str]]:
         return sorted(self.node.get_node_names_and_namespaces())
