@@ -19,13 +19,13 @@ KEYS = {
     "transitions assume",
     "TemplateFile": "parameters places services commands rest transitions",
     "UseFile": "template for with",
-    "PlaceFile": "tokens capacity data_object on_invalid remote resource",
+    "PlaceFile": "title tokens capacity data_object on_invalid remote resource",
     "ObjectFile": "name type scope",
     "ServiceFile": "entry done failed arguments acts_on",
     "CommandFile": "description arguments needs busy priority",
     "ArgumentFile": "type unit minimum maximum choices length default help",
-    "TransitionFile": "in out inhibitors resets guard symbol emit action service goal topic await request result store "
-    "acts_on on_failure on_doubt timeout tries retry_of delay success weight strategy priority",
+    "TransitionFile": "title in out inhibitors resets guard symbol emit action service goal topic await request result "
+    "store acts_on on_failure on_doubt timeout tries retry_of delay success weight strategy priority",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",

@@ -71,6 +71,7 @@ class Place:
         resource: Whether its tokens belong to nobody; None: see :mod:`im_pnt.model.resources`.
         object_type: Type of the data object, ``package/msg/Type``; None: not said.
         object_scope: Whose the data object is.
+        title: Name for people, beside its own; empty: its own.
     """
 
     name: str
@@ -82,6 +83,7 @@ class Place:
     resource: bool | None = None
     object_type: str | None = None
     object_scope: ObjectScope = ObjectScope.COMMAND
+    title: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +197,7 @@ class Transition:
         store: Values of data objects that are put when it ends well, by name.
         marks: Where its values stand, by the keys that lead there.
         acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument. None: not said.
+        title: Name for people, beside its own; empty: its own.
     """
 
     name: str
@@ -225,6 +228,7 @@ class Transition:
     marks: Mapping[tuple[int | str, ...], Mark] = field(default_factory=dict, compare=False, repr=False)
     acts_on: tuple[str, ...] | None = None
     resets: tuple[str, ...] = ()
+    title: str = ""
 
 
 @dataclass(frozen=True, slots=True)

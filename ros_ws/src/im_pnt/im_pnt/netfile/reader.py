@@ -183,7 +183,8 @@ class _Reader:
     def _place(self, name: str, file: PlaceFile) -> Place:
         for rank, other in enumerate(file.on_invalid):
             self._known(("places", name, "on_invalid", rank), other)
-        place = Place(name, file.tokens, file.capacity, None, file.on_invalid, file.remote, file.resource)
+        bounds = (file.tokens, file.capacity)
+        place = Place(name, *bounds, None, file.on_invalid, file.remote, file.resource, title=file.title)
         if (thing := file.data_object) is None:
             return place
         scope = ObjectScope(thing.scope)
@@ -276,6 +277,7 @@ class _Reader:
             marks=_marks(find(self._root, here).value),
             acts_on=file.acts_on,
             resets=self._resets((*here, "resets"), file.resets),
+            title=file.title,
         )
 
     def _resets(self, location: Location, names: tuple[str, ...]) -> tuple[str, ...]:

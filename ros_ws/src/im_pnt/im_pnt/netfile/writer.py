@@ -62,6 +62,7 @@ def describe(net: Net) -> dict[str, object]:
 def place_data(place: Place) -> dict[str, object]:
     """Return the written form of a place."""
     return _said(
+        title=place.title or None,
         tokens=place.tokens or None,
         capacity=place.capacity,
         data_object=None if place.data_object is None else _object_data(place),
@@ -123,6 +124,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
     t = transition
     outputs = {**t.outputs, **{str(place): weight for place, weight in t.remote_outputs.items()}}
     return {
+        **_filled(title=t.title),
         **_said(symbol=None if t.symbol is None else _symbol_data(t)),
         **_filled(**{"in": arcs_data(t.inputs)}, inhibitors=arcs_data(t.inhibitors), resets=list(t.resets)),
         **_filled(guard=None if t.guard is None else str(t.guard), out=arcs_data(outputs)),

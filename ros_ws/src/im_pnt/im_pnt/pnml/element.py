@@ -1,23 +1,20 @@
-"""XML to elements with the line; without document types and entities, in bounded time and memory.
-
-The labels of elements are read as the standard and as tools write them.
-"""
+"""XML to elements with the line; without document types and entities, in bounded time and memory."""
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from im_core.errors import quoted_text, shortened
+from im_core.errors import shortened
 from im_core.yamltext import Kind, Value
 from im_pnt.errors import NetFileError
-from im_pnt.model.net import LARGEST
 
 MAX_DEPTH = 100
 MAX_ELEMENTS = 1_000_000
 
-_WHOLE = re.compile(r"\+?0*([0-9]{1,10})")
-_COLOURED = frozenset({"hlinitialMarking", "hlinscription", "declaration", "structure", "condition", "colorType"})
+_LATIN = re.compile(rb"<\?xml[^>]*encoding=[\"']iso-8859-1[\"']", re.IGNORECASE)
+_ALWAYS = ("http://www.w3.org/XML/1998/namespace", "http://www.w3.org/2001/XMLSchema-instance")
+"""Namespaces of attributes about the document itself, which say nothing of the net."""
 
 
 @dataclass(slots=True)
@@ -27,10 +24,11 @@ class Element:
     Attributes:
         tag: Name without namespace.
         namespace: Its namespace, empty where it has none.
-        attributes: Attributes, by names without namespace.
+        attributes: Attributes by name; one of a namespace has that before its name.
         place: Where it stands.
         children: Elements in it.
         text: Text directly in it.
+        within: Nearest element around it that has an id, for messages; empty without one.
     """
 
     tag: str
@@ -39,6 +37,7 @@ class Element:
     place: Value
     children: list["Element"] = field(default_factory=list)
     text: str = ""
+    within: str = ""
 
     def all(self, *tags: str) -> Iterator["Element"]:
         """Iterate over the children of some names."""
@@ -51,8 +50,9 @@ class Element:
     def error(self, message: str) -> NetFileError:
         """Make an error with the element, the file and line."""
         identity = f" '{self.attributes['id'][:60]}'" if "id" in self.attributes else ""
-        place = self.place
-        return NetFileError(place.file, place.line, f"{shortened(self.tag)}{identity}: {message}", place.column)
+        place, within = self.place, f" (in {self.within})" if self.within and not identity else ""
+        sentence = f"{shortened(self.tag)}{identity}: {message}{within}"
+        return NetFileError(place.file, place.line, sentence, place.column)
 
 
 def parse_xml(data: bytes, file: str) -> Element:
@@ -66,7 +66,7 @@ def parse_xml(data: bytes, file: str) -> Element:
         NetFileError: Not XML, with a document type, or with more elements or deeper nesting than a net can need.
     """
     builder = _Builder(file)
-    parser = expat.ParserCreate(namespace_separator=" ")
+    parser = expat.ParserCreate(_encoding(data), namespace_separator=" ")
     builder.parser = parser
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
@@ -84,44 +84,15 @@ def parse_xml(data: bytes, file: str) -> Element:
     return builder.root
 
 
-def label_text(element: Element, label: str) -> str | None:
-    """Return the text of a label: ``<text>``, ``<value>``, the element, or an attribute; None without one."""
-    child = element.first(label)
-    if child is None:
-        return element.attributes.get(label)
-    inner = child.first("text") or child.first("value")
-    return (inner.text if inner is not None else child.attributes.get("value", child.text)).strip()
-
-
-def label_integer(element: Element, label: str, default: int, minimum: int) -> int:
-    """Return the whole number of a label.
-
-    Raises:
-        NetFileError: It is none, or too small or too large.
-    """
-    text = label_text(element, label)
-    if not text:
-        return default
-    match = _WHOLE.fullmatch(text.removeprefix("Default,").strip())
-    value = int(match.group(1)) if match else -1
-    if not minimum <= value <= LARGEST:
-        sentence = f"{quoted_text(text)} is not a whole number from {minimum} to {LARGEST}"
-        raise (element.first(label) or element).error(sentence)
-    return value
-
-
-def check_children(element: Element, namespace: str, known: frozenset[str]) -> None:
-    """Refuse children of an element with an unknown effect on the net.
-
-    Raises:
-        NetFileError: It does; names the element and what is allowed.
-    """
-    for child in element.children:
-        if child.namespace not in ("", namespace) or child.tag in known:
-            continue
-        if child.tag in _COLOURED or child.first("structure") is not None:
-            raise child.error(f"is of a coloured net (in {shortened(element.tag)}); place/transition nets are read")
-        raise child.error(f"is not understood in {shortened(element.tag)}; allowed are {', '.join(sorted(known))}")
+def _encoding(data: bytes) -> str | None:
+    """Return the encoding of a document where the declared one is wrong: some tools declare Latin-1 but write UTF-8."""
+    if not _LATIN.match(data):
+        return None
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
+        return None
+    return "utf-8"
 
 
 class _Builder:
@@ -136,14 +107,17 @@ class _Builder:
     def start(self, name: str, attributes: dict[str, str]) -> None:
         namespace, _, tag = name.rpartition(" ")
         self._count += 1
-        named = {key.rpartition(" ")[2]: text for key, text in attributes.items()}
+        named = {key: text for key, text in attributes.items() if key.rpartition(" ")[0] not in _ALWAYS}
         element = Element(tag, namespace, named, self._at())
         if len(self._open) >= MAX_DEPTH:
             raise element.error(f"elements nest deeper than {MAX_DEPTH}")
         if self._count > MAX_ELEMENTS:
             raise element.error(f"more than {MAX_ELEMENTS} elements; a net file may not have as many")
         if self._open:
-            self._open[-1].children.append(element)
+            around = self._open[-1]
+            around.children.append(element)
+            identity = around.attributes.get("id")
+            element.within = around.within if identity is None else f"{shortened(around.tag)} '{identity[:60]}'"
         else:
             self.root = element
         self._open.append(element)

@@ -1,34 +1,36 @@
 """Places, transitions and arcs of a PNML net: pages opened, references followed, labels read."""
 
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from im_core.errors import nearest
+from im_core.errors import nearest, quoted_text, shortened
 from im_core.yamltext import Value
 from im_pnt.model.net import LARGEST
-from im_pnt.pnml.element import Element, check_children, label_integer, label_text
+from im_pnt.pnml.check import ARCS, NODES, Known, check
+from im_pnt.pnml.element import Element
 from im_pnt.pnml.extras import REMOTE, read_extras
+from im_pnt.pnml.label import Count, counted, find_label, interval_of, label_count, label_text
+from im_pnt.pnml.timing import Timing, timing_of
 
 _LONGEST_ID = 1000
-_PASSED_OVER = frozenset({"name", "graphics", "toolspecific", "label", "labels", "description", "tagged"})
-_TIMES = frozenset({"timed", "rate", "priority", "infiniteServer", "orientation"})
-_ARCS = frozenset({"arc", "inputArc", "outputArc", "inhibitorArc"})
-_NODES = frozenset({"place", "transition", "referencePlace", "referenceTransition"})
-_PAGE = _PASSED_OVER | _NODES | _ARCS | {"page", "token", "tokenclass"}
-_PLACE = _PASSED_OVER | {"initialMarking", "capacity"}
-_TRANSITION = _PASSED_OVER | _TIMES
-_ARC = _PASSED_OVER | {"inscription", "type", "arcpath"}
-_FLOW = frozenset({"", "normal", "arc", "regular", "timed"})
-_INHIBITOR = frozenset({"inhibitor", "tapnInhibitor", "inhibitorArc"})
-_TEST = frozenset({"test", "read"})
+_KINDS = {
+    **dict.fromkeys(("normal", "arc", "regular", "timed", "transport", "inputArc", "outputArc"), "normal"),
+    **dict.fromkeys(("inhibitor", "tapnInhibitor", "inhibitorArc"), "inhibitor"),
+    **dict.fromkeys(("test", "read"), "test"),
+}
+_WRAPPERS = ("inhibitor", "test")
+"""Of what SNAKES inscribes on arcs."""
+_FINAL = Known(frozenset({"text"}), attributes=frozenset({"idref"}))
 
 
 @dataclass(slots=True)
 class PlaceElement:
-    """Place: name, tokens, blocking capacity (0: none), and own keys."""
+    """Place: names, tokens, blocking capacity (0: none), and own keys."""
 
     element: Element
     name: str
+    title: str
     tokens: int
     capacity: int
     extras: dict[str, tuple[Element, Value]]
@@ -40,6 +42,8 @@ class TransitionElement:
 
     element: Element
     name: str
+    title: str
+    timing: Timing
     extras: dict[str, tuple[Element, Value]]
     inputs: dict[str, int] = field(default_factory=dict)
     outputs: dict[str, int] = field(default_factory=dict)
@@ -48,76 +52,209 @@ class TransitionElement:
 
 @dataclass(slots=True)
 class PnmlGraph:
-    """Places and transitions by id."""
+    """Places and transitions by id; the places of final markings by name, None without any."""
 
     places: dict[str, PlaceElement] = field(default_factory=dict)
     transitions: dict[str, TransitionElement] = field(default_factory=dict)
     remote: dict[str, str] = field(default_factory=dict)
+    final: tuple[str, ...] | None = None
 
 
-def read_graph(net: Element, namespace: str, *, ours: bool) -> PnmlGraph:
+def read_graph(root: Element, net: Element, *, ours: bool) -> PnmlGraph:
     """Read the parts of a net.
 
     Args:
-        net: The net.
-        namespace: Namespace of the file.
+        root: The file.
+        net: The net in it.
         ours: Whether we wrote the file: names of places and transitions are then their names, otherwise their ids.
 
     Raises:
         NetFileError: An id twice or missing, an arc or reference that leads nowhere, or what is not understood.
     """
-    by_id: dict[str, Element] = {}
-    arcs: list[Element] = []
-    for element in _objects(net, namespace):
-        if element.tag in _ARCS:
-            arcs.append(element)
-            continue
-        identity = element.attributes.get("id", "")
-        if not 0 < len(identity) <= _LONGEST_ID:
-            raise element.error(f"needs an 'id' of 1 to {_LONGEST_ID} characters")
-        if identity in by_id:
-            raise element.error(f"the id is there twice; the first is in line {by_id[identity].place.line}")
-        by_id[identity] = element
-    graph = PnmlGraph()
-    for identity, element in by_id.items():
-        _node(graph, identity, element, namespace, ours=ours)
-    for arc in arcs:
-        check_children(arc, namespace, _ARC)
-        _arc(graph, arc, _end(by_id, arc, "source"), _end(by_id, arc, "target"))
-    limited = [place for place in graph.places.values() if place.capacity]
-    for transition in graph.transitions.values():
-        _block(transition, limited)
-    return graph
+    reader = _Reader(frozenset({root.namespace, net.namespace}), ours=ours)
+    return reader.read(root, net)
 
 
-def _objects(net: Element, namespace: str) -> Iterator[Element]:
-    """Return nodes and arcs of all pages, in the order of the file."""
-    waiting = [net]
-    while waiting:
-        element = waiting.pop()
-        if element.tag in ("net", "page"):
-            check_children(element, namespace, _PAGE)
-            waiting.extend(reversed(list(element.all("page", *_NODES, *_ARCS))))
+class _Reader:
+    def __init__(self, namespaces: frozenset[str], *, ours: bool) -> None:
+        self.graph = PnmlGraph()
+        self._namespaces, self._ours = namespaces, ours
+        self._token_class = ""
+
+    def read(self, root: Element, net: Element) -> PnmlGraph:
+        check(root, self._namespaces)
+        by_id: dict[str, Element] = {}
+        arcs: list[Element] = []
+        for element in self._objects(net):
+            check(element, self._namespaces)
+            if element.tag in ARCS:
+                arcs.append(element)
+                continue
+            identity = element.attributes.get("id", "")
+            if not 0 < len(identity) <= _LONGEST_ID:
+                raise element.error(f"needs an 'id' of 1 to {_LONGEST_ID} characters")
+            if identity in by_id:
+                raise element.error(f"the id is there twice; the first is in line {by_id[identity].place.line}")
+            by_id[identity] = element
+        for identity, element in by_id.items():
+            self._node(identity, element)
+        for arc in arcs:
+            self._arc(arc, _end(by_id, arc, "source"), _end(by_id, arc, "target"))
+        for place in self.graph.places.values():
+            _check_place(place.element)
+        for final in (*net.all("finalmarkings"), *root.all("finalmarkings")):
+            self._final(final)
+        limited = [place for place in self.graph.places.values() if place.capacity]
+        for transition in self.graph.transitions.values():
+            _block(transition, limited)
+        return self.graph
+
+    def _objects(self, net: Element) -> Iterator[Element]:
+        """Return nodes and arcs of all pages, in the order of the file."""
+        waiting = [net]
+        while waiting:
+            element = waiting.pop()
+            if element.tag in ("net", "page"):
+                check(element, self._namespaces)
+                waiting.extend(reversed(list(element.all("page", *NODES, *ARCS))))
+            else:
+                yield element
+
+    def _node(self, identity: str, element: Element) -> None:
+        graph = self.graph
+        said = label_text(element, "name") or ""
+        name, title = (said or identity, "") if self._ours else (identity, "" if said == identity else said)
+        if element.tag == "place":
+            extras = read_extras(element)
+            if REMOTE in extras:
+                entry, value = extras[REMOTE]
+                if not value.text or value.is_null:
+                    raise entry.error(f"{value.shown()} is not the name of a place of another net")
+                graph.remote[identity] = value.text
+                return
+            tokens = self._black(element, label_count(element, "initialMarking", 0, 0))
+            capacity = self._black(element, label_count(element, "capacity", 0, 0))
+            graph.places[identity] = PlaceElement(element, name, title, tokens, capacity, extras)
+        elif element.tag == "transition":
+            graph.transitions[identity] = TransitionElement(
+                element, name, title, timing_of(element), read_extras(element)
+            )
+
+    def _black(self, element: Element, count: Count) -> int:
+        """Return a number of tokens, of a single class in the whole net."""
+        if count.token_class and count.number:
+            if self._token_class and self._token_class != count.token_class:
+                classes = f"{shortened(self._token_class)} and {shortened(count.token_class)}"
+                sentence = f"the net has tokens of several classes ({classes}): it is coloured"
+                raise element.error(f"{sentence}; place/transition nets are read")
+            self._token_class = count.token_class
+        return count.number
+
+    def _final(self, element: Element) -> None:
+        """Add the places of final markings."""
+        check(element, self._namespaces)
+        found = dict.fromkeys(self.graph.final or ())
+        for marking in element.all("marking"):
+            check(marking, self._namespaces)
+            for entry in marking.all("place"):
+                check(entry, self._namespaces, _FINAL)
+                identity = entry.attributes.get("idref", "")
+                if identity not in self.graph.places:
+                    raise entry.error(f"there is no place '{identity[:60]}'{nearest(identity, self.graph.places)}")
+                if self._black(entry, counted(replace(entry, attributes={}), 1, 0)):
+                    found[self.graph.places[identity].name] = None
+        self.graph.final = tuple(found)
+
+    def _arc(self, arc: Element, source: str, target: str) -> None:
+        graph, (kind, weight) = self.graph, self._inscribed(arc)
+        if source in graph.transitions and (target in graph.places or target in graph.remote):
+            if kind != "normal":
+                raise arc.error(f"type '{kind}' leads from a place to a transition, not from '{source}' to '{target}'")
+            outputs = graph.transitions[source].outputs
+            name = graph.remote.get(target) or graph.places[target].name
+            outputs[name] = outputs.get(name, 0) + weight
+        elif source in graph.places and target in graph.transitions:
+            transition, name = graph.transitions[target], graph.places[source].name
+            if kind == "inhibitor":
+                transition.inhibitors[name] = min(weight, transition.inhibitors.get(name, weight))
+                return
+            transition.inputs[name] = transition.inputs.get(name, 0) + weight
+            if kind == "test":
+                transition.outputs[name] = transition.outputs.get(name, 0) + weight
+        elif source in graph.remote:
+            raise arc.error(f"takes a token from '{graph.remote[source]}', a place of another net")
         else:
-            yield element
+            raise arc.error(f"joins '{source}' and '{target}'; an arc joins a place and a transition")
+
+    def _inscribed(self, arc: Element) -> tuple[str, int]:
+        """Return kind and weight of an arc, from all that says them."""
+        kinds = [label_text(arc, "type") or "", label_text(arc, "arctype") or "", "" if arc.tag == "arc" else arc.tag]
+        inscription = find_label(arc, "inscription")
+        if inscription is not None:
+            wrapper = next((each for each in inscription.children if each.tag in _WRAPPERS), None)
+            if wrapper is not None:
+                kinds.append(wrapper.tag)
+                inscription = _unwrapped(wrapper)
+            elif (text := _plain_text(inscription)).startswith(("[", "(")):
+                _check_age(inscription, text)
+                inscription = None
+        said = Count(1) if inscription is None else counted(inscription, 1, 1)
+        weight = label_count(arc, "weight", said.number, 1)
+        if said.number not in (1, weight.number):
+            raise arc.error(f"says the weights {weight.number} and {said.number}; one is allowed")
+        self._black(arc, said)
+        name = label_text(arc, "name") or ""
+        if arc.first("arctype") is not None and name.isdigit() and int(name) != weight.number:
+            raise arc.error(f"says the weight {name} in its name, and {weight.number} otherwise; one is allowed")
+        return _kind(arc, [kind for kind in kinds if kind]), self._black(arc, weight)
 
 
-def _node(graph: PnmlGraph, identity: str, element: Element, namespace: str, *, ours: bool) -> None:
-    name = label_text(element, "name") or identity if ours else identity
-    if element.tag == "place":
-        check_children(element, namespace, _PLACE)
-        extras = read_extras(element)
-        if REMOTE in extras:
-            entry, value = extras[REMOTE]
-            if not value.text or value.is_null:
-                raise entry.error(f"{value.shown()} is not the name of a place of another net")
-            graph.remote[identity] = value.text
-            return
-        tokens, capacity = label_integer(element, "initialMarking", 0, 0), label_integer(element, "capacity", 0, 0)
-        graph.places[identity] = PlaceElement(element, name, tokens, capacity, extras)
-    elif element.tag == "transition":
-        check_children(element, namespace, _TRANSITION)
-        graph.transitions[identity] = TransitionElement(element, name, read_extras(element))
+def _kind(arc: Element, said: list[str]) -> str:
+    """Return the kind of an arc: normal, inhibitor or test."""
+    found: dict[str, None] = {}
+    for kind in said:
+        if kind not in _KINDS:
+            raise arc.error(f"type '{kind[:60]}' is not understood; allowed are normal, inhibitor and test")
+        found[_KINDS[kind]] = None
+    if len(found) > 1:
+        raise arc.error(f"says the types {' and '.join(found)}; one is allowed")
+    return next(iter(found), "normal")
+
+
+def _plain_text(label: Element) -> str:
+    texts = (child.text for child in label.all("text", "value"))
+    return next(texts, label.attributes.get("value", label.text)).strip()
+
+
+def _unwrapped(wrapper: Element) -> Element:
+    """Return the annotation of an inhibitor or test arc of SNAKES, whose condition must hold always."""
+    if wrapper.tag == "test":
+        return wrapper
+    condition = wrapper.first("condition")
+    said = condition.children[0].text.strip() if condition is not None and condition.children else "True"
+    annotation = wrapper.first("annotation")
+    if said != "True" or annotation is None:
+        raise wrapper.error(f"the condition {quoted_text(said)} looks at values, of a coloured net; allowed is True")
+    return annotation
+
+
+def _check_age(inscription: Element, text: str) -> None:
+    """Refuse an arc that takes tokens of some ages alone; the number behind a colon pairs transport arcs of TAPAAL."""
+    interval = interval_of(inscription, text.partition(":")[0])
+    if not interval.is_any:
+        sentence = f"takes tokens of age {interval.shown} alone; tokens have no age here, and [0,inf) is allowed"
+        raise inscription.error(sentence)
+
+
+def _check_place(place: Element) -> None:
+    """Refuse a place whose tokens may not grow older than some age, or are not black."""
+    invariant = label_text(place, "invariant") or ""
+    if re.fullmatch(r"<=?\s*inf", invariant.strip()) is None and invariant:
+        sentence = f"invariant {quoted_text(invariant)} bounds the age of its tokens; tokens have no age here"
+        raise place.error(f"{sentence}, and '< inf' is allowed")
+    kind = place.first("type")
+    if kind is not None and (kind.children or kind.text.strip() or kind.attributes != {"domain": "universal"}):
+        raise kind.error("is of a coloured net; place/transition nets are read")
 
 
 def _end(by_id: dict[str, Element], arc: Element, attribute: str) -> str:
@@ -139,47 +276,6 @@ def _end(by_id: dict[str, Element], arc: Element, attribute: str) -> str:
         identity = at.attributes.get("ref")
         if identity is None:
             raise at.error("'ref' is missing")
-
-
-def _arc(graph: PnmlGraph, arc: Element, source: str, target: str) -> None:
-    weight = label_integer(arc, "weight", 1, 1) if "weight" in arc.attributes else _inscription(arc)
-    kind = _kind(arc)
-    if source in graph.transitions and (target in graph.places or target in graph.remote):
-        if kind not in _FLOW:
-            raise arc.error(f"type '{kind}' leads from a place to a transition, not from '{source}' to '{target}'")
-        outputs = graph.transitions[source].outputs
-        name = graph.remote.get(target) or graph.places[target].name
-        outputs[name] = outputs.get(name, 0) + weight
-    elif source in graph.places and target in graph.transitions:
-        transition, name = graph.transitions[target], graph.places[source].name
-        if kind in _INHIBITOR:
-            transition.inhibitors[name] = min(weight, transition.inhibitors.get(name, weight))
-            return
-        transition.inputs[name] = transition.inputs.get(name, 0) + weight
-        if kind in _TEST:
-            transition.outputs[name] = transition.outputs.get(name, 0) + weight
-    elif source in graph.remote:
-        raise arc.error(f"takes a token from '{graph.remote[source]}', a place of another net")
-    else:
-        raise arc.error(f"joins '{source}' and '{target}'; an arc joins a place and a transition")
-
-
-def _kind(arc: Element) -> str:
-    kind = arc.attributes.get("type") or label_text(arc, "type") or ""
-    if arc.tag == "inhibitorArc":
-        kind = "inhibitor"
-    if kind not in _FLOW | _INHIBITOR | _TEST:
-        raise arc.error(f"type '{kind[:60]}' is not understood; allowed are normal, inhibitor and test")
-    return kind
-
-
-def _inscription(arc: Element) -> int:
-    text = label_text(arc, "inscription") or ""
-    if "".join(text.split()) in ("[0,inf)", "[0,inf]"):
-        return 1
-    if text.startswith(("[", "(")):
-        raise arc.error(f"inscription '{text[:60]}' is a time interval; nets without time are read")
-    return label_integer(arc, "inscription", 1, 1)
 
 
 def _block(transition: TransitionElement, limited: list[PlaceElement]) -> None:

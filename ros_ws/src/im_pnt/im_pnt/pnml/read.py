@@ -1,7 +1,7 @@
 """PNML files to nets: of the standard, and of tools.
 
-Read leniently: no namespace, no page, ``<value>`` for ``<text>``, labels as attributes, no initial marking, inhibitor
-and test arcs by type, graphics and other tools' things passed over. What would change the meaning is refused by name.
+No namespace, no page, ``<value>`` for ``<text>``, labels as attributes and no initial marking are fine. Each element
+and attribute is understood, means nothing (:mod:`.check` names it), or is refused by name.
 """
 
 import re
@@ -17,14 +17,17 @@ from im_pnt.netfile.schema.net import NetFile
 from im_pnt.netfile.schema.scalars import written
 from im_pnt.netfile.schema.values import ARCS
 from im_pnt.netfile.text import checked, read_bytes
-from im_pnt.pnml.element import Element, label_text, parse_xml
+from im_pnt.pnml.element import Element, parse_xml
 from im_pnt.pnml.extras import plain_value, read_extras
 from im_pnt.pnml.graph import PnmlGraph, read_graph
+from im_pnt.pnml.label import label_text
+from im_pnt.pnml.timing import timing_keys
 
 MAX_SIZE = 32 * 2**20
 """Largest PNML file [bytes]."""
 
 _COLOURED = re.compile(r"symmetricnet|highlevelnet|pt-hlpng|hlpn|colou?red|algebraic", re.IGNORECASE)
+_PLAIN = re.compile(r"|.*(p/?t[ _-]?net|ptnetb|pnmlcoremodel|basic|epnml|tpn|gspn|spn).*", re.IGNORECASE)
 _TYPES = "place/transition nets are read: http://www.pnml.org/version-2009/grammar/ptnet"
 
 
@@ -48,7 +51,7 @@ def load_pnml(path: Path, within: Sequence[Path] = ()) -> Net:
     nets = list(root.all("net"))
     if not nets:
         raise root.error("holds no 'net'")
-    return _net(_chosen(root, nets, wanted, file), root.namespace)
+    return _net(root, _chosen(root, nets, wanted, file))
 
 
 def _chosen(root: Element, nets: list[Element], wanted: str, file: Path) -> Element:
@@ -64,12 +67,14 @@ def _chosen(root: Element, nets: list[Element], wanted: str, file: Path) -> Elem
     return nets[0]
 
 
-def _net(net: Element, namespace: str) -> Net:
+def _net(root: Element, net: Element) -> Net:
     kind = net.attributes.get("type", "")
     if _COLOURED.search(kind):
         raise net.error(f"type '{kind[:100]}' is a coloured or high-level net; {_TYPES}")
+    if not _PLAIN.fullmatch(kind):
+        raise net.error(f"type '{kind[:100]}' is not understood; {_TYPES}")
     extras = read_extras(net)
-    graph = read_graph(net, namespace, ours=bool(extras))
+    graph = read_graph(root, net, ours=bool(extras))
     place = net.place
     pairs: dict[str, Value] = {key: value for key, (_, value) in extras.items()}
     identity = net.attributes.get("id", "")
@@ -78,30 +83,34 @@ def _net(net: Element, namespace: str) -> Net:
         name = (label_text(net, "name") or "").strip()
         if name and name != identity:
             pairs["description"] = scalar(" ".join(name.split())[:MAX_NAME], place)
+    if graph.final is not None:
+        pairs["rest"] = plain_value(list(graph.final), place)
     pairs["places"] = mapping(_places(graph), place)
     pairs["transitions"] = mapping(_transitions(graph), place)
-    root = mapping([(scalar(key, value), value) for key, value in pairs.items()], place)
-    return read_net(root, foreign=True)
+    whole = mapping([(scalar(key, value), value) for key, value in pairs.items()], place)
+    return read_net(whole, foreign=True)
 
 
 def _places(graph: PnmlGraph) -> list[tuple[Value, Value]]:
     pairs = []
     for place in graph.places.values():
-        value = _mapping(place.element, place.extras, tokens=place.tokens, capacity=place.capacity)
+        given = {"title": place.title, "tokens": place.tokens, "capacity": place.capacity}
+        value = _mapping(place.element, place.extras, **given)
         pairs.append((scalar(place.name, place.element.place), value))
     return pairs
 
 
 def _transitions(graph: PnmlGraph) -> list[tuple[Value, Value]]:
     pairs = []
-    for transition in graph.transitions.values():
-        arcs: dict[str, object] = {"in": transition.inputs, "out": transition.outputs}
+    timings = timing_keys(transition.timing for transition in graph.transitions.values())
+    for transition, timing in zip(graph.transitions.values(), timings, strict=True):
+        given: dict[str, object] = {"title": transition.title, "in": transition.inputs, "out": transition.outputs}
         own = _inhibitors(transition.element, transition.extras)
         inhibitors = dict(own)
         for name, weight in transition.inhibitors.items():
             inhibitors[name] = min(weight, inhibitors.get(name, weight))
         extras = {key: value for key, value in transition.extras.items() if key != "inhibitors"}
-        value = _mapping(transition.element, extras, **arcs, inhibitors=inhibitors)
+        value = _mapping(transition.element, extras, **given, **timing, inhibitors=inhibitors)
         pairs.append((scalar(transition.name, transition.element.place), value))
     return pairs
 

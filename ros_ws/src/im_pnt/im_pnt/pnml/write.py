@@ -6,7 +6,7 @@ Places of other nets stand on a page of their own, and arcs lead to them through
 import re
 from collections.abc import Iterator
 
-from im_pnt.model.net import Net, Transition
+from im_pnt.model.net import Net, Place, Transition
 from im_pnt.netfile.writer import describe, place_data, transition_data
 from im_pnt.pnml.extras import REMOTE, escape, extras_text
 
@@ -59,7 +59,7 @@ def pnml_text(net: Net, *, plain: bool = False) -> str:
         '    <page id="page_1">\n',
     ]
     for place in net.places.values():
-        lines.append(f'      <place id="{places[place.name]}">\n{_name(place.name)}')
+        lines.append(f'      <place id="{places[place.name]}">\n{_name(_shown(place, plain))}')
         if place.tokens:
             lines.append(f"        <initialMarking><text>{place.tokens}</text></initialMarking>\n")
         data = {} if plain else place_data(place)
@@ -69,7 +69,8 @@ def pnml_text(net: Net, *, plain: bool = False) -> str:
         remote[place_name] = f"ref_{number}"
         lines.append(f'      <referencePlace id="ref_{number}" ref="remote_{number}"/>\n')
     for transition in net.transitions.values():
-        lines.append(f'      <transition id="{transitions[transition.name]}">\n{_name(transition.name)}')
+        shown = _name(_shown(transition, plain))
+        lines.append(f'      <transition id="{transitions[transition.name]}">\n{shown}')
         lines.append(extras_text({} if plain else _more(transition), "        ") + "      </transition>\n")
     arcs = (arc for t in net.transitions.values() for arc in _arcs(t, transitions[t.name], places, remote))
     lines += [_arc(number, *arc) for number, arc in enumerate(arcs, 1)]
@@ -85,6 +86,11 @@ def pnml_text(net: Net, *, plain: bool = False) -> str:
         del data[key]
     lines.append(extras_text({} if plain else data, "    ") + "  </net>\n</pnml>\n")
     return "".join(lines)
+
+
+def _shown(part: Place | Transition, plain: bool) -> str:
+    """Return the name for people in a plain file, where the id is the name."""
+    return part.title if plain and part.title else part.name
 
 
 def _name(text: str, indent: str = "        ") -> str:

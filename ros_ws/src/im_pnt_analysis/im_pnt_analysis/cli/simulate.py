@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.terminal import OK, ProgressLine, refuse_without_effect
+from im_pnt_analysis.cli.terminal import OK, ProgressLine, refuse_without_effect, titles
 from im_pnt_analysis.simulation.replay import read_firing_sequence, replay
 from im_pnt_analysis.simulation.simulate import Estimate, Summary, simulate, summarise
 
@@ -42,6 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Play net files."""
     nets = [load_net(file) for file in options.files]
+    if not options.json:
+        for name, title in titles(nets).items():
+            print(f"{name} is called {title}")
     if options.replay is not None:
         refuse_without_effect(options, ("--seed", "--steps", "--until", "--failures"), "with --replay")
         _replay(nets, options)

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -13,6 +13,7 @@ from typing import Self
 from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_core.files import write_whole
+from im_pnt.model.net import Net
 
 OK, REFUSED, BAD_INPUT, UNPROVED = 0, 1, 2, 3
 
@@ -52,6 +53,16 @@ def write_output(path: Path, text: str, *, overwrite: bool) -> None:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ImError(f"cannot write '{path}': {reason}", code="input") from error
+
+
+def titles(nets: Sequence[Net]) -> dict[str, str]:
+    """Return the names for people of places and transitions, by the names in the composition of nets."""
+    found: dict[str, str] = {}
+    for net in nets:
+        before = "" if len(nets) == 1 else f"{net.name}."
+        found |= {f"{before}{place.name}": place.title for place in net.places.values() if place.title}
+        found |= {f"{before}{t.name}": t.title for t in net.transitions.values() if t.title}
+    return found
 
 
 _QUIET_S, _EVERY_S = 2.0, 0.5

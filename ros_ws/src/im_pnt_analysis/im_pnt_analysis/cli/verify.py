@@ -10,7 +10,7 @@ from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.extensions import extensions
-from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLine, write_output
+from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLine, titles, write_output
 from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report.to_dict() | {"types": types}, indent=1))
     else:
-        print(readable(report, options.all) + (f"\n  {'types':<14}{types}" if types else ""))
+        print(readable(report, titles(nets), options.all) + (f"\n  {'types':<14}{types}" if types else ""))
     return OK if report.ok else REFUSED
 
 

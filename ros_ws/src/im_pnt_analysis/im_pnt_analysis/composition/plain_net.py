@@ -46,7 +46,7 @@ def plain_net(net: Net, deadline: float | None = None) -> tuple[Net, tuple[str, 
         bounds[name] = bound
         complement = _complement(flat, name)
         said.append(f"inhibitor arcs from {name} become arcs to its complement {complement}: bound {bound}, {source}")
-    places = {name: Place(name, place.tokens) for name, place in flat.places.items()}
+    places = {name: Place(name, place.tokens, title=place.title) for name, place in flat.places.items()}
     for name, bound in bounds.items():
         complement = _complement(flat, name)
         places[complement] = Place(complement, max(0, bound - flat.places[name].tokens))
@@ -65,7 +65,7 @@ def _plain(net: Net, transition: Transition, bounds: Mapping[str, int]) -> Trans
             inputs[complement] = taken
         if taken - gain:
             outputs[complement] = taken - gain
-    return Transition(transition.name, inputs, outputs, origin=transition.name)
+    return Transition(transition.name, inputs, outputs, origin=transition.name, title=transition.title)
 
 
 def _complement(net: Net, place: str) -> str:

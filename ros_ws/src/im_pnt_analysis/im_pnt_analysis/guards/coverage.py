@@ -10,7 +10,7 @@ from im_pnt.expression.scope import NetScope
 from im_pnt.expression.types import NoTypes
 from im_pnt.model.net import Net, Role, Transition
 from im_pnt_analysis.guards.formula import Formulas
-from im_pnt_analysis.guards.known import Knowledge, Known
+from im_pnt_analysis.guards.knowledge import Knowledge, TokenKnowledge
 
 MOST_CHANGING = 6
 """Values that may change at any time, of one place; with more nothing is decided."""
@@ -89,10 +89,12 @@ class GuardCoverage:
             return []
         return takers
 
-    def _at(self, guarded: list[Transition], ways: Mapping[str, frozenset[Known]]) -> frozenset[Known]:
+    def _at(
+        self, guarded: list[Transition], ways: Mapping[str, frozenset[TokenKnowledge]]
+    ) -> frozenset[TokenKnowledge]:
         return self._knowledge.together(self._knowledge.work_inputs(guarded[0]), ways)
 
-    def _covers(self, place: str, kind: str, guarded: list[Transition], known: Known) -> bool:
+    def _covers(self, place: str, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
         with _one_at_a_time:
             values = self._left_out(guarded, kind, known, whole=False)
         if values:
@@ -105,7 +107,7 @@ class GuardCoverage:
             raise NetError(text, net=self._net.name, place=place, values=values)
         return values == ""
 
-    def _left_out(self, guarded: list[Transition], kind: str, known: Known, *, whole: bool) -> str | None:
+    def _left_out(self, guarded: list[Transition], kind: str, known: TokenKnowledge, *, whole: bool) -> str | None:
         """Return values that no guard lets pass for good, in words; empty: there are none; None: undecided."""
         import z3  # takes longer than most nets do
 

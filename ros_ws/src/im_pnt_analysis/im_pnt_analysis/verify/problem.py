@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net, Place, Transition
+from im_pnt.verification import Counterexample
 from im_pnt_analysis.composition.compose import Composition, compose
+from im_pnt_analysis.composition.precedence import with_precedence
 
 DOES, WAITS = 1, 2
 """Kinds of transitions: what the nets do by themselves, and what they may wait for."""
@@ -29,6 +31,7 @@ class Problem:
         kinds: For each transition whether the nets do it (DOES) or wait for it (WAITS); 0: nobody can count on it.
         busy: Places that hold no token at rest.
         may_end: Whether the nets may come to an end at rest.
+        names: For transitions that are one way to fire another the name of that, by which firing sequences go.
     """
 
     nets: tuple[Net, ...]
@@ -38,6 +41,7 @@ class Problem:
     kinds: tuple[int, ...]
     busy: tuple[int, ...]
     may_end: bool
+    names: Mapping[str, str]
 
     @property
     def ways(self) -> dict[str, tuple[int, ...]]:
@@ -48,6 +52,13 @@ class Problem:
             if name not in self.composition.watching:
                 ways[meant] = (*ways.get(meant, ()), number)
         return ways
+
+    def in_names(self, refusal: Counterexample) -> Counterexample:
+        """Return a refusal with the firings under the names that they have in the nets."""
+        sequence, repeat = (
+            tuple(self.names.get(each, each) for each in part) for part in (refusal.sequence, refusal.repeat)
+        )
+        return replace(refusal, sequence=sequence, repeat=repeat)
 
     def is_beyond(self, marking: Mapping[str, int]) -> bool:
         """Return whether an emptied place exceeds the capacity: later firings are not explored."""
@@ -69,7 +80,8 @@ def problem_of(nets: Sequence[Net]) -> Problem:
     Raises:
         NetError: The nets do not fit together.
     """
-    composition = compose(nets)
+    precedence = with_precedence(compose(nets))
+    composition = precedence.composition
     compiled = compile_net(composition.net)
     waits = composition.external - composition.disturbances
     kinds = {name: DOES for name in compiled.transitions if name not in composition.external}
@@ -82,6 +94,7 @@ def problem_of(nets: Sequence[Net]) -> Problem:
         tuple(kinds.get(name, 0) for name in compiled.transitions),
         tuple(i for i, name in enumerate(compiled.places) if name not in composition.rest),
         composition.may_end and not waits,
+        precedence.names,
     )
 
 

@@ -1,6 +1,6 @@
 """The answers about nets, each with the method or with the reason of the absence."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from im_pnt.errors import VerificationError
@@ -213,11 +213,12 @@ _NAMED = 12
 _ENDS = 20
 
 
-def readable(report: Report, everything: bool = False) -> str:
+def readable(report: Report, titles: Mapping[str, str], everything: bool = False) -> str:
     """Return a report as lines of text.
 
     Args:
         report: The report.
+        titles: Names for people, by the names in the composition.
         everything: Print all refusals, invariants, assumptions and names, not only the verdict.
     """
     verdict = "verified" if report.ok else "REFUSED" if report.refusals else "NOT VERIFIED"
@@ -227,7 +228,9 @@ def readable(report: Report, everything: bool = False) -> str:
     if everything:
         rows += [("invariant", _sum(flow)) for flow in report.p_semiflows or []]
         rows += [("assumed", text) for text in report.assumptions]
-    elif left_out := _left_out(report):
+    if titles:
+        rows.append(("called", _some([f"{name}: {title}" for name, title in titles.items()], everything)))
+    if not everything and (left_out := _left_out(report)):
         rows.append(("left out", f"{left_out} (--all)"))
     last = ""
     for label, text in rows:

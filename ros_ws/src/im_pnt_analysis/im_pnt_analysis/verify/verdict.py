@@ -66,6 +66,7 @@ def verify(
     problem = problem_of(nets)
     report = Report([net.name for net in nets], assumptions=list(problem.composition.assumptions))
     _Verification(problem, report, limits, thread_cpu() + limits.seconds, progress).run(structure=structure)
+    report.refusals = [problem.in_names(refusal) for refusal in report.refusals]
     if holding:
         answer_holding(report, nets, limits.seconds)
     else:

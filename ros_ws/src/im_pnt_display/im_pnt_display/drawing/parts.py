@@ -167,7 +167,8 @@ def _nodes(net: Net) -> Iterator[DrawnNode]:
 
 
 def _place(place: Place) -> DrawnNode:
-    notes = (f"object {place.data_object}",) if place.data_object else ()
+    said = (place.title, f"object {place.data_object}" if place.data_object else "")
+    notes = tuple(note for note in said if note)
     return DrawnNode(place.name, "place", place.name, notes, place.tokens, _round_box(place.name, notes), place.name)
 
 
@@ -188,6 +189,8 @@ def _transition(transition: Transition) -> DrawnNode:
 
 def _notes(transition: Transition) -> Iterator[str]:
     """Return inputs and outputs of a transition, a line each: ``?`` reads a tape, ``!`` writes one (Hoare's CSP)."""
+    if transition.title:
+        yield transition.title
     if transition.symbol:
         yield f"?{transition.symbol}"
     if transition.guard:

@@ -32,6 +32,7 @@ class PlaceFile(FilePart):
     model_config = pydantic.ConfigDict(json_schema_extra={"dependentRequired": {"on_invalid": ["data_object"]}})
     short_forms = (COUNT,)
 
+    title: Text = Field("", description="Name for people, shown beside its own.")
     tokens: Count = Field(0, description="Tokens of the initial marking.")
     capacity: Given[Weight] = Field(
         None, description="Bound that verification proves; a net that can exceed it is refused."

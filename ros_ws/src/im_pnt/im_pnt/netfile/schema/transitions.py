@@ -84,6 +84,7 @@ class TransitionFile(FilePart):
         }
     )
 
+    title: Text = Field("", description="Name for people, shown beside its own.")
     inputs: Arcs = Field({}, alias="in", description="Tokens it takes.")
     outputs: Arcs = Field(
         {},

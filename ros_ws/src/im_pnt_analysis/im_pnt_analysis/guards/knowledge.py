@@ -15,7 +15,7 @@ MOST_WAYS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class TokenKnowledge:
     """Knowledge of the command whose token lies in a place.
 
     Attributes:
@@ -26,11 +26,11 @@ class Known:
     facts: frozenset[Guard] = frozenset()
     answered: frozenset[str] = frozenset()
 
-    def joined(self, other: "Known") -> "Known":
+    def joined(self, other: "TokenKnowledge") -> "TokenKnowledge":
         """Return the knowledge from two tokens of one command."""
-        return Known(self.facts | other.facts, self.answered | other.answered)
+        return TokenKnowledge(self.facts | other.facts, self.answered | other.answered)
 
-    def covers(self, other: "Known") -> bool:
+    def covers(self, other: "TokenKnowledge") -> bool:
         """Return whether the knowledge fits each command that the other fits."""
         return self.facts <= other.facts and self.answered <= other.answered
 
@@ -55,11 +55,11 @@ class Knowledge:
         """Return whether tokens of a command or service may come to a transition."""
         return kind in self._scope.works_for(transition)
 
-    def ways(self, kind: str) -> Mapping[str, frozenset[Known]]:
+    def ways(self, kind: str) -> Mapping[str, frozenset[TokenKnowledge]]:
         """Return the knowledge of a command or service at each reached place, way by way."""
-        net, found = self._net, dict[str, frozenset[Known]]()
+        net, found = self._net, dict[str, frozenset[TokenKnowledge]]()
         if kind in net.services:
-            found[net.services[kind].entry] = frozenset({Known()})
+            found[net.services[kind].entry] = frozenset({TokenKnowledge()})
         serving = [t for t in net.transitions.values() if self.serves(t, kind)]
         changed = True
         while changed:
@@ -73,31 +73,33 @@ class Knowledge:
                         changed = True
         return found
 
-    def together(self, places: frozenset[str], found: Mapping[str, frozenset[Known]]) -> frozenset[Known]:
+    def together(
+        self, places: frozenset[str], found: Mapping[str, frozenset[TokenKnowledge]]
+    ) -> frozenset[TokenKnowledge]:
         """Return the knowledge of a command with tokens in several places; places never reached say nothing."""
         ways = [found[place] for place in sorted(places) if place in found]
-        joined = {Known()} if ways else set[Known]()
+        joined = {TokenKnowledge()} if ways else set[TokenKnowledge]()
         for several in ways:
             joined = set(_reduced(frozenset(one.joined(other) for one, other in product(joined, several))))
         return frozenset(joined)
 
     def _outcomes(
-        self, transition: Transition, kind: str, found: Mapping[str, frozenset[Known]]
-    ) -> Iterator[tuple[str, frozenset[Known]]]:
+        self, transition: Transition, kind: str, found: Mapping[str, frozenset[TokenKnowledge]]
+    ) -> Iterator[tuple[str, frozenset[TokenKnowledge]]]:
         begins = transition.symbol == kind and transition.symbol_of is None
-        before = frozenset({Known()}) if begins else self.together(self.work_inputs(transition), found)
+        before = frozenset({TokenKnowledge()}) if begins else self.together(self.work_inputs(transition), found)
         if transition.guard is not None and _is_fact(transition.guard):
-            before = frozenset(Known(each.facts | {transition.guard}, each.answered) for each in before)
+            before = frozenset(TokenKnowledge(each.facts | {transition.guard}, each.answered) for each in before)
         if not before:
             return
         acts, name = transition.action is not None, transition.retry_of or transition.name
         if acts:
-            before = frozenset(Known(_without(each.facts, "answers", name), each.answered) for each in before)
-        after = frozenset(Known(each.facts, each.answered | {name}) for each in before) if acts else before
+            before = frozenset(TokenKnowledge(_without(each.facts, "answers", name), each.answered) for each in before)
+        after = frozenset(TokenKnowledge(each.facts, each.answered | {name}) for each in before) if acts else before
         for place in transition.outputs:
             yield place, after
         failing = transition.on_failure or ({} if self._net.escalate is None else {self._net.escalate: 1})
-        failed = frozenset(Known(_without(each.facts, "failure"), each.answered) for each in before)
+        failed = frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in before)
         for place in (*(failing if acts else ()), *transition.on_doubt):
             yield place, failed
         for place in transition.outputs:
@@ -119,11 +121,15 @@ def _without(facts: frozenset[Guard], *path: str) -> frozenset[Guard]:
     return frozenset(fact for fact in facts if not any(name[: len(path)] == path for name in named(fact)))
 
 
-def _reduced(ways: frozenset[Known]) -> frozenset[Known]:
+def _reduced(ways: frozenset[TokenKnowledge]) -> frozenset[TokenKnowledge]:
     """Leave out each way that another covers; too many become one."""
     least = frozenset(way for way in ways if not any(other != way and other.covers(way) for other in ways))
     if len(least) <= MOST_WAYS:
         return least
     return frozenset(
-        {Known(frozenset.intersection(*(w.facts for w in least)), frozenset.intersection(*(w.answered for w in least)))}
+        {
+            TokenKnowledge(
+                frozenset.intersection(*(w.facts for w in least)), frozenset.intersection(*(w.answered for w in least))
+            )
+        }
     )

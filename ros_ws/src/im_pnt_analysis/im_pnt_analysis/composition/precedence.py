@@ -1,0 +1,141 @@
+"""Precedence of transitions, written out in arcs: immediate before timed, and priority among those that contend.
+
+A transition with a delay waits until nothing without one is enabled; of two that share an input place the one of lower
+priority waits. So a transition fires where each that goes before it lacks a token or is inhibited. That is a condition
+of inhibitor arcs and of arcs back and forth; a transition with several input places lacks one of them, which makes
+several ways to fire.
+
+Only nets without actions, symbols and guards are rewritten: what goes before is then told by the marking alone.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from im_pnt.model.net import Net, Role, Transition
+from im_pnt_analysis.composition.compose import Composition
+
+MOST_WAYS = 256
+"""Ways of a transition at which its precedence is left out."""
+
+
+class _Condition(NamedTuple):
+    """Part of what enables a transition: at least so many tokens in a place, or fewer."""
+
+    place: str
+    tokens: int
+    enough: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Precedence:
+    """Composition in which lower transitions wait for higher ones.
+
+    Attributes:
+        composition: The composition.
+        names: For each transition that is one way to fire another the name of that.
+    """
+
+    composition: Composition
+    names: Mapping[str, str]
+
+
+def with_precedence(composition: Composition) -> Precedence:
+    """Write out the precedence of a net without an environment; return any other unchanged.
+
+    Args:
+        composition: One net or several.
+    """
+    net = composition.net
+    if not _is_closed(composition):
+        return Precedence(composition, {})
+    transitions: dict[str, Transition] = {}
+    names: dict[str, str] = {}
+    left_out: list[str] = []
+    for transition in net.transitions.values():
+        ways = _ways(transition, list(_before(net, transition)))
+        if ways is None:
+            left_out.append(transition.name)
+            ways = [transition]
+        for number, way in enumerate(ways, start=1):
+            name = transition.name if len(ways) == 1 else f"{transition.name}({number})"
+            transitions[name] = replace(way, name=name)
+            if name != transition.name:
+                names[name] = transition.name
+    said = [f"delays and priorities ({net.name}) count: immediate before timed, and nobody steps the net by hand"]
+    if left_out:
+        said.append(
+            f"the precedence of {', '.join(left_out)} is not looked at: it has more than {MOST_WAYS} ways to fire"
+        )
+    kept = tuple(text for text in composition.assumptions if not text.startswith("priorities ("))
+    changed = replace(
+        composition,
+        net=replace(net, transitions=transitions),
+        ways={**composition.ways, **{name: composition.ways.get(meant, meant) for name, meant in names.items()}},
+        assumptions=(*kept, *said),
+    )
+    return Precedence(changed, names)
+
+
+def _is_closed(composition: Composition) -> bool:
+    """Return whether the marking alone tells what fires first, in a net in which something does.
+
+    Two clocks of constant times may strike together, and what the first one enables comes after the second.
+    """
+    transitions = composition.net.transitions.values()
+    plain = all(t.role is Role.PLAIN and not (t.action or t.symbol or t.guard or t.remote_outputs) for t in transitions)
+    constant = [t for t in transitions if t.delay is not None and t.delay.kind == "constant"]
+    ranks = {(t.delay is None, t.priority if t.delay is None else 0) for t in transitions}
+    single = len(set(composition.net_of.values())) <= 1
+    return plain and single and len(constant) <= 1 and len(ranks) > 1 and not composition.external
+
+
+def _before(net: Net, transition: Transition) -> Iterator[Transition]:
+    """Yield the transitions that go before one; without those that nothing holds back."""
+    timed = transition.delay is not None
+    for other in net.transitions.values():
+        contends = not transition.inputs.keys().isdisjoint(other.inputs) and other.priority > transition.priority
+        if other.delay is None and (timed or contends) and (other.inputs or other.inhibitors):
+            yield other
+
+
+def _ways(transition: Transition, before: Sequence[Transition]) -> list[Transition] | None:
+    """Return a transition in all ways to fire while others are not enabled; None where there are too many."""
+    ways = [transition]
+    for other in before:
+        inputs = [_Condition(place, weight, True) for place, weight in other.inputs.items()]
+        conditions = [*inputs, *(_Condition(place, weight, False) for place, weight in other.inhibitors.items())]
+        found = []
+        for way in ways:
+            left: Transition | None = way
+            for condition in conditions:  # disjoint: this one is the first that fails
+                if left is None:
+                    break
+                failing = _with(left, condition._replace(enough=not condition.enough))
+                found += [failing] if failing is not None else []
+                left = _with(left, condition)
+        ways = found
+        if len(ways) > MOST_WAYS:
+            return None
+    if not ways:  # it never fires, which the verdict says of its name
+        place = next(iter(transition.inputs))
+        ways = [replace(transition, inhibitors={**transition.inhibitors, place: 1})]
+    return ways
+
+
+def _with(transition: Transition, condition: _Condition) -> Transition | None:
+    """Return a transition that needs a condition, too; None if it could never fire."""
+    place, tokens, enough = condition
+    taken, below = transition.inputs.get(place, 0), transition.inhibitors.get(place)
+    if not enough:
+        below = tokens if below is None else min(below, tokens)
+        return replace(transition, inhibitors={**transition.inhibitors, place: below}) if taken < below else None
+    more = max(0, tokens - taken)
+    if below is not None and taken + more >= below:
+        return None
+    if not more:
+        return transition
+    back = transition.outputs.get(place, 0) + more
+    return replace(
+        transition, inputs={**transition.inputs, place: taken + more}, outputs={**transition.outputs, place: back}
+    )
