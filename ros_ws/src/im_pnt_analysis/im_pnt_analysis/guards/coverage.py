@@ -1,7 +1,7 @@
 """Proof that guards leave no token waiting for ever: for each value at each place, one guard holds."""
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
@@ -10,7 +10,7 @@ from im_pnt.expression.scope import NetScope
 from im_pnt.expression.types import NoTypes
 from im_pnt.model.net import Net, Role, Transition
 from im_pnt_analysis.guards.formula import Formulas
-from im_pnt_analysis.guards.knowledge import Knowledge, TokenKnowledge
+from im_pnt_analysis.guards.knowledge import Knowledge, TokenKnowledge, Ways
 
 MOST_CHANGING = 6
 """Values that may change at any time, of one place; with more nothing is decided."""
@@ -89,9 +89,7 @@ class GuardCoverage:
             return []
         return takers
 
-    def _at(
-        self, guarded: list[Transition], ways: Mapping[str, frozenset[TokenKnowledge]]
-    ) -> frozenset[TokenKnowledge]:
+    def _at(self, guarded: list[Transition], ways: Ways) -> frozenset[TokenKnowledge]:
         return self._knowledge.together(self._knowledge.work_inputs(guarded[0]), ways)
 
     def _covers(self, place: str, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:

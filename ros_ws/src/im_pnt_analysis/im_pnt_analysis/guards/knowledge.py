@@ -35,6 +35,10 @@ class TokenKnowledge:
         return self.facts <= other.facts and self.answered <= other.answered
 
 
+Ways = Mapping[str, frozenset[TokenKnowledge]]
+"""Knowledge at each place that is reached, one for each way there."""
+
+
 class Knowledge:
     """Ways to the places of a net, by command or service.
 
@@ -55,7 +59,7 @@ class Knowledge:
         """Return whether tokens of a command or service may come to a transition."""
         return kind in self._scope.works_for(transition)
 
-    def ways(self, kind: str) -> Mapping[str, frozenset[TokenKnowledge]]:
+    def ways(self, kind: str) -> Ways:
         """Return the knowledge of a command or service at each reached place, way by way."""
         net, found = self._net, dict[str, frozenset[TokenKnowledge]]()
         if kind in net.services:
@@ -73,9 +77,7 @@ class Knowledge:
                         changed = True
         return found
 
-    def together(
-        self, places: frozenset[str], found: Mapping[str, frozenset[TokenKnowledge]]
-    ) -> frozenset[TokenKnowledge]:
+    def together(self, places: frozenset[str], found: Ways) -> frozenset[TokenKnowledge]:
         """Return the knowledge of a command with tokens in several places; places never reached say nothing."""
         ways = [found[place] for place in sorted(places) if place in found]
         joined = {TokenKnowledge()} if ways else set[TokenKnowledge]()
@@ -84,7 +86,7 @@ class Knowledge:
         return frozenset(joined)
 
     def _outcomes(
-        self, transition: Transition, kind: str, found: Mapping[str, frozenset[TokenKnowledge]]
+        self, transition: Transition, kind: str, found: Ways
     ) -> Iterator[tuple[str, frozenset[TokenKnowledge]]]:
         begins = transition.symbol == kind and transition.symbol_of is None
         before = frozenset({TokenKnowledge()}) if begins else self.together(self.work_inputs(transition), found)
@@ -126,10 +128,5 @@ def _reduced(ways: frozenset[TokenKnowledge]) -> frozenset[TokenKnowledge]:
     least = frozenset(way for way in ways if not any(other != way and other.covers(way) for other in ways))
     if len(least) <= MOST_WAYS:
         return least
-    return frozenset(
-        {
-            TokenKnowledge(
-                frozenset.intersection(*(w.facts for w in least)), frozenset.intersection(*(w.answered for w in least))
-            )
-        }
-    )
+    facts = frozenset.intersection(*(way.facts for way in least))
+    return frozenset({TokenKnowledge(facts, frozenset.intersection(*(way.answered for way in least)))})
