@@ -34,6 +34,9 @@ _WRITTEN = re.compile(r"\$\{[^}]*\}?")
 #: Processes of the machine itself, by the names of their logs, and its node.
 _OWN_PROCESSES = ("bootstrap", "verification")
 _OWN_NODE = "/bootstrap"
+_TESTBED = ("im_sim", "testbed")
+#: Executables whose shipped configurations reach the testbed by shared memory -> parameter that names another one.
+_SHARES_MEMORY = {("im_mcs", "mcs"): "config", ("im_vss", "vss"): "settings"}
 _NO_COMMA = "a comma is not allowed in the name of a command: it separates the commands"
 
 
@@ -158,7 +161,23 @@ class Deployment(Model):
                     if sentence := _misplaced(name, task, place, names, nodes) or self._unknown_reference(name, task):
                         raise FieldError((*here, name), sentence)
                     names[name], nodes[task.node] = place, name
+        self._check_shared_memory()
         return self
+
+    def _check_shared_memory(self) -> None:
+        """Refuse tasks on another host than the testbed with which they share memory."""
+        executables = {(placed.task.package, placed.task.executable): placed for placed in self.tasks()}
+        testbed = executables.get(_TESTBED)
+        for executable, own in _SHARES_MEMORY.items():
+            placed = executables.get(executable)
+            if testbed is None or placed is None or placed.host == testbed.host or placed.task.parameters.get(own):
+                continue
+            raise FieldError(
+                ("hosts", placed.host, placed.process, placed.name),
+                f"task '{placed.name}' is on host '{placed.host}' and the testbed on '{testbed.host}': they meet in "
+                "shared memory, which no network carries; put both on one host, or give the task a configuration of "
+                f"other hardware by the parameter '{own}'",
+            )
 
     def _unknown_reference(self, name: str, task: Task) -> str:
         """Return the fault of a reference among the parameters of a task; empty if there is none."""
