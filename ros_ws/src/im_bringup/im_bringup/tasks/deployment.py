@@ -32,8 +32,10 @@ _REFERENCE = re.compile(r"\$\{(\w+)\}")
 #: What stands where a reference could: to its brace, or to the end.
 _WRITTEN = re.compile(r"\$\{[^}]*\}?")
 #: Processes of the machine itself, by the names of their logs, and its node.
-_OWN_PROCESSES = ("bootstrap", "verification")
+_OWN_PROCESSES = ("bootstrap", "verification", "foxglove_bridge")
 _OWN_NODE = "/bootstrap"
+#: The task that a port for Foxglove adds, in a process of its own, and its package.
+_BRIDGE, _BRIDGE_PACKAGE = "foxglove_bridge", "im_bag"
 _TESTBED = ("im_sim", "testbed")
 #: Executables whose shipped configurations reach the testbed by shared memory -> parameter that names another one.
 _SHARES_MEMORY = {("im_mcs", "mcs"): "config", ("im_vss", "vss"): "settings"}
@@ -114,6 +116,7 @@ class Deployment(Model):
         period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
         port: TCP port of the display; the next free one is taken where it is in use.
+        foxglove: TCP port that Foxglove connects to, which adds a bridge as a process of the first host; 0: none.
         control: Whether the display may operate nets; if not, it only shows them.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
@@ -130,6 +133,7 @@ class Deployment(Model):
     period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
+    foxglove: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     control: bool = False
     calibration: str = ""
     commands: tuple[
@@ -203,6 +207,10 @@ class Deployment(Model):
                 for name, task in tasks.items():
                     number += 1
                     yield PlacedTask(number, name, host, process, task)
+        if self.foxglove:
+            parameters: dict[str, ParameterValue] = {"port": self.foxglove, "introspection": "off"}
+            bridge = Task(package=_BRIDGE_PACKAGE, executable=_BRIDGE, node=f"/{_BRIDGE}", parameters=parameters)
+            yield PlacedTask(number + 1, _BRIDGE, next(iter(self.hosts)), _BRIDGE, bridge)
 
     def on_host(self, host: str) -> dict[str, list[PlacedTask]]:
         """The tasks of each process of one host, in starting order.
@@ -215,7 +223,7 @@ class Deployment(Model):
         processes: dict[str, list[PlacedTask]] = {process: [] for process in self.hosts[host]}
         for placed in self.tasks():
             if placed.host == host:
-                processes[placed.process].append(placed)
+                processes.setdefault(placed.process, []).append(placed)
         return processes
 
     def local_host(self) -> str:
@@ -248,6 +256,7 @@ class Deployment(Model):
         calibration: str | None = None,
         control: bool | None = None,
         unproved: bool | None = None,
+        foxglove: int | None = None,
     ) -> "Deployment":
         """Return the same deployment with some values replaced; None leaves a value unchanged.
 
@@ -255,7 +264,7 @@ class Deployment(Model):
             ConfigError: A value is out of range.
         """
         given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
-        given |= {"calibration": calibration, "control": control, "unproved": unproved}
+        given |= {"calibration": calibration, "control": control, "unproved": unproved, "foxglove": foxglove}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
@@ -272,6 +281,7 @@ _EVERYWHERE = {
     "period": "period",
     "control": "control",
     "unproved": "unproved",
+    "foxglove": "foxglove",
 }
 """Options of ``start`` that mean the same on every host, with the field that each gives."""
 
