@@ -1,12 +1,22 @@
 # Completes subcommands of `im`, commands of the machine, their options and choices. Source it; scripts/shell.sh does.
 # What the machine can be told is in commands.txt of its run folder, as `im run` has heard it last: a line a command.
+# Names of topics, services, actions and nodes are likewise those that `im topic list` and so on have shown last.
 # shellcheck shell=bash
 
 _im() {
   local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD - 1]}" list="$IM_RUN_DIR/commands.txt" words
+  declare -A verbs=(
+    [action]="info list send_goal type" [lifecycle]="get list nodes set" [node]="info list" [param]="get list set"
+    [service]="call list type" [topic]="echo hz info list pub type"
+  )
   COMPREPLY=()
   if ((COMP_CWORD == 1)); then
-    words="doctor dom load pnt recover run unload"
+    words="action doctor dom lifecycle load node param pnt recover run service topic unload"
+  elif ((COMP_CWORD == 2)) && [[ -n "${verbs[${COMP_WORDS[1]}]:-}" ]]; then
+    words="${verbs[${COMP_WORDS[1]}]}"
+  elif ((COMP_CWORD == 3)) && [[ -n "${verbs[${COMP_WORDS[1]}]:-}" ]]; then
+    case "${COMP_WORDS[1]}" in lifecycle | param) list=nodes ;; *) list="${COMP_WORDS[1]}s" ;; esac
+    words="$(cat "$IM_RUN_DIR/$list.txt" 2>/dev/null)"
   elif [[ "${COMP_WORDS[1]}" != run || ! -r "$list" ]]; then
     return
   elif ((COMP_CWORD == 2)); then

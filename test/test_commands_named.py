@@ -14,8 +14,9 @@ SOURCES = sorted(
 SCRIPTS = sorted(path for path in (ROOT / "scripts").iterdir() if path.suffix in ("", ".sh", ".py") and path.is_file())
 TEXTS = [*PAGES, *SOURCES, *SCRIPTS]
 SUBCOMMANDS = set(re.findall(r"^  \[(\w+)\]=", (ROOT / "scripts" / "im").read_text(), re.MULTILINE))
-#: The command line of ROS is not in the wheels; a page that names it says so.
+#: The command line of ROS is not in the wheels; a page that names it says so, and names ours where there is one.
 ROS2 = re.compile(r"(?<![\w./-])ros2 (?:bag|launch|topic|service|action|param|lifecycle|node|run)\b")
+OURS = re.compile(r"(?<![\w./-])ros2 (?:topic|service|action|param|lifecycle|node)\b")
 PNT = re.compile(
     r"(?<![\w./-])(?<!im )(?<!im_pnt_analysis )pnt (?:verify|simulate|time|convert|draw|schema|bench|journal)\b"
 )
@@ -52,6 +53,10 @@ def test_every_script_subcommand_and_executable_that_is_named_is_there():
 
 def test_pnt_is_named_as_it_is_called():
     assert [at for at, _ in in_texts(PNT)] == []
+
+
+def test_no_page_sends_to_the_command_line_of_ros_for_what_ours_does():
+    assert [at for page in PAGES for at, _ in found(page, OURS)] == []
 
 
 def test_the_command_line_of_ros_is_named_on_pages_only_and_said_to_be_elsewhere():

@@ -1,10 +1,11 @@
 """Node ``/vss`` started with the calibrations of an earlier run, and what it says of itself on ``/diagnostics``."""
 
+import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo
+from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
 from im_cell.calibration_files import read_calibration
@@ -73,6 +74,32 @@ def test_camera_infos_and_transforms_are_the_earlier_ones(machine, earlier):
         assert_placed(placed[entry.frame], entry.model.position, entry.model.R_cam_base.T)
     assert infos["ceiling_right"][-1].p[3] < -100.0
     assert_placed(placed["laser_scanner"], laser.entry.model.position, laser.entry.model.rotation)
+
+
+def test_images_of_calibrated_cameras_are_rectified_for_who_wants_them(machine):
+    """The same as from the camera info by OpenCV; a camera as drawn has none."""
+    raw, info, rect = (
+        machine.listen(kind, f"/ceiling_right/{topic}", qos.IMAGES)
+        for kind, topic in ((Image, "image_raw"), (CameraInfo, "camera_info"), (Image, "image_rect"))
+    )
+    drawn = machine.listen(Image, "/wall/image_rect", qos.IMAGES)
+    outputs = machine.vss._outputs
+    machine.until(
+        lambda: (
+            all(each.get_subscription_count() for each in (outputs._raw["ceiling_right"], outputs._rect["wall"]))
+            and outputs._rect["ceiling_right"].get_subscription_count()
+        )
+    )
+    assert machine.call(Snap, "/vss/snap", cameras=["ceiling_right", "wall"]).success
+    machine.until(lambda: raw and info and rect)
+    assert rect[-1].header == raw[-1].header == info[-1].header
+    pixels, shown = (np.frombuffer(each[-1].data, np.uint8).reshape(480, 640) for each in (raw, rect))
+    K, D, R, P = (np.array(each) for each in (info[-1].k, info[-1].d, info[-1].r, info[-1].p))
+    P = P.reshape(3, 4)[:, :3]
+    maps = cv2.initUndistortRectifyMap(K.reshape(3, 3), D, R.reshape(3, 3), P, (640, 480), cv2.CV_32FC1)
+    expected = cv2.remap(pixels, *maps, cv2.INTER_LINEAR)
+    assert np.abs(shown.astype(int) - expected).max() <= 2
+    assert not drawn
 
 
 def assert_placed(transform, position, rotation):

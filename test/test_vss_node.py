@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from im_cell.calibration_files import read_calibration
 from im_cell.camera_model import CameraModel
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
@@ -333,3 +334,25 @@ def test_markers_show_what_cameras_see_and_which_lights_are_on(machine):
     machine.light(on=True)
     machine.until(lambda: newest("lights")["left_led"].color != dark)
     assert newest("lights")["right_led"].color == dark
+
+
+def test_markers_show_the_targets_and_hundred_times_what_a_calibration_leaves(machine):
+    told = machine.listen(MarkerArray, "/markers", qos.LATCHED)
+    spots = np.array([[100.0, 200.0], [np.nan, np.nan], [320.0, 240.0]])
+    residuals = np.array([[0.02, -0.01], [np.nan, np.nan], [0.0, 0.03]])
+    machine.vss._outputs.residuals("wall", spots, residuals)
+
+    entry = machine.vss._book["wall"]
+
+    def newest(namespace, frame):
+        found = told[-1].markers if told else []
+        return [m for m in found if (m.ns, m.header.frame_id) == (namespace, frame)]
+
+    machine.until(lambda: newest("residuals", entry.frame))
+    (lines,) = newest("residuals", entry.frame)
+    points = np.array([[p.x, p.y, p.z] for p in lines.points]).reshape(2, 2, 3)  # a spot that was not seen has none
+    ends = points[..., :2] / points[..., 2:] @ entry.model.K[:2, :2].T + entry.model.K[:2, 2]
+    np.testing.assert_allclose(ends[:, 0], (spots - residuals)[[0, 2]], atol=1e-9)
+    np.testing.assert_allclose(ends[:, 1] - ends[:, 0], 100.0 * residuals[[0, 2]], atol=1e-9)
+    plates = [(m.pose.position.x, m.pose.position.y, m.pose.position.z, m.scale.x) for m in newest("objects", "world")]
+    assert plates == [(*target.position, target.plate) for target in load_cell().targets]

@@ -19,6 +19,7 @@ setup(
     license="MIT",
     entry_points={
         "console_scripts": [
+            "foxglove_bridge = im_bag.ros.foxglove_bridge:main",
             "record = im_bag.ros.recorder:main",
             "replay = im_bag.ros.replay:main",
         ],

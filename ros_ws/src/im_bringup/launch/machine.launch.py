@@ -18,6 +18,7 @@ VALUES = {
     "period": "period of servo and testbed [s], e.g. 0.001; empty: as in the deployment",
     "seed": "seed of all random numbers; empty: as in the deployment",
     "port": "TCP port of the display, the next free one if in use; empty: as in the deployment",
+    "foxglove": "TCP port that Foxglove connects to, e.g. 8765; empty: as in the deployment",
     "calibration": "folder of calibrations to start with; empty: as in the deployment",
     "timeout": "longest wait for the machine [s]; empty: 60",
 }

@@ -86,6 +86,54 @@ def test_each_has_the_tasks_of_the_default_deployment_each_in_a_process_of_its_o
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "hosts"),
+    [
+        ("two_hosts", {"localhost": ["testbed", "mcs", "vss"], "coordination": ["coordination"]}),
+        (
+            "three_hosts",
+            {"localhost": ["testbed", "mcs", "vss"], "coordination": ["coordination"], "display": ["pnt_display"]},
+        ),
+    ],
+)
+def test_the_deployments_over_hosts_have_the_tasks_and_values_of_the_default_one(name, hosts):
+    path = deployment.default_path()
+    default, spread = deployment.load(path), deployment.load(path.with_name(f"{name}.yaml"))
+    assert [(placed.name, placed.task) for placed in spread.tasks()] == [
+        (placed.name, placed.task) for placed in default.tasks()
+    ]
+    assert spread.model_copy(update={"hosts": {}}) == default.model_copy(update={"hosts": {}})
+    assert {host: list(spread.on_host(host)) for host in spread.hosts} == hosts
+
+
+SIMULATED = {
+    "testbed": "{package: im_sim, executable: testbed, node: /testbed}",
+    "mcs": "{package: im_mcs, executable: mcs, node: /mcs}",
+    "vss": "{package: im_vss, executable: vss, node: /vss}",
+}
+
+
+def spread(far, task):
+    """A deployment as YAML text: the testbed with all but one of those that share memory with it, which is far."""
+    here = "\n".join(f"    {name}: {{{name}: {text}}}" for name, text in SIMULATED.items() if name != far)
+    return f"hosts:\n  localhost:\n{here}\n  far:\n    {far}:\n      {far}: {task}\n"
+
+
+@pytest.mark.parametrize("far", ["mcs", "vss"])
+def test_what_shares_memory_with_the_testbed_is_refused_on_another_host(far):
+    told = (
+        rf"d\.yaml:7: hosts\.far\.{far}\.{far}: task '{far}' is on host 'far' and the testbed on 'localhost': .*memory"
+    )
+    with pytest.raises(ConfigError, match=told):
+        parsed(spread(far, SIMULATED[far]))
+
+
+@pytest.mark.parametrize(("far", "own"), [("mcs", "config"), ("vss", "settings")])
+def test_with_a_configuration_of_other_hardware_it_may_be_on_any_host(far, own):
+    task = SIMULATED[far].replace("}", f", parameters: {{{own}: /etc/other.yaml}}}}")
+    assert list(parsed(spread(far, task)).on_host("far")) == [far]
+
+
 def test_references_become_values_and_keep_their_type():
     text = machine({"localhost": {"a": {"one": '{factor: "${clock_factor}", seed: "${seed}", name: "run ${seed}"}'}}})
     changed = parsed(text).with_values(0.0, None, None)

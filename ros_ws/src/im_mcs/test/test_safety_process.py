@@ -20,8 +20,8 @@ INSTANCE = f"im_mcs_process_{os.getpid()}"
 
 
 @pytest.fixture
-def turns(frictionless, cell, model, monkeypatch, tmp_path):
-    """A process whose turns the test makes, and its owner's end of the channel."""
+def turns(frictionless, cell, model, monkeypatch, tmp_path, request):
+    """A process whose turns the test makes, and its owner's end of the channel; a parameter is the rate of samples."""
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     made = []
 
@@ -36,6 +36,7 @@ def turns(frictionless, cell, model, monkeypatch, tmp_path):
     testbed = frictionless.testbed.model_copy(update={"drivers": {clock_name: Driver(driver="test_driver:make")}})
     safety = frictionless.safety.model_copy(update={"testbed_silence_s": 0.1, "owner_silence_s": 0.2})
     config = frictionless.model_copy(update={"testbed": testbed, "safety": safety})
+    config = config.at_sample_rate(getattr(request, "param", 50.0))
     channel = ServoChannel.create(channel_name(INSTANCE), ServoChannel.layout(config))
     process = ServoProcess(INSTANCE, config)
     process.driver, process.owner, process.seen = made[-1], channel, []
@@ -280,6 +281,17 @@ def test_snapshot_samples_and_evidence(turns, cell):
     assert {"q", "v", "tau", "age", "setpoint_q", "setpoint_v", "setpoint_a", "wrench", "gripper"} <= samples[-1].keys()
     assert len(samples[-1]["wrench"]) == 2
     assert turns.owner.samples.take_samples() == []
+
+
+@pytest.mark.parametrize(("turns", "step_ns"), [(10.0, 100e6), (250.0, 4.5e6)], indirect=["turns"])
+def test_samples_come_at_the_rate_of_the_configuration_and_once_a_tick_at_most(turns, step_ns):
+    to_motion(turns)
+    turns.owner.samples.take_samples()
+    turns._mcs.wants_time = True
+    turn(turns, 100)
+    steps = np.diff([sample["stamp_ns"] for sample in turns.owner.samples.take_samples()])
+    assert len(steps) >= 3
+    np.testing.assert_allclose(steps, step_ns, atol=4.6e6 if step_ns > 4.5e6 else 1.0)
 
 
 def test_a_slow_owner_loses_the_oldest_samples_only(turns):

@@ -52,6 +52,9 @@ class Screen:
     def display(self, camera, image, stamp_ns):
         pass
 
+    def residuals(self, camera, spots, residuals):
+        pass
+
     def spot(self, camera, place, stamp_ns):
         pass
 

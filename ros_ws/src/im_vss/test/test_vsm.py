@@ -49,6 +49,9 @@ class Screen:
     def display(self, camera, image, stamp_ns):
         """Nothing is shown."""
 
+    def residuals(self, camera, spots, residuals):
+        pass
+
     def spot(self, camera, place, stamp_ns):
         """Nothing is put out."""
 
@@ -170,7 +173,10 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path
     before, began, go, outcomes = rig.book.entries(), threading.Event(), threading.Event(), []
     moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
     found = SimpleNamespace(
-        success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
+        success=True,
+        cameras=(SimpleNamespace(name="wall", model=moved),),
+        camera_covariance=CameraCovariance(),
+        residuals=np.zeros((1, 1, 2)),
     )
 
     def slow(*_):
@@ -205,7 +211,10 @@ def test_a_calibration_that_is_in_use_was_not_cancelled(system, monkeypatch):
     rig, living = vsm.services["calibrate"].rig, [True]
     moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
     found = SimpleNamespace(
-        success=True, cameras=(SimpleNamespace(name="wall", model=moved),), camera_covariance=CameraCovariance()
+        success=True,
+        cameras=(SimpleNamespace(name="wall", model=moved),),
+        camera_covariance=CameraCovariance(),
+        residuals=np.zeros((1, 1, 2)),
     )
     monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
     monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})

@@ -34,8 +34,8 @@ HANDOVER_S = 1.0
 HANDOVER_AT_MOST_S = 5.0
 #: Topics of service events, which are hidden.
 SERVICE_EVENTS = "/_service_event"
-#: Topics with the images of others once more, as image_transport names them.
-COMPRESSED = "/image_raw/compressed"
+#: Ends of topics with the images of others once more, as image_transport and image_proc name them.
+DERIVED_IMAGES = ("/image_raw/compressed", "/image_rect")
 
 
 Taken = tuple[int, bytes, dict[str, int]]
@@ -191,7 +191,7 @@ class BagRecorder:
     def _wanted(self, topic: str) -> bool:
         if self._only:
             return topic in self._only
-        return ("/_" not in topic and not topic.endswith(COMPRESSED)) or topic.endswith(SERVICE_EVENTS)
+        return ("/_" not in topic and not topic.endswith(DERIVED_IMAGES)) or topic.endswith(SERVICE_EVENTS)
 
     def _subscribe(self, topic: str, publishers: list[Any]) -> None:
         type_name, type_hash = publishers[0].topic_type, str(publishers[0].topic_type_hash)

@@ -23,11 +23,13 @@ from im_core import clock, config, names, unfinished_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
 from im_core.executables import path_of
 from im_core.files import read_text
-from im_core.options import NumberParser, seconds
+from im_core.options import NumberParser, seconds, whole
 from im_core.output import complain, say
 from im_core.process import ChildProcess
 from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
 
+#: Of ``--foxglove`` without a port, the usual one.
+FOXGLOVE_PORT = 8765
 #: Exit code of a start that Ctrl-C has ended.
 INTERRUPTED = 130
 _POLL_S = 0.05
@@ -73,6 +75,14 @@ def parser() -> argparse.ArgumentParser:
         type=_folder,
         help="start with the calibrations in this folder: results of calibrate_camera, or what /vss kept in "
         "results/vss (default: cameras and laser scanner as drawn)",
+    )
+    parser.add_argument(
+        "--foxglove",
+        nargs="?",
+        type=whole,
+        const=FOXGLOVE_PORT,
+        metavar="PORT",
+        help="let Foxglove connect, to ws://localhost:%(const)s or another port; it only looks (default: no bridge)",
     )
     parser.add_argument(
         "--foreground", action="store_true", help="stay until the machine ends; Ctrl-C stops it (default: return)"
@@ -391,6 +401,7 @@ def spawn_bootstrap(
         *("--period", repr(deployment.period)),
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
+        *("--foxglove", str(deployment.foxglove)),
         *(("--control",) if deployment.control else ()),
         *(("--unproved",) if deployment.unproved else ()),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),

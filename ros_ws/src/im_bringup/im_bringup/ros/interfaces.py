@@ -111,11 +111,11 @@ def _whose(nodes: set[str]) -> str:
     return ", ".join(f"`{node}`" for node in sorted(nodes)) if len(nodes) < _MANY else "all nodes"
 
 
-def settle(node: InterruptibleNode) -> None:
-    """Wait for the end of discovery: until the graph has not changed for a while."""
+def settle(node: InterruptibleNode, settled_s: float = SETTLED_S) -> None:
+    """Wait for the end of discovery: until the graph has not changed for some seconds."""
     graph, since = _graph(node), clock.monotonic()
     deadline = since + DISCOVERY_AT_MOST_S
-    while (now := clock.monotonic()) - since < SETTLED_S and now < deadline:
+    while (now := clock.monotonic()) - since < settled_s and now < deadline:
         node.pause(_LOOK_S)
         before, graph = graph, _graph(node)
         since = since if graph == before else clock.monotonic()

@@ -32,8 +32,13 @@ _REFERENCE = re.compile(r"\$\{(\w+)\}")
 #: What stands where a reference could: to its brace, or to the end.
 _WRITTEN = re.compile(r"\$\{[^}]*\}?")
 #: Processes of the machine itself, by the names of their logs, and its node.
-_OWN_PROCESSES = ("bootstrap", "verification")
+_OWN_PROCESSES = ("bootstrap", "verification", "foxglove_bridge")
 _OWN_NODE = "/bootstrap"
+#: The task that a port for Foxglove adds, in a process of its own, and its package.
+_BRIDGE, _BRIDGE_PACKAGE = "foxglove_bridge", "im_bag"
+_TESTBED = ("im_sim", "testbed")
+#: Executables whose shipped configurations reach the testbed by shared memory -> parameter that names another one.
+_SHARES_MEMORY = {("im_mcs", "mcs"): "config", ("im_vss", "vss"): "settings"}
 _NO_COMMA = "a comma is not allowed in the name of a command: it separates the commands"
 
 
@@ -111,6 +116,7 @@ class Deployment(Model):
         period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
         port: TCP port of the display; the next free one is taken where it is in use.
+        foxglove: TCP port that Foxglove connects to, which adds a bridge as a process of the first host; 0: none.
         control: Whether the display may operate nets; if not, it only shows them.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
@@ -127,6 +133,7 @@ class Deployment(Model):
     period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
+    foxglove: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     control: bool = False
     calibration: str = ""
     commands: tuple[
@@ -158,7 +165,23 @@ class Deployment(Model):
                     if sentence := _misplaced(name, task, place, names, nodes) or self._unknown_reference(name, task):
                         raise FieldError((*here, name), sentence)
                     names[name], nodes[task.node] = place, name
+        self._check_shared_memory()
         return self
+
+    def _check_shared_memory(self) -> None:
+        """Refuse tasks on another host than the testbed with which they share memory."""
+        executables = {(placed.task.package, placed.task.executable): placed for placed in self.tasks()}
+        testbed = executables.get(_TESTBED)
+        for executable, own in _SHARES_MEMORY.items():
+            placed = executables.get(executable)
+            if testbed is None or placed is None or placed.host == testbed.host or placed.task.parameters.get(own):
+                continue
+            raise FieldError(
+                ("hosts", placed.host, placed.process, placed.name),
+                f"task '{placed.name}' is on host '{placed.host}' and the testbed on '{testbed.host}': they meet in "
+                "shared memory, which no network carries; put both on one host, or give the task a configuration of "
+                f"other hardware by the parameter '{own}'",
+            )
 
     def _unknown_reference(self, name: str, task: Task) -> str:
         """Return the fault of a reference among the parameters of a task; empty if there is none."""
@@ -184,6 +207,10 @@ class Deployment(Model):
                 for name, task in tasks.items():
                     number += 1
                     yield PlacedTask(number, name, host, process, task)
+        if self.foxglove:
+            parameters: dict[str, ParameterValue] = {"port": self.foxglove, "introspection": "off"}
+            bridge = Task(package=_BRIDGE_PACKAGE, executable=_BRIDGE, node=f"/{_BRIDGE}", parameters=parameters)
+            yield PlacedTask(number + 1, _BRIDGE, next(iter(self.hosts)), _BRIDGE, bridge)
 
     def on_host(self, host: str) -> dict[str, list[PlacedTask]]:
         """The tasks of each process of one host, in starting order.
@@ -196,7 +223,7 @@ class Deployment(Model):
         processes: dict[str, list[PlacedTask]] = {process: [] for process in self.hosts[host]}
         for placed in self.tasks():
             if placed.host == host:
-                processes[placed.process].append(placed)
+                processes.setdefault(placed.process, []).append(placed)
         return processes
 
     def local_host(self) -> str:
@@ -229,6 +256,7 @@ class Deployment(Model):
         calibration: str | None = None,
         control: bool | None = None,
         unproved: bool | None = None,
+        foxglove: int | None = None,
     ) -> "Deployment":
         """Return the same deployment with some values replaced; None leaves a value unchanged.
 
@@ -236,7 +264,7 @@ class Deployment(Model):
             ConfigError: A value is out of range.
         """
         given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
-        given |= {"calibration": calibration, "control": control, "unproved": unproved}
+        given |= {"calibration": calibration, "control": control, "unproved": unproved, "foxglove": foxglove}
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
@@ -253,6 +281,7 @@ _EVERYWHERE = {
     "period": "period",
     "control": "control",
     "unproved": "unproved",
+    "foxglove": "foxglove",
 }
 """Options of ``start`` that mean the same on every host, with the field that each gives."""
 

@@ -1,22 +1,19 @@
 """Types of data objects: check of bytes as a message, the hash of a definition, and a message as JSON."""
 
-import array
 import functools
 import json
-import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from ament_index_python import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import serialize_message
 
 from im_core.bounded_json import read_json
-from im_core.errors import DataError, NotFoundError, shortened
+from im_core.errors import DataError, NotFoundError
 from im_core.files import MEBIBYTE, read_text
 from im_core.ros.interfaces import decoded, message_class
+from im_core.ros.message_fields import fields_of, filled
 
 #: CDR ends with at most so many bytes that mean nothing.
 PADDING = 3
@@ -24,14 +21,8 @@ PADDING = 3
 #: Type of a field that is a sequence.
 _SEQUENCE = re.compile(r"sequence<.*?(?:, (?P<most>\d+))?>")
 
-#: Type of a field that is a sequence or an array, and that of its elements.
-_ELEMENTS = re.compile(r"sequence<(?P<sequence>.*?)(?:, \d+)?>|(?P<array>[^<\[]+)\[\d+\]")
-
 #: A larger object is given out as it is, not as text [bytes].
 LARGEST_AS_TEXT = MEBIBYTE
-
-#: So much is said of a value that does not fit.
-LONGEST_SHOWN = 80
 
 
 def check_message(name: str, kind: str, data: bytes) -> str:
@@ -116,7 +107,7 @@ def as_json(name: str, kind: str, data: bytes) -> str:
     if len(data) > LARGEST_AS_TEXT:
         text = f"data object '{name}' has {len(data)} bytes; at most {LARGEST_AS_TEXT} are given as text"
         raise DataError(text, object=name, size=len(data), allowed=LARGEST_AS_TEXT)
-    return json.dumps(_plain(_decoded(name, kind, data)))
+    return json.dumps(fields_of(_decoded(name, kind, data)))
 
 
 def from_json(name: str, kind: str, text: str) -> bytes:
@@ -130,49 +121,8 @@ def from_json(name: str, kind: str, text: str) -> bytes:
         said = f"data object '{name}' is told in {len(text)} characters; at most {LARGEST_AS_TEXT} are read"
         raise DataError(said, object=name, size=len(text), allowed=LARGEST_AS_TEXT)
     fields = read_json(dict[str, Any], text, f"the JSON of data object '{name}'")
-    data: bytes = serialize_message(_filled(message_class(kind)(), fields, kind))
+    data: bytes = serialize_message(filled(message_class(kind)(), fields, kind))
     return data
-
-
-def _filled(message: Any, fields: Any, where: str) -> Any:
-    if not isinstance(fields, Mapping):
-        raise DataError(f"{where} cannot be {_shown(fields)}: the fields of a message are needed", field=where)
-    types = message.get_fields_and_field_types()
-    message._check_fields = True  # a wrong type would else be met by the serialiser, which ends the process
-    for field, value in fields.items():
-        if field not in types:
-            raise NotFoundError(kind=f"field of {where}", name=field, known=types)
-        try:
-            setattr(message, field, _fitting(getattr(message, field), types[field], value, f"{where}.{field}"))
-        except (AssertionError, TypeError, ValueError, OverflowError) as error:
-            raise DataError(f"{where}.{field} ({types[field]}) cannot be {_shown(value)}", field=field) from error
-    return message
-
-
-def _shown(value: object) -> str:
-    return shortened(repr(value), LONGEST_SHOWN)
-
-
-def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
-    if isinstance(value, dict) and hasattr(present, "get_fields_and_field_types"):
-        return _filled(type(present)(), value, where)
-    if isinstance(value, list):
-        found = _ELEMENTS.fullmatch(kind)
-        element = (found["sequence"] or found["array"]) if found else ""
-        if "/" not in element:
-            return [_number(element, each) for each in value]
-        make = message_class(element.replace("/", "/msg/"))
-        return [_filled(make(), each, f"{where}[{number}]") for number, each in enumerate(value)]
-    return _number(kind, value)
-
-
-def _number(kind: str, value: Any) -> Any:
-    """Convert a number of JSON: 1 for 1.0, texts for infinite numbers; texts of ROS end with a zero."""
-    if isinstance(value, str) and "\0" in value:
-        raise ValueError(value)
-    if kind in ("float", "double") and not isinstance(value, bool):
-        return float(value)
-    return bytes([value]) if kind == "octet" else value
 
 
 def _decoded(name: str, kind: str, data: bytes) -> Any:
@@ -182,17 +132,3 @@ def _decoded(name: str, kind: str, data: bytes) -> Any:
     except DataError as error:
         text = f"data object '{name}' is no {kind}: its {len(data)} bytes do not decode"
         raise DataError(text, object=name, type=kind) from error
-
-
-def _plain(value: Any) -> object:
-    if hasattr(value, "get_fields_and_field_types"):
-        return {field: _plain(getattr(value, field)) for field in value.get_fields_and_field_types()}
-    if isinstance(value, np.ndarray | array.array):
-        return [_plain(each) for each in value.tolist()]
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, bytes):  # an octet
-        return value[0]
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    return value

@@ -40,6 +40,7 @@ class Servo(Model):
         ge=0, le=10, description="at clock factor 0: wall time of a wait for the next request of an owner [s]"
     )
     settle: Settle
+    sample_rate_hz: float = Field(default=50.0, ge=1, le=250, description="samples of the joints for topics [1/s]")
 
 
 class Group(Model):
@@ -224,6 +225,10 @@ class McsConfig(Model):
         if preset not in self.presets:
             raise NotFoundError(kind="preset", name=preset, known=sorted(self.presets))
         return self.model_copy(update={"preset": preset})
+
+    def at_sample_rate(self, rate_hz: float) -> Self:
+        """Return the configuration with another rate of samples [1/s], of which the topics of the joints are made."""
+        return self.model_copy(update={"servo": self.servo.model_copy(update={"sample_rate_hz": rate_hz})})
 
     def at_period(self, period_s: float) -> Self:
         """Return the configuration with another servo period [s]; times counted in ticks stay as long.

@@ -39,12 +39,21 @@ class McsNode(ManagedNode):
         path = declare("config", "", "file of slots, groups, limits and laws; empty: the package's mcs.yaml")
         preset = declare("preset", "", "division of the joints at the start, e.g. 2x9; empty: the configuration's")
         period = declare("period", 0.0, "of the servo [s]; 0: the configuration's", span=(0.0, 0.1))
+        rate = declare(
+            "joint_state_rate",
+            0.0,
+            "of /joint_states, /tf and the layers, by testbed time [1/s]; never more than one a tick; 0: the "
+            "configuration's",
+            span=(0.0, 250.0),
+        )
         config_file = Path(path) if path else None
         config = load_config(config_file)
         if preset:
             config = config.with_preset(preset)
         if period != 0.0:
             config = config.at_period(period)
+        if rate != 0.0:
+            config = config.at_sample_rate(rate)
         self._last: dict[str, Any] | None = None
         self._fresh = False
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
@@ -75,7 +84,8 @@ class McsNode(ManagedNode):
 
     def phase_start(self) -> None:
         """Publish the reports of the servo."""
-        self.create_timer(POLL_S, self._look_after, clock=self.steady_clock)
+        period_s = min(POLL_S, 1.0 / self._mcs.config.servo.sample_rate_hz)
+        self.create_timer(period_s, self._look_after, clock=self.steady_clock)
         self.create_timer(_STATE_PERIOD_S, self._publish_state, clock=self.steady_clock)
         self.create_timer(_DIAGNOSTICS_PERIOD_S, self._publish_diagnostics, clock=self.steady_clock)
 

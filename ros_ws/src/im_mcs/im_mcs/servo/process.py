@@ -63,7 +63,7 @@ class ServoProcess:
         latch = StopLatch(StopMark(), StopCircuits(config.testbed.drivers, instance))
         self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited, latch)
         self._pacer = Pacer(self._testbed.wall_period_s)
-        self._reporter = Reporter(self._channel, self._mcs, self._pacer)
+        self._reporter = Reporter(self._channel, self._mcs, self._pacer, config.servo.sample_rate_hz)
         self._powered = False
         self._orphaned = math.inf
         self._owner_runs, self._next_look = True, 0.0

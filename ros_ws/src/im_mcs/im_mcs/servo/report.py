@@ -7,7 +7,6 @@ from im_mcs.servo.core import Mcs
 from im_mcs.servo.realtime import Pacer
 from im_mcs.state.table import STATES
 
-_SAMPLE_PERIOD_NS = 20_000_000
 _SMOOTHING = 0.01
 
 
@@ -22,9 +21,10 @@ class Reporter:
         channel: Where to.
         mcs: What of.
         pacer: How the loop keeps time.
+        sample_rate_hz: How often a sample is due, by testbed time [1/s]; never more than one a tick.
     """
 
-    def __init__(self, channel: ServoChannel, mcs: Mcs, pacer: Pacer) -> None:
+    def __init__(self, channel: ServoChannel, mcs: Mcs, pacer: Pacer, sample_rate_hz: float) -> None:
         self.real_time = False
         self.linked = True
         self._channel, self._mcs, self._pacer = channel, mcs, pacer
@@ -32,7 +32,7 @@ class Reporter:
         self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
         self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
         self._compute_s = 0.0
-        self._next_sample_ns = 0
+        self._next_sample_ns, self._sample_period_ns = 0, round(1e9 / sample_rate_hz)
 
     def computed(self, seconds: float) -> None:
         """Note the duration of a tick [s]."""
@@ -40,10 +40,10 @@ class Reporter:
 
     def sample(self) -> None:
         """Write a sample, if due."""
-        mcs, m = self._mcs, self._mcs.measured
-        if self._next_sample_ns - _SAMPLE_PERIOD_NS <= m.stamp_ns < self._next_sample_ns:
+        mcs, m, period_ns = self._mcs, self._mcs.measured, self._sample_period_ns
+        if self._next_sample_ns - period_ns <= m.stamp_ns < self._next_sample_ns:
             return
-        self._next_sample_ns = (m.stamp_ns // _SAMPLE_PERIOD_NS + 1) * _SAMPLE_PERIOD_NS
+        self._next_sample_ns = (m.stamp_ns // period_ns + 1) * period_ns
         r = self._channel.samples.next_record()
         r["stamp_ns"], r["tick"] = m.stamp_ns, m.tick
         r["q"], r["v"], r["tau"], r["age"] = m.q, mcs.v, mcs.tau, m.age_s

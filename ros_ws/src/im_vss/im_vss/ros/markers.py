@@ -1,37 +1,50 @@
-"""Markers of the cameras' views, the wrist lights and the workspace, for RViz and Foxglove."""
+"""Markers of the cameras' views and residuals, the lights, targets and the workspace, for RViz and Foxglove."""
+
+from collections.abc import Mapping
 
 import numpy as np
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from im_cell.camera_model import Array
 from im_cell.lights import lights_told
 from im_cell.robot import Cell
+from im_cell.robot.scenery import Target
 from im_cell.workspace import Workspace
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook, CameraEntry
+from im_vss.ros.messages import to_pose
 
 _DEPTH_M = 0.5
 """How far from the camera its view is drawn."""
 _CALIBRATED, _DRAWN = ColorRGBA(r=0.3, g=0.9, b=0.4, a=1.0), ColorRGBA(r=0.7, g=0.7, b=0.7, a=1.0)
 _LIT, _DARK = ColorRGBA(r=1.0, g=0.95, b=0.6, a=1.0), ColorRGBA(r=0.3, g=0.3, b=0.3, a=1.0)
+_LEFT, _PLATE = ColorRGBA(r=1.0, g=0.3, b=0.2, a=1.0), ColorRGBA(r=0.95, g=0.95, b=0.95, a=1.0)
+_RESIDUALS_TIMES = 100.0
+"""How many times as long as they are residuals are drawn."""
+_PLATE_M = 0.002
 _WORKSPACE = ColorRGBA(r=0.3, g=0.5, b=1.0, a=0.12)
 
 
 class CellMarkers:
-    """``/markers`` of ``/vss``: namespaces ``cameras``, ``lights``, ``workspace``; latched, for subscribers only.
+    """``/markers`` of ``/vss``, latched, for subscribers only.
 
-    Each is in the frame it is fixed to, which ``/tf`` moves. A camera that is as drawn is grey.
+    Namespaces ``cameras``, ``residuals``, ``lights``, ``objects`` and ``workspace``. Each is in the frame it is
+    fixed to, which ``/tf`` moves. A camera that is as drawn is grey.
 
     Args:
         node: The node that publishes.
         cell: Lights.
         book: Calibrations of the cameras.
+        left: Spots and residuals of the last calibration of each camera, shape (n, 2) [px], kept up by another.
     """
 
-    def __init__(self, node: ManagedNode, cell: Cell, book: CameraBook) -> None:
-        self._cell, self._book = cell, book
+    def __init__(
+        self, node: ManagedNode, cell: Cell, book: CameraBook, left: Mapping[str, tuple[Array, Array]]
+    ) -> None:
+        self._cell, self._book, self._left = cell, book, left
         self._lights = dict.fromkeys(cell.light_names, False)
         self._shown: MarkerArray | None = None
         self._publisher = node.create_publisher(MarkerArray, "/markers", qos.LATCHED)
@@ -43,6 +56,10 @@ class CellMarkers:
             self._shown = None
             return
         markers = [_view(rank, entry) for rank, entry in enumerate(self._book.entries())]
+        for rank, entry in enumerate(self._book.entries()):
+            if entry.name in self._left:
+                markers.append(_residuals(rank, entry, *self._left[entry.name]))
+        markers += [_plate(rank, target) for rank, target in enumerate(self._cell.targets)]
         markers += [self._light(rank, name, lit) for rank, (name, lit) in enumerate(self._lights.items())]
         present = MarkerArray(markers=[*markers, _workspace(Workspace())])
         if present != self._shown:
@@ -70,6 +87,27 @@ def _view(rank: int, entry: CameraEntry) -> Marker:
     marker.scale.x = 0.005
     for end, following in zip(ends, [*ends[1:], ends[0]], strict=True):
         marker.points.extend((Point(), end, end, following))
+    return marker
+
+
+def _residuals(rank: int, entry: CameraEntry, spots: Array, residuals: Array) -> Marker:
+    """Return a line for each spot of a calibration, on the view's far end: from the predicted place on."""
+    marker = _marker("residuals", rank, entry.frame, Marker.LINE_LIST, _LEFT)
+    marker.scale.x = 0.002
+    seen = np.isfinite(spots).all(axis=1) & np.isfinite(residuals).all(axis=1)
+    predicted = spots[seen] - residuals[seen]
+    for ends in zip(predicted, predicted + _RESIDUALS_TIMES * residuals[seen], strict=True):
+        # the lens's share of so short a line is not worth an inversion that may fail outside of the image
+        ideal = (np.array(ends) - entry.model.K[:2, 2]) / np.diag(entry.model.K)[:2]
+        marker.points.extend(Point(x=_DEPTH_M * x, y=_DEPTH_M * y, z=_DEPTH_M) for x, y in ideal.tolist())
+    return marker
+
+
+def _plate(rank: int, target: Target) -> Marker:
+    marker = _marker("objects", rank, "world", Marker.CUBE, _PLATE)
+    rotation, position = target.pose()
+    marker.pose = to_pose(position, rotation)
+    marker.scale.x, marker.scale.y, marker.scale.z = target.plate, target.plate, _PLATE_M
     return marker
 
 

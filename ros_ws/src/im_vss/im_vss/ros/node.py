@@ -77,7 +77,7 @@ class VssNode(ManagedNode):
         self._take_calibration(cell, laser_book)
         self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
-        self._markers = CellMarkers(self, cell, self._book)
+        self._markers = CellMarkers(self, cell, self._book, self._outputs.left)
         self._book.on_change = laser_book.on_change = self._calibrated
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(

@@ -121,6 +121,8 @@ class SvcCalibrate(VisionService):
             self.rig.settings.cameras,
         )
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
+        for rank, camera in enumerate(cameras):
+            self.rig.screen.residuals(camera, problem.spots[rank], calibration.residuals[rank])
         mounted, covariance = on_their_mounts(calibration, request, self.rig.book, self.rig.mounts.at)
         if request.directory is not None:
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)

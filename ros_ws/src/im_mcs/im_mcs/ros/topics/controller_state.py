@@ -11,10 +11,10 @@ from im_core.ros.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
 
 _RATE = "controller_state_rate"
-_LEAST_HZ, _MOST_HZ = 0.1, 50.0
+_LEAST_HZ, _USUAL_HZ, _MOST_HZ = 0.1, 50.0, 250.0
 _DESCRIPTION = (
-    "How often /<group>/controller_state is published, by testbed time [1/s]; what nobody listens to is not. "
-    "In force at once."
+    "How often /<group>/controller_state is published, by testbed time [1/s]; what nobody listens to is not, "
+    "and no more than joint_state_rate says. In force at once."
 )
 
 Sample = dict[str, Any]
@@ -23,7 +23,7 @@ Sample = dict[str, Any]
 class ControllerStates:
     """``/<group>/controller_state`` of every group of every preset; published for the groups in force.
 
-    Parameter: ``controller_state_rate`` [1/s], up to 50.
+    Parameter: ``controller_state_rate`` [1/s], up to 250.
 
     Args:
         access: MCS.
@@ -31,7 +31,7 @@ class ControllerStates:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        access.node.declared.declare(_RATE, _MOST_HZ, _DESCRIPTION, span=(_LEAST_HZ, _MOST_HZ), changeable=True)
+        access.node.declared.declare(_RATE, _USUAL_HZ, _DESCRIPTION, span=(_LEAST_HZ, _MOST_HZ), changeable=True)
         self._publishers = {
             group: access.node.create_publisher(
                 JointTrajectoryControllerState, f"/{group}/controller_state", qos.EVENTS

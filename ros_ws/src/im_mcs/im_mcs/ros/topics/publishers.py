@@ -130,7 +130,7 @@ class Frames:
     def moving(self, positions: NDArray[np.float64], stamp_ns: int) -> bytes:
         """Return transforms over the joints at positions, shape (names,), as the bytes (CDR) of a ``TFMessage``.
 
-        Fifty a second are told, and only numbers in them change: making the objects anew took most of the node's time.
+        Many a second are told, and only numbers in them change: making the objects anew took most of the node's time.
         """
         self._q[self._places] = self._shares * positions[self._sources]
         pin.forwardKinematics(self._model, self._data, self._q)

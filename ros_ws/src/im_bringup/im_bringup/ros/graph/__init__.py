@@ -1,0 +1,1 @@
+"""``im topic``, ``service``, ``action``, ``node``, ``lifecycle``, ``param``: the verbs of ros2cli, thin over rclpy."""
