@@ -51,6 +51,10 @@ def goal(client, *points, **options):
     return FollowJointTrajectory.Goal(trajectory=trajectory(client, *points, **options))
 
 
+def seconds(time):
+    return time.sec + 1e-9 * time.nanosec
+
+
 def now(client):
     time = client.group_state().stamp
     return time.sec + 1e-9 * time.nanosec
@@ -517,7 +521,13 @@ def test_controller_state_tells_what_was_asked_measured_and_given_out(ready):
             wanted, measured = (np.array(getattr(point, name)) for point in (message.reference, message.feedback))
             np.testing.assert_array_equal(getattr(message.error, name), wanted - measured)
         assert len(message.reference.accelerations) == len(message.output.effort) == 9
+        asked, since, late = (
+            seconds(point.time_from_start) for point in (message.reference, message.feedback, message.error)
+        )
+        assert late == pytest.approx(asked - since, abs=1e-8)
+        assert 0.0 <= asked <= 1.0 + 1e-8
         assert message.speed_scaling_factor == 1.0
+    assert {seconds(message.reference.time_from_start) > 0.5 for message in told} == {True, False}
     assert max(abs(message.reference.velocities[3]) for message in told) > 0.05
     assert max(np.abs(message.error.positions).max() for message in told) < 0.01
     assert any(message.output.effort[4] != 0.0 for message in told)  # the shoulder carries the arm

@@ -408,17 +408,26 @@ class ControlledGroup:
         current, setpoint = self._current, self.planner.setpoint
         if current is None:
             return None
-        retimed = current.retimed
+        place, since = self.times
         return {
             "id": current.goal.id,
             "progress": self.planner.progress,
             "point": self.planner.point,
-            "place": self.planner.place if retimed is None else retimed.asked_time(self.planner.place),
-            "retimed": "" if retimed is None else retimed.report,
-            "time": current.ticks * self.planner.period_s,
+            "place": place,
+            "retimed": "" if current.retimed is None else current.retimed.report,
+            "time": since,
             "desired": {"positions": setpoint.q.tolist(), "velocities": setpoint.v.tolist()},
             "actual": {"positions": self._position.tolist()},
         }
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Time at which the motion asked for is where this one is, and time since it began; 0 without a goal [s]."""
+        current, place = self._current, self.planner.place
+        if current is None:
+            return 0.0, 0.0
+        since = current.ticks * self.planner.period_s
+        return place if current.retimed is None else current.retimed.asked_time(place), since
 
     def ended(self) -> list[EndedGoal]:
         """Return goals ended since the last call: goal, fault, and results (``duration`` [s] of the motion)."""
