@@ -51,6 +51,10 @@ def goal(client, *points, **options):
     return FollowJointTrajectory.Goal(trajectory=trajectory(client, *points, **options))
 
 
+def seconds(time):
+    return time.sec + 1e-9 * time.nanosec
+
+
 def now(client):
     time = client.group_state().stamp
     return time.sec + 1e-9 * time.nanosec
@@ -355,6 +359,31 @@ def test_a_stream_on_the_topic_is_followed_and_ends_at_rest(ready):
     assert refused.counts() == before
 
 
+def test_windows_as_moveit_servo_sends_them_are_followed_and_end_at_rest(ready):
+    """Points of the last 0.4 s and of the next 0.4 s, stamped with the first, the last one with a velocity.
+
+    Time runs as fast as it can here, so the windows are wider than the usual 0.1 s: none is over when it comes.
+    """
+    publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
+    setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
+    way, speed, refused = np.eye(9)[8], 0.3, ready.mcs._mcs.refusals
+    before, began = refused.counts(), now(ready)
+    while (passed := now(ready) - began) < 1.5:
+        times = np.arange(max(passed - 0.4, 0.0), passed + 0.4, 0.02)
+        points = ((float(t - times[0]), ready.home + speed * t * way) for t in times)
+        message = trajectory(ready, *points, start=began + float(times[0]))
+        for point in message.points:
+            point.velocities = list(speed * way)
+        publisher.publish(message)
+        ready.until(lambda passed=passed: now(ready) - began > passed + 0.01)
+    place = np.array(ready.rest()) - ready.home
+    assert 0.0 < place[8] < speed * (now(ready) - began)
+    np.testing.assert_allclose(place[:8], 0.0, atol=1e-4)
+    v = np.array([message.velocity for message in setpoints])
+    assert 0.0 < v[:, 8].max() <= 1.5 * speed
+    assert refused.counts() == before
+
+
 def long_course(client, count, seconds=8.0):
     """Points of a smooth trajectory, a metre along the track, each with velocities and accelerations."""
     x = np.linspace(1.0 / count, 1.0, count)
@@ -492,7 +521,13 @@ def test_controller_state_tells_what_was_asked_measured_and_given_out(ready):
             wanted, measured = (np.array(getattr(point, name)) for point in (message.reference, message.feedback))
             np.testing.assert_array_equal(getattr(message.error, name), wanted - measured)
         assert len(message.reference.accelerations) == len(message.output.effort) == 9
+        asked, since, late = (
+            seconds(point.time_from_start) for point in (message.reference, message.feedback, message.error)
+        )
+        assert late == pytest.approx(asked - since, abs=1e-8)
+        assert 0.0 <= asked <= 1.0 + 1e-8
         assert message.speed_scaling_factor == 1.0
+    assert {seconds(message.reference.time_from_start) > 0.5 for message in told} == {True, False}
     assert max(abs(message.reference.velocities[3]) for message in told) > 0.05
     assert max(np.abs(message.error.positions).max() for message in told) < 0.01
     assert any(message.output.effort[4] != 0.0 for message in told)  # the shoulder carries the arm

@@ -54,6 +54,12 @@ def test_points_are_read_as_they_were_written(arrays, joints):
             assert values is None
 
 
+def test_points_without_velocities_among_others_get_some_that_swing_beyond_no_point():
+    points = [(1.0, [1, 0, 0]), (2.0, [2, 1, 0]), (3.0, [5, 0, 0], [2, 0, 0]), (4.0, [6, 2, 0]), (5.0, [7, 3, 0])]
+    found = timed_trajectory(sent(*points)).v
+    np.testing.assert_allclose(found, [[1, 1, 0], [1.5, 0, 0], [2, 0, 0], [1, 4 / 3, 0], [0, 0, 0]])
+
+
 def test_tolerances_are_read():
     goal = FollowJointTrajectory.Goal(goal_time_tolerance=span(Duration, 0.5))
     goal.path_tolerance = [JointTolerance(name="a", position=0.1, velocity=-1.0, acceleration=0.5)]
@@ -79,8 +85,8 @@ def test_tolerances_of_several_degrees_of_freedom_are_refused(where):
         ([(1.0, [1, 2, 3]), (2.0, [])], "point 2: position is given for 0 joints, 3 are needed"),
         ([(1.0, [1, 2, 3]), (2.0, [1, 2, 3]), (3.0, [1, 2, 3, 4])], "point 3: position is given for 4 joints"),
         ([(1.0, [1, 2, 3], [1])], "point 1: velocity is given for 1 joints, 3 are needed"),
-        ([(k, [1, 2, 3], *([[1, 2, 3]] if k != 7 else [])) for k in range(9)], "point 8 has no velocities, others"),
-        ([(k, [1, 2, 3], *([[1, 2, 3]] if k == 7 else [])) for k in range(9)], "point 1 has no velocities, others"),
+        ([(k, [1, 2, 3], [0, 0, 0], *([[1, 2, 3]] if k else [])) for k in range(9)], "point 1 has no accelerations"),
+        ([(1.0, [1, 2, 3]), (2.0, [1, 2, 3], [1])], "point 2: velocity is given for 1 joints, 3 are needed"),
         ([(1.0, [1, 2, 3], [], [], [0.0] * 3)], "point 1 has efforts"),
     ],
 )

@@ -76,16 +76,30 @@ def test_a_velocity_at_the_end_is_refused_unless_it_is_accepted():
     with pytest.raises(DataError, match=r"b has velocity 0\.5 in its last point"):
         path(moving)
     assert path(moving, accepted=Accepted(end_velocity=True))["points"][0]["velocities"] == [0.0, 0.5, 0.0]
-    assert not path(moving, accepted=Accepted(end_velocity=True))["may_be_late"]
+    assert "stream" not in path(moving, accepted=Accepted(end_velocity=True))
 
 
-def test_a_point_alone_on_the_topic_and_not_far_ahead_is_a_setpoint_of_a_stream():
-    assert path((0.1, [1, 2, 3], [1, 0, 0]), stream=True)["may_be_late"]
-    assert path((0.1, [1, 2, 3]), stream=True)["may_be_late"]
-    assert not path((1.0, [1, 2, 3]), stream=True)["may_be_late"]
-    assert not path((0.1, [1, 2, 3]), (0.2, [1, 2, 3]), stream=True)["may_be_late"]
+def test_what_ends_not_far_ahead_on_the_topic_is_a_window_of_a_stream():
+    moving = (0.1, [1, 2, 3], [1, 0, 0])
+    assert path(moving, stream=True)["stream"]
+    assert path((0.1, [1, 2, 3]), stream=True)["stream"]
+    two = path((0.1, [1, 2, 3]), (0.2, [2, 2, 3]), stream=True)
+    assert two["stream"]
+    assert two["start_ns"] == 0
+    assert "stream" not in path((1.0, [1, 2, 3]), stream=True)
+    assert "stream" not in path((0.1, [1, 2, 3]), stream=True, start=10.45)
     with pytest.raises(DataError, match="last point"):
         path((1.0, [1, 2, 3], [1, 0, 0]), stream=True)
+
+
+def test_a_window_keeps_its_times_and_its_stamp_also_where_it_has_just_ended():
+    points = [(t, [t, t, t], [1, 1, 1]) for t in (0.0, 0.1, 0.2)]
+    found = path(*points, stream=True, start=9.9)
+    assert [p["time"] for p in found["points"]] == [0.0, 0.1, 0.2]
+    assert found["start_ns"] == 9_900_000_000
+    assert path(*points, stream=True, start=9.72)["stream"]
+    with pytest.raises(OldStampError, match=r"ends at 9.880 s, 0.120 s before now"):
+        path(*points, stream=True, start=9.68)
 
 
 def test_a_start_to_come_shifts_times_and_holds_an_arm_at_rest():

@@ -18,7 +18,9 @@ UNSET = 0.0
 UNBOUNDED = -1.0
 """A tolerance that is switched off."""
 STREAM_S = 0.5
-"""A point no further ahead than this, alone on the topic, is a setpoint of a stream [s]."""
+"""What ends no further ahead than this, on the topic, is a window of a stream [s]."""
+LATE_S = 0.1
+"""How long ago a window of a stream may have ended [s]."""
 _AT_REST = 1e-6
 
 
@@ -114,11 +116,6 @@ class Present:
 class Course(TimedPoints):
     """Points in time from now on, in the order of the group."""
 
-    def since(self, first: int, delay_s: float) -> "Course":
-        """The points from one on, later by ``delay_s`` [s]."""
-        v, a = (None if x is None else x[first:] for x in (self.v, self.a))
-        return Course(self.times[first:] + delay_s, self.q[first:], v, a)
-
     def held(self, time_s: float, q: NDArray[np.float64]) -> "Course":
         """Return the course with a preceding point at rest at ``q``, shape (n,)."""
         v, a = (None if x is None else np.vstack([np.zeros_like(q), x]) for x in (self.v, self.a))
@@ -145,20 +142,23 @@ def trajectory_path(
         trajectory: What is asked for.
         present: What the group does now.
         accepted: What is accepted.
-        stream: Whether a single point that is not far ahead is a setpoint of a stream: met as soon as limits allow, and
-            left with its velocity until the next one comes.
+        stream: Whether what ends not far ahead is a window of a stream: followed from now on in its own time, and left
+            with its last velocity until the next one comes.
 
     Raises:
         JointsError: The joints are not the group's.
-        OldStampError: The trajectory ends before now.
+        OldStampError: The trajectory ends before now, a window of a stream some moments before.
         DataError: No points, a time that does not grow, a value that is not finite, a velocity at the end, a start too
             far ahead, or a tolerance that is none.
     """
     course = _course(group, joints, trajectory, present.q, accepted)
-    streams = stream and len(course.times) == 1 and course.times[0] <= STREAM_S
-    if not (streams or accepted.end_velocity):
-        _check_end(course, joints)
     delay_s = trajectory.start_s - present.now_s if trajectory.start_s != 0.0 else 0.0
+    if stream and course.times[-1] + delay_s <= STREAM_S:
+        _check_stamp(trajectory, present.now_s, delay_s + LATE_S)
+        start_ns = round(trajectory.start_s * 1e9)
+        return {"kind": "trajectory", "points": pack_points(course), "stream": True, "start_ns": start_ns}
+    if not accepted.end_velocity:
+        _check_end(course, joints)
     _check_stamp(trajectory, present.now_s, delay_s)
     course = course.since(int(np.argmax(course.times + delay_s >= 0.0)), delay_s)
     if delay_s > 0.0 and present.at_rest and course.times[0] > delay_s:
@@ -170,7 +170,6 @@ def trajectory_path(
         **_bounds(group, joints, tolerances.path, "path"),
         **_bounds(group, joints, tolerances.goal, "goal"),
         "goal_time_tolerance": _goal_time(tolerances.goal_time_s),
-        "may_be_late": bool(streams) and len(course.times) == 1,
     }
 
 

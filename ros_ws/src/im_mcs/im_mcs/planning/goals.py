@@ -17,12 +17,14 @@ class Goal:
 
     Attributes:
         id: Request that asked for it.
-        since_tick: Tick at which it was asked for.
+        since_tick: Tick at which it was asked for, and
+        since_ns: its testbed time [ns].
         fault: Why it ends early, if it does.
     """
 
     id: int
     since_tick: int
+    since_ns: int
     fault: ImError | None = None
 
 
@@ -37,8 +39,8 @@ class Queued:
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
         at_once: It has taken the place of another that had not begun: a trajectory waits for no re-timing.
+        ticks: Since it was asked for.
         preparation: Its preparation, once begun.
-        prepared_ticks: For how long it has been prepared.
         trajectory: Once prepared.
     """
 
@@ -48,8 +50,8 @@ class Queued:
     share: float
     tolerances: TrajectoryTolerances | None
     at_once: bool = False
+    ticks: int = 0
     preparation: Preparation | None = None
-    prepared_ticks: int = 0
     trajectory: Trajectory | None = None
 
 

@@ -2,7 +2,7 @@
 
 import reprlib
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,11 @@ class TimedPoints:
     q: NDArray[np.float64]
     v: NDArray[np.float64] | None
     a: NDArray[np.float64] | None
+
+    def since(self, first: int, delay_s: float) -> Self:
+        """The points from one on, later by ``delay_s`` [s]."""
+        v, a = (None if x is None else x[first:] for x in (self.v, self.a))
+        return type(self)(self.times[first:] + delay_s, self.q[first:], v, a)
 
 
 def pack_points(points: TimedPoints) -> dict[str, bytes]:

@@ -9,7 +9,7 @@ import math
 import reprlib
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_validator,
 )
 from pydantic_core import core_schema
 
@@ -169,7 +168,8 @@ class TrajectoryMove(ServoRequest):
         goal_tolerance: Bound of the error at the end, shape (n,) or empty; 0: not set, below 0: none.
         goal_velocity_tolerance: The same of the velocity.
         goal_time_tolerance: Time allowed beyond the end to be within it [s]; 0: as long as settling may take.
-        may_be_late: Its one point, which moves on with its velocity, is met as soon after its time as limits allow.
+        stream: It is followed at once, in its own time, and left with its last velocity until the next one comes.
+        start_ns: Testbed time at which the times of a stream count from [ns]; 0: from its arrival on.
     """
 
     kind: Literal["trajectory"] = "trajectory"
@@ -179,13 +179,8 @@ class TrajectoryMove(ServoRequest):
     goal_tolerance: list[float] = Field(default_factory=list)
     goal_velocity_tolerance: list[float] = Field(default_factory=list)
     goal_time_tolerance: Seconds = 0.0
-    may_be_late: bool = False
-
-    @model_validator(mode="after")
-    def _alone(self) -> Self:
-        if self.may_be_late and len(self.points.times) > 1:
-            raise ValueError(f"a trajectory of {len(self.points.times)} points cannot be late, only one of 1 point")
-        return self
+    stream: bool = False
+    start_ns: Annotated[int, Field(ge=0, description="a whole number >= 0 [ns]")] = 0
 
 
 Move = JointMove | LineMove | TrajectoryMove

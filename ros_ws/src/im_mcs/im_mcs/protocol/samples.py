@@ -22,6 +22,8 @@ def sample_type(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.
             ("setpoint_q", "<f8", joints),
             ("setpoint_v", "<f8", joints),
             ("setpoint_a", "<f8", joints),
+            ("place_s", "<f8", joints),
+            ("since_s", "<f8", joints),
             ("brakes", "?", joints),
             ("gripper", "<f8", (n_grippers,)),
             ("gripper_force", "<f8", (n_grippers,)),

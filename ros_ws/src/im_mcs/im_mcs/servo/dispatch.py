@@ -262,7 +262,7 @@ class Dispatch:
                 engaged.monitor.restart()
 
     def _goal(self, number: int) -> Goal:
-        return Goal(number, self._mcs.measured.tick)
+        return Goal(number, self._mcs.measured.tick, self._mcs.measured.stamp_ns)
 
     def _take_over(self, number: int, request: TakeOverRequest) -> None:
         """Change the owner of a group; the former motion ends on the path, and the answer names the former owner."""

@@ -314,13 +314,13 @@ class ControlledGroup:
 
     def plan(self) -> None:
         """Do one slice of the preparation of the next motion; at a knot, a ready motion begins."""
-        if not self._queue:
-            return
         for rank, queued in enumerate(self._queue):
             if queued.trajectory is None:
                 self._prepare(rank, queued)
                 break
         self._begin_next()
+        for queued in self._queue:
+            queued.ticks += 1
 
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""
@@ -408,17 +408,26 @@ class ControlledGroup:
         current, setpoint = self._current, self.planner.setpoint
         if current is None:
             return None
-        retimed = current.retimed
+        place, since = self.times
         return {
             "id": current.goal.id,
             "progress": self.planner.progress,
             "point": self.planner.point,
-            "place": self.planner.place if retimed is None else retimed.asked_time(self.planner.place),
-            "retimed": "" if retimed is None else retimed.report,
-            "time": current.ticks * self.planner.period_s,
+            "place": place,
+            "retimed": "" if current.retimed is None else current.retimed.report,
+            "time": since,
             "desired": {"positions": setpoint.q.tolist(), "velocities": setpoint.v.tolist()},
             "actual": {"positions": self._position.tolist()},
         }
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Time at which the motion asked for is where this one is, and time since it began; 0 without a goal [s]."""
+        current, place = self._current, self.planner.place
+        if current is None:
+            return 0.0, 0.0
+        since = current.ticks * self.planner.period_s
+        return place if current.retimed is None else current.retimed.asked_time(place), since
 
     def ended(self) -> list[EndedGoal]:
         """Return goals ended since the last call: goal, fault, and results (``duration`` [s] of the motion)."""
@@ -437,11 +446,14 @@ class ControlledGroup:
             return  # it takes over in the tick in which it is ready, and that is at a knot
         if not replaces and before is None and not self._end_known():
             return
-        queued.prepared_ticks += 1
         try:
             if queued.preparation is None:
                 queued.preparation = prepare(
-                    self.context, queued.move, lambda: self._start(queued), at_once=queued.at_once
+                    self.context,
+                    queued.move,
+                    lambda: self._start(queued),
+                    lambda: self._passed_s(queued),
+                    at_once=queued.at_once,
                 )
             queued.trajectory = queued.preparation.step()
         except ImError as fault:
@@ -464,6 +476,13 @@ class ControlledGroup:
         if before is not None:
             return before.at(before.duration)
         return self.planner.follower.end_setpoint
+
+    def _passed_s(self, queued: Queued) -> float:
+        """Return the time on the clock of a waiting trajectory at the present setpoint, that of the last tick [s]."""
+        move, period_s = queued.move, self.planner.period_s
+        if isinstance(move, TrajectoryMove) and move.start_ns:
+            return 1e-9 * (queued.goal.since_ns - move.start_ns) + (queued.ticks - 1) * period_s
+        return queued.ticks * period_s
 
     def _start_rate(self, queued: Queued) -> float:
         return self.planner.start_rate(self._rates.of(None, queued.share))
@@ -498,14 +517,12 @@ class ControlledGroup:
     def _note_asked(self, current: Current, queued: Queued, trajectory: Trajectory) -> None:
         """Note what tolerances of the client hold against: the trajectory as it came, from when it could have begun."""
         if isinstance(trajectory, TrackedTrajectory):
-            current.asked = trajectory
+            current.asked, current.passed_s = trajectory, trajectory.begin_s
         elif isinstance(trajectory, RetimedTrajectory):
             current.retimed, current.asked = trajectory, trajectory.asked
             current.asked_s = trajectory.asked.duration
             if queued.policy is not Policy.APPEND:
-                current.passed_s = queued.prepared_ticks * self.planner.period_s
-        elif isinstance(queued.move, TrajectoryMove) and queued.move.points.times[-1] == 0.0:
-            current.asked_s = 0.0
+                current.passed_s = (queued.ticks + 1) * self.planner.period_s
 
     # ends
 

@@ -48,6 +48,8 @@ class Reporter:
         r["stamp_ns"], r["tick"] = m.stamp_ns, m.tick
         r["q"], r["v"], r["tau"], r["age"] = m.q, mcs.v, mcs.tau, m.age_s
         r["setpoint_q"], r["setpoint_v"], r["setpoint_a"] = mcs.loop.setpoint
+        for group in mcs.groups.values():
+            r["place_s"][group.place], r["since_s"][group.place] = group.times
         r["brakes"], r["gripper"], r["gripper_force"], r["wrench"] = m.brakes, m.gripper, m.gripper_force, m.wrench
         self._channel.samples.push_record()
 

@@ -89,7 +89,7 @@ class Rig:
 
     def goal(self) -> Goal:
         self._number += 1
-        return Goal(self._number, self.tick)
+        return Goal(self._number, self.tick, round(1e9 * (self.tick + 1) * self.period))
 
     def parse(self, name: str, **arguments: Any) -> tuple[str, Any]:
         """Name and arguments of a request to the group, as the servo reads them."""

@@ -78,7 +78,7 @@ def line(*poses, **more):
         (course(point(2.0, HOME), point(2.0, HOME)), "point 2 is at 2 s, not after point 1 at 2 s"),
         (course(point(2.0, HOME, velocities=[0.0])), "point 1: velocities: 1 values for 9 joints"),
         (course(point(2.0, HOME, velocities=[math.nan] * 9)), "left_track: nan is not a finite number"),
-        (course(point(2.0, HOME), point(3.0, HOME), may_be_late=True), "a trajectory of 2 points cannot be late"),
+        (course(point(2.0, HOME), stream=True, start_ns=-1), "start_ns -1 is not a whole number >= 0 [ns]"),
         (course(point(2.0, HOME, accelerations=[0.0] * 9)), "accelerations but no velocities"),
         (course(point(2.0, HOME), path_tolerance=[0.1]), "path_tolerance: 1 values for 9 joints"),
         (course(point(2.0, HOME), goal_velocity_tolerance=[math.nan] * 9), "left_track: nan is not a finite number"),

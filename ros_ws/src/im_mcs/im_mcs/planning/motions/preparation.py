@@ -1,12 +1,13 @@
 """Preparation of a motion in bounded slices, so a long path never costs the loop the deadline."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 from im_mcs.planning.checks.context import PlanContext, Start
 from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.motions.joint import JointPreparation
-from im_mcs.planning.motions.meeting import MeetingPreparation
 from im_mcs.planning.motions.spline import SplinePreparation
+from im_mcs.planning.motions.window import WindowPreparation
 from im_mcs.planning.trajectories.trajectory import Trajectory
 from im_mcs.protocol.requests import JointMove, LineMove, Move
 
@@ -27,13 +28,16 @@ class Preparation(Protocol):
         ...
 
 
-def prepare(context: PlanContext, move: Move, start: Start, *, at_once: bool) -> Preparation:
+def prepare(
+    context: PlanContext, move: Move, start: Start, passed_s: Callable[[], float], *, at_once: bool
+) -> Preparation:
     """Begin to prepare a motion.
 
     Args:
         context: What it is planned with.
         move: What is asked for.
         start: Gives the state it begins with; for a line that must be at rest.
+        passed_s: Gives the time on the clock of a stream when it begins [s].
         at_once: Whether a trajectory begins before it could be re-timed.
 
     Raises:
@@ -43,6 +47,6 @@ def prepare(context: PlanContext, move: Move, start: Start, *, at_once: bool) ->
         return JointPreparation(context, move, start)
     if isinstance(move, LineMove):
         return LinePreparation(context, start().q, move)
-    if move.may_be_late or move.points.times[-1] == 0.0:
-        return MeetingPreparation(context, move, start)
+    if move.stream or move.points.times[-1] == 0.0:
+        return WindowPreparation(context, move, start, passed_s)
     return SplinePreparation(context, move, start, at_once=at_once)

@@ -38,6 +38,8 @@ from im_mcs.protocol.requests import TrajectoryMove
 
 # pieces whose range is looked at in one slice
 _PIECES_IN_RANGE = 100
+# slices between two ticks, for each second of the period: of what is short, and of what is long, whose slices are full
+_SHORT_S, _SLICES_OF_SHORT, _SLICES_OF_LONG = 2.0, 1400.0, 500.0
 
 
 class SplinePreparation:
@@ -58,6 +60,8 @@ class SplinePreparation:
     ) -> None:
         self._context, self._points, self._start = context, move.points, start
         self._limits = context.limits.motion.of(context.index)
+        rate = _SLICES_OF_SHORT if move.points.times[-1] <= _SHORT_S else _SLICES_OF_LONG
+        self._slices = max(round(rate * context.config.servo.period_s), 1)
         self._tracked = at_once
         self._work: Generator[None, None, Trajectory] | None = None
         self._from = np.empty(0)
@@ -75,7 +79,8 @@ class SplinePreparation:
             self._tracked |= moves
             self._work, self._from = self._prepare(start), start.q
         try:
-            next(self._work)
+            for _ in range(self._slices):
+                next(self._work)
         except StopIteration as done:
             trajectory: Trajectory = done.value
             return trajectory

@@ -22,8 +22,8 @@ from im_mcs.planning.trajectories.profile import ramp, to_meet, to_rest
 from im_mcs.planning.trajectories.scaling import Clock, scaled
 from im_mcs.planning.trajectories.trajectory import Setpoint
 
-# how far ahead the trajectory may be met [s]
-_MEETINGS_S = np.array([0.036, 0.072, 0.144, 0.288])
+# how far ahead the trajectory may be met [s]; the last one only where it goes on for ever, until a newer one comes
+_MEETINGS_S = np.array([0.036, 0.072, 0.144, 0.288, 0.576])
 _ROUNDS = 5
 # of the rate: share of the acceleration for its changes, the largest change [1/s], and the time in which that builds up
 _FORCE, _QUICKEST, _BUILD_UP_S = 0.5, 10.0, 0.1
@@ -33,12 +33,21 @@ _STRAIGHT = 1e-7
 
 
 class TrackedTrajectory(PiecewisePolynomial):
-    """A trajectory as it came, for a group that moves already."""
+    """A trajectory as it came, for a group that moves already.
+
+    Attributes:
+        begin_s: Time on its own clock from which on it is tracked [s], and
+        end_s: from which on the motion decelerates to rest, wherever it is; infinite: it is tracked to its end.
+    """
+
+    begin_s, end_s = 0.0, math.inf
 
     @classmethod
-    def of(cls, asked: PiecewisePolynomial) -> "TrackedTrajectory":
-        """Return the same trajectory, to be tracked."""
-        return cls(asked.lengths, asked.coefficients, asked.points)
+    def of(cls, asked: PiecewisePolynomial, begin_s: float = 0.0, end_s: float = math.inf) -> "TrackedTrajectory":
+        """Return the same trajectory, to be tracked between some times on its clock [s]."""
+        tracked = cls(asked.lengths, asked.coefficients, asked.points)
+        tracked.begin_s, tracked.end_s = begin_s, end_s
+        return tracked
 
 
 class TrackingFollower:
@@ -70,15 +79,15 @@ class TrackingFollower:
     ) -> None:
         self._state, self._trajectory, self._limits = start, trajectory, limits
         self._tick_s, self._divisor = tick_s, divisor
-        self._clock, self._t = Clock(rate), 0.0
+        self._clock, self._t = Clock(rate, trajectory.begin_s), 0.0
         self._way = PiecewisePolynomial.standing(start.q)
-        self._passed, self._last = 0.0, False
-        self.sigma, self.rate, self._change = 0.0, rate, 0.0
+        self._passed, self._last, self._over = 0.0, False, False
+        self.sigma, self.rate, self._change = trajectory.begin_s, rate, 0.0
 
     @property
     def finished(self) -> bool:
         """Whether the trajectory has come to the end."""
-        return self._arrived and self.sigma >= self._trajectory.duration
+        return self._arrived and (self._over or self.sigma >= self._trajectory.duration)
 
     @property
     def still(self) -> bool:
@@ -113,9 +122,11 @@ class TrackingFollower:
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
-        if rate != self._clock.rate:
+        if rate != self._clock.rate and not self._over:
             self._change_rate(rate)
-        if not self._arrived and not (self._last and self._left() <= 0.0):
+        if self.sigma >= self._trajectory.end_s and not self._over:
+            self._way, self._passed, self._last, self._over = to_rest(self._state, self._limits), 0.0, True, True
+        if not (self._arrived or self._over or (self._last and self._left() <= 0.0)):
             self._look_for_way()
         ticks = self._divisor
         if self._last and not self._arrived:
@@ -163,7 +174,7 @@ class TrackingFollower:
     def _look_for_way(self) -> None:
         """Find the way for the next moments; where no quintic keeps limits, go on as before while that leads on."""
         left, knot_s = self._left(), self._tick_s * self._divisor
-        times = np.maximum(_MEETINGS_S, 2.0 * knot_s)
+        times = np.maximum(_MEETINGS_S[: -1 if math.isinf(self._trajectory.end_s) else None], 2.0 * knot_s)
         if 0.0 < left < times[-1]:
             times = np.sort(np.append(times, max(left, self._tick_s)))
         states = [s for time in times.tolist() for s in (self._state, self._wanted(time))]
@@ -204,9 +215,9 @@ class TrackingFollower:
         direction = longest / max(float(np.linalg.norm(longest)), _TINY)
         way, v0, a0, v1 = shares = (rows @ direction)[:, None]
         if np.abs(rows - shares * direction).max() > _STRAIGHT:
-            return to_meet(start, end.q, end.v, self._limits, 0.0)
+            return to_meet(start, end.q, end.v, self._limits)
         limits = MotionLimits(*(np.array([limit]) for limit in self._limits.along(direction * unit)))
-        line = to_meet(Setpoint(np.zeros(1), v0, a0), way, v1, limits, 0.0)
+        line = to_meet(Setpoint(np.zeros(1), v0, a0), way, v1, limits)
         line.coefficients = line.coefficients * (direction * unit)
         line.coefficients[:, 0] += start.q
         return PiecewisePolynomial(line.lengths, line.coefficients)

@@ -95,7 +95,6 @@ def retime(
         check_count(count, asked.duration)
     ends = np.concatenate([[0.0], *(part.asked[1:] for part in parts)])
     middles = (ends[1:] + ends[:-1]) / 2.0
-    yield
     points = np.array(asked.points)[np.clip(np.searchsorted(asked.edges, middles, side="right") - 1, 0, None)].tolist()
     yield
     whole, filled = np.empty((count, *smooth.coefficients.shape[1:])), 0

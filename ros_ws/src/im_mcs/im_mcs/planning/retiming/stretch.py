@@ -91,7 +91,6 @@ def retime_stretch(
     speed = np.append(path.speed[0], path.speed[1, -1])
     speed[[0, -1]] = 0.0
     square, room = _first_rates(path, limits)  # squared: accelerations are linear in them
-    yield
     square = gentle(square, room)
     before, longest = np.inf, _LONGEST_S + _LONGER * (end - begin)
     for rank in range(_ROUNDS):
@@ -110,7 +109,6 @@ def retime_stretch(
         before = worst
         slower = np.minimum(1.0 / over, 1.0)
         square = gentle(square * _around(law, slower, float(nodes[1])) ** 2, room)
-        yield
     place = float(retimed.asked[int(over.argmax()) : int(over.argmax()) + 2].mean())  # rest where it is worst
     if worst > _SLOWEST and stops > 0 and begin < place < end:
         before_it = yield from retime_stretch(trajectory, begin, place, limits, stops - 1)
@@ -176,7 +174,6 @@ def _law(path: AskedPath, speed: Array, limits: MotionLimits) -> Generator[None,
     for _ in range(_SPANS):
         law = TimeLaw(path.way, speed, span, span * _APART)
         check_count(law.pieces, float(path.tau[-1] - path.tau[0]))
-        yield
         nodes, needed = law.nodes(), 0.0
         for k in range(0, len(nodes) - 1, 4 * CHUNK):
             t = nodes[k : k + 4 * CHUNK + 1]

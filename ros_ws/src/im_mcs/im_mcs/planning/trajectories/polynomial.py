@@ -131,15 +131,6 @@ class PiecewisePolynomial:
         scale = (1.0 / factor) ** _POWERS
         return PiecewisePolynomial((self.lengths * factor).tolist(), self.coefficients * scale[:, None], self.points)
 
-    def until(self, time: float) -> "PiecewisePolynomial":
-        """Return the trajectory up to a time after the begin [s]; the whole, if over by then."""
-        if time >= self.duration:
-            return self
-        count = bisect.bisect_left(self._starts, time)
-        lengths = self.lengths[:count].copy()
-        lengths[-1] = time - self._starts[count - 1]
-        return PiecewisePolynomial(lengths.tolist(), self.coefficients[:count], self.points[:count])
-
     def followed_by(self, others: Sequence["PiecewisePolynomial"]) -> "PiecewisePolynomial":
         """Return the trajectory followed by ``others``, each beginning at the end of the previous one."""
         parts = [self, *others]

@@ -70,16 +70,15 @@ def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
 
 
 def to_meet(
-    start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits, least_s: float
+    start: Setpoint, q: NDArray[np.float64], v: NDArray[np.float64], limits: MotionLimits
 ) -> PiecewisePolynomial:
-    """Return the quickest motion from any state to ``q`` with velocity ``v``, shape (n,), of at least ``least_s`` [s].
+    """Return the quickest motion from any state to ``q`` with velocity ``v``, shape (n,).
 
     Raises:
         DataError: Ruckig finds no trajectory.
     """
     asked = request(start, limits)
     asked.target_position, asked.target_velocity = q.tolist(), v.tolist()
-    asked.minimum_duration = least_s
     return _solve(asked, f"to {q.tolist()} with velocity {v.tolist()}")
 
 

@@ -25,11 +25,11 @@ def timed_trajectory(message: JointTrajectory) -> TimedTrajectory:
     number = next((number for number, point in enumerate(points, start=1) if point.effort), 0)
     if number:
         raise DataError(f"point {number} has efforts; only positions, velocities and accelerations can be followed")
-    q = _column([point.positions for point in points], "positions", "position", len(joints))
-    v = _column([point.velocities for point in points], "velocities", "velocity", len(joints))
-    a = _column([point.accelerations for point in points], "accelerations", "acceleration", len(joints))
-    assert q is not None
     times = np.array([_seconds(point.time_from_start) for point in points])
+    q = _column([point.positions for point in points], "positions", "position", len(joints))
+    assert q is not None
+    v = _velocities([point.velocities for point in points], times, q)
+    a = _column([point.accelerations for point in points], "accelerations", "acceleration", len(joints))
     return TimedTrajectory(joints, times, q, v, a, _seconds(message.header.stamp))
 
 
@@ -49,6 +49,26 @@ def goal_tolerances(goal: FollowJointTrajectory.Goal) -> GoalTolerances:
             raise DataError(f"{name} is not empty; the joints here have one degree of freedom each")
     path = _tolerances(goal.path_tolerance, "path_tolerance")
     return GoalTolerances(path, _tolerances(goal.goal_tolerance, "goal_tolerance"), _seconds(goal.goal_time_tolerance))
+
+
+def _velocities(
+    rows: "list[array[float]]", times: NDArray[np.float64], q: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Velocities of all points, shape (m, n); None where no point has any.
+
+    A point without velocities is passed with the harmonic mean of the slopes on both sides, with 0 where a joint turns
+    round, so that no joint swings beyond the point (F. N. Fritsch, J. Butland, "A method for constructing local
+    monotone piecewise cubic interpolants", 1984); a first one with the slope behind it; the last one is a rest.
+    """
+    missing = np.array([not row for row in rows])
+    if missing.all() or not missing.any():
+        return _column(rows, "velocities", "velocity", q.shape[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.diff(q, axis=0) / np.diff(times)[:, None]
+        before, after = np.vstack([slope[:1], slope]), np.vstack([slope, np.zeros_like(slope[:1])])
+        own = np.where(before * after > 0.0, 2.0 * before * after / (before + after), 0.0)
+    filled = [array("d", own[k]) if lacks else row for k, (row, lacks) in enumerate(zip(rows, missing, strict=True))]
+    return _column(filled, "velocities", "velocity", q.shape[1])
 
 
 def _column(rows: "list[array[float]]", field: str, quantity: str, n: int) -> NDArray[np.float64] | None:

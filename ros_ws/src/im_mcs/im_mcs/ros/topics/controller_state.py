@@ -9,6 +9,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from im_core.ros import qos
 from im_core.ros.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
+from im_mcs.ros.messages import duration
 
 _RATE = "controller_state_rate"
 _LEAST_HZ, _USUAL_HZ, _MOST_HZ = 0.1, 50.0, 250.0
@@ -76,6 +77,10 @@ class ControllerStates:
         message.feedback = JointTrajectoryPoint(positions=measured_q, velocities=measured_v)
         message.error = JointTrajectoryPoint(positions=_less(q, measured_q), velocities=_less(v, measured_v))
         message.output = JointTrajectoryPoint(effort=tau)
+        place_s, since_s = sample["place_s"][index[0]], sample["since_s"][index[0]]
+        times = (place_s, since_s, place_s - since_s)
+        for point, seconds in zip((message.reference, message.feedback, message.error), times, strict=True):
+            point.time_from_start = duration(seconds)
         return message
 
 
