@@ -50,6 +50,7 @@ WHY = {
     "jsonschema": "tests: the schema of net files",
     "networkx": "tests: graphs to compare with",
     "mcap-ros2-support": "tests: another reader of bags",
+    "playwright": "tests: the page in a browser",
     "ruff": "style",
     "mypy": "types",
     "types-pyyaml": "types of pyyaml",

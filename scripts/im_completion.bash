@@ -6,7 +6,7 @@ _im() {
   local word="${COMP_WORDS[COMP_CWORD]}" before="${COMP_WORDS[COMP_CWORD - 1]}" list="$IM_RUN_DIR/commands.txt" words
   COMPREPLY=()
   if ((COMP_CWORD == 1)); then
-    words="doctor dom load pnt recover run unload"
+    words="doctor dom load pnt recover run unload view"
   elif [[ "${COMP_WORDS[1]}" != run || ! -r "$list" ]]; then
     return
   elif ((COMP_CWORD == 2)); then
