@@ -52,6 +52,7 @@ WHY = {
     "networkx": "tests: graphs to compare with",
     "mcap-ros2-support": "tests: another reader of bags",
     "mkdocs-material": "docs as a site",
+    "playwright": "tests: the page in a browser",
     "ruff": "style",
     "mypy": "types",
     "types-pyyaml": "types of pyyaml",

@@ -19,6 +19,12 @@ for argument in "$@"; do
 done
 
 "$IM_ROOT/scripts/setup.sh"
+# The tests of the page need a browser, which PyPI does not have; without one they are skipped, and say how to get it.
+if ((!quick && EUID == 0)) && ! command -v chromium chromium-browser >/dev/null && command -v apt-get >/dev/null; then
+  say "test: installing chromium, in which the page is tested"
+  { apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; } >/dev/null ||
+    say "test: chromium could not be installed; the tests of the page are skipped"
+fi
 im_env
 export PYTHONPATH="$IM_ROOT:$IM_ROOT/test:$PYTHONPATH"  # bench, and test/support, also for the children of tests
 unset PYTHONDONTWRITEBYTECODE  # else each process compiles pytest, hypothesis and what it imports of the tests anew

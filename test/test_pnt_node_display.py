@@ -1,6 +1,7 @@
 """The display server shows what nets do, to any number of viewers."""
 
 import asyncio
+import contextlib
 import json
 import threading
 import urllib.request
@@ -9,6 +10,8 @@ import aiohttp
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import CompressedImage, JointState
+from std_msgs.msg import String
 
 from im_core import clock
 from im_core.ros import qos
@@ -203,7 +206,7 @@ def test_what_motion_control_said_last_is_stale_when_it_has_fallen_silent(machin
         McsState(state="motion", power=True, groups=[GroupStatus(group="left", state="motion", reserved=True)])
     )
     said = {"kind": "mcs", "state": "motion", "reason": "", "power": True, "brakes": False}
-    said["groups"] = {"left": "motion"}
+    said |= {"groups": {"left": "motion"}, "protective_stop": "", "stopped": {}}
     wait_until(lambda: shown()["mcs"] == {**said, "stale": False}, "the state of MCS on the page")
     display._mcs.silence_s = 0.0
     wait_until(lambda: shown()["mcs"] == {**said, "stale": True}, "it to be marked as stale")
@@ -231,3 +234,110 @@ def test_of_descriptions_that_come_faster_than_they_are_drawn_the_last_of_each_n
     in_loop(display, display._describe, NetDescription(net="last", node="/n", json="0"))
     wait_until(lambda: ("last", "0") in drawn, "another drawing")
     assert len(drawn) == 4
+
+
+def test_the_cell_and_the_commands_are_followed_while_somebody_looks(machine, wait_until):
+    display, walker = machine
+    robots = walker.create_publisher(String, "/robot_description", qos.LATCHED)
+    joints = walker.create_publisher(JointState, "/joint_states", qos.EVENTS)
+    images = walker.create_publisher(CompressedImage, "/wall/image_raw/compressed", qos.IMAGES)
+    robots.publish(String(data="<robot/>"))
+    topics = ("/robot_description", "/joint_states", "/wall/image_raw/compressed", "/markers", "/dispatcher/commands")
+
+    def followed():
+        counts = [walker.count_subscribers(topic) for topic in topics]
+        return all(counts) if any(counts) else None
+
+    assert followed() is None
+    wait_until(lambda: "/wall/image_raw/compressed" in dict(display.get_topic_names_and_types()), "the camera")
+
+    async def look():
+        parts = {}
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{display.server.url}ws") as viewer:
+            await viewer.send_json({"net": "", "request": "look", "argument": "cell"})
+            while parts.keys() < {"robot", "joints", "image/wall"}:
+                if followed():
+                    joints.publish(JointState(name=["j"], position=[0.5]))
+                    images.publish(CompressedImage(format="jpeg", data=b"JPEG"))
+                with contextlib.suppress(TimeoutError):
+                    change = await viewer.receive_json(timeout=0.2)
+                    if change["kind"] == "cell":
+                        parts[change["part"]] = change["content"]
+        return parts
+
+    parts = asyncio.run(asyncio.wait_for(look(), 60.0))
+    assert parts == {"robot": "<robot/>", "joints": {"j": 0.5}, "image/wall": "data:image/jpeg;base64,SlBFRw=="}
+    wait_until(lambda: followed() is None, "everything to be left alone")
+
+
+def test_who_operates_starts_and_controls_commands_and_is_told_what_was_refused(tmp_path, monkeypatch, wait_until, ros):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "shown.yaml").write_text(NET)
+    alone = [Parameter("standalone", value=True)]
+    held = []
+
+    async def walk(ctx):
+        held.append(dispatcher.promise())
+        await held[-1]
+
+    display = DisplayNode(parameter_overrides=[*alone, Parameter("port", value=0), Parameter("control", value=True)])
+    dispatcher = PntNode(
+        "dispatcher", [tmp_path / "shown.yaml"], {"walk": walk}, verifier=verify_to_load, parameter_overrides=alone
+    )
+
+    async def talk():
+        changes = []
+        socket = display.server.address.replace("/?", "/ws?")
+
+        async def until(wanted):
+            while not any(wanted(change) for change in changes):
+                changes.append(await viewer.receive_json(timeout=60.0))
+            return next(change for change in changes if wanted(change))
+
+        def answered(words):
+            return until(lambda change: change["kind"] == "answer" and words in change["message"])
+
+        def told(part, number):
+            return until(
+                lambda change: (
+                    change["kind"] == "commands"
+                    and change["part"] == part
+                    and any(each["number"] == number for each in change["content"])
+                )
+            )
+
+        async def ask(request, argument):
+            await viewer.send_json({"net": "", "request": request, "argument": argument})
+
+        async with aiohttp.ClientSession() as session, session.ws_connect(socket) as viewer:
+            known = await until(lambda change: change["kind"] == "commands" and change["part"] == "known")
+            assert [each["symbol"] for each in known["content"]] == ["go"]
+            for request, argument, words in (
+                ("start", '{"symbol": "gone"}', "gone"),
+                ("start", "5", "a command"),
+                ("pause", "x", "'x' is no number of a command"),
+                ("pause", "77", "77"),
+                ("dance", "", "'dance' is nothing that a machine can do"),
+            ):
+                await ask(request, argument)
+                assert not (await answered(words))["success"]
+            await ask("start", '{"symbol": "go"}')
+            assert (await answered("go is command 1"))["success"]
+            (listed,) = (await told("listed", 1))["content"]
+            assert (listed["symbol"], listed["state"]) == ("go", "running")
+            held[0].set_result(None)
+            (ended,) = (await told("ended", 1))["content"]
+            assert (ended["symbol"], ended["success"]) == ("go", True)
+
+    ros(display, dispatcher)
+    wait_until(lambda: display.server.state.snapshot()["markings"], "the net")
+    in_loop(dispatcher, dispatcher.offer_commands)
+    asyncio.run(asyncio.wait_for(talk(), 120.0))
+
+
+def test_a_display_that_takes_the_place_of_a_killed_one_keeps_its_token(tmp_path, monkeypatch, ros):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "pnt_display.url").write_text("http://localhost:1/?token=former\n")
+    own = [Parameter("standalone", value=True), Parameter("port", value=0), Parameter("control", value=True)]
+    display = ros(DisplayNode(parameter_overrides=own))
+    assert display.server.address == f"{display.server.url}?token=former"

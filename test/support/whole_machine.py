@@ -54,9 +54,14 @@ def run_script(name, *arguments, timeout=300.0, **environment):
 
 
 @contextlib.contextmanager
-def running_machine(*deployment):
-    """A machine that is ready, of the default deployment or another; it is stopped at the end of the block."""
-    started = run_script("start", *deployment, "--factor", 0, "--seed", SEED, "--port", free_port())
+def running_machine(*arguments, port=0):
+    """A machine that is ready, of the default deployment or another; it is stopped at the end of the block.
+
+    Args:
+        arguments: Of ``scripts/start.sh``: a deployment, options.
+        port: Of the page; 0: a free one.
+    """
+    started = run_script("start", *arguments, "--factor", 0, "--seed", SEED, "--port", port or free_port())
     assert started.returncode == 0, started.stdout + started.stderr
     machine = Machine()
     try:

@@ -6,7 +6,7 @@ setup(
     name="im_pnt_display",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"im_pnt_display": ["page/static/*"]},
+    package_data={"im_pnt_display": ["page/static/*", "page/vendor/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_pnt_display"]),
         ("share/im_pnt_display", ["package.xml"]),
@@ -16,11 +16,12 @@ setup(
     zip_safe=False,
     maintainer="im maintainers",
     maintainer_email="maintainers@im.invalid",
-    description="Drawing of Petri net transducers and the web page that shows them live.",
+    description="Drawing of Petri net transducers and the web page that shows and operates the machine.",
     license="MIT",
     entry_points={
         "console_scripts": [
             "pnt_display = im_pnt_display.ros.node:main",
+            "view = im_pnt_display.cli:view",
         ],
         "im_pnt.commands": ["display = im_pnt_display.cli:add_display", "draw = im_pnt_display.cli:add"],
         "im_pnt.counterexamples": ["drawings = im_pnt_display.page.messages:drawn_counterexample"],

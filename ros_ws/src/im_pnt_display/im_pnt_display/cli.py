@@ -1,17 +1,51 @@
-"""``pnt draw``: draws a net. ``pnt display``: shows the nets over a recording on a web page."""
+"""``im view``: opens the page. ``pnt draw``: draws a net. ``pnt display``: shows a recording on the page."""
 
 import argparse
+import os
+import sys
 import threading
+import webbrowser
 from pathlib import Path
 
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
+from im_core.files import read_text
+from im_core.names import display_file
+from im_core.output import complain
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, write_output
 from im_pnt_display.drawing.draw import dot, draw, svg
 
 _DISPLAY = """Shows the nets of a recording on the web page that shows those of a machine, with a time line to scroll
 in: play, pause, step, and any moment at once. No machine is needed, and none is touched. Until Ctrl-C."""
+
+
+def view() -> int:
+    """Run ``im view``."""
+    parser = argparse.ArgumentParser(
+        prog="im view",
+        description="Print the address of the machine's page, and open the page where this session has a screen. Where "
+        "scripts/start.sh --control started the machine, the address has the token that lets the page operate it: a "
+        "secret of yours. With BAG: the page over a recording, until Ctrl-C.",
+        epilog="Exit codes: 0 shown, 1 the bag cannot be read, 2 bad usage, 3 no machine shows a page.",
+    )
+    parser.add_argument("bag", nargs="?", type=Path, metavar="BAG", help="folder of a bag, or a file of it")
+    _add_address(parser)
+    options = parser.parse_args()
+    try:
+        if options.bag is not None:
+            return run_display(options)
+        address = read_text(display_file()).strip()
+    except ImError as error:
+        if options.bag is not None:
+            complain(f"im view: {error.message}")
+            return 1
+        complain("im view: no machine shows a page here; scripts/start.sh starts one, im view BAG shows a recording")
+        return 3
+    print(address)
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(address)
+    return OK
 
 
 def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -39,11 +73,18 @@ def add_display(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     parser = commands.add_parser("display", help="show the nets over a recording", description=_DISPLAY)
     parser.set_defaults(run=run_display)
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
+    _add_address(parser)
+
+
+def _add_address(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--host", default="127.0.0.1", help="address that the page is served on, 0.0.0.0: all (default: %(default)s)"
+        "--host", default="127.0.0.1", help="of a bag: address to serve on, 0.0.0.0: all (default: %(default)s)"
     )
     parser.add_argument(
-        "--port", type=_port, default=8080, help="TCP port, the next free one if in use; 0: any (default: %(default)s)"
+        "--port",
+        type=_port,
+        default=8080,
+        help="of a bag: TCP port, the next free one if in use; 0: any (default: %(default)s)",
     )
 
 
@@ -71,3 +112,7 @@ def _port(text: str) -> int:
     if not (text.isascii() and text.isdecimal() and int(text) < 65536):
         raise argparse.ArgumentTypeError(f"{text[:60]} is no TCP port, 0 to 65535")
     return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(view())

@@ -170,3 +170,29 @@ def test_an_arc_that_empties_a_place_is_drawn_as_such():
     drawing = draw(parse_net(f"net: n\nplaces: {places}\ntransitions: {{t: {{in: a, out: [a, c], resets: c}}}}\n"))
     assert '"c" -> "t" [arrowhead=normalnormal];' in dot(drawing)
     assert 'stroke-dasharray="7 2 1 2"' in svg(drawing)
+
+
+def test_the_usual_part_is_what_tokens_reach_while_nothing_fails():
+    net = parse_net(
+        """
+net: n
+places: {idle: 1, here: , there: , lost: , broken: }
+transitions:
+  go: {in: idle, out: here}
+  walk: {in: here, out: there, action: walk, on_failure: lost}
+  mend: {in: lost, out: broken}
+  give_up: {in: [broken, idle], out: idle}
+  back: {in: there, out: idle}
+""",
+        "n.yaml",
+    )
+    usual, whole = draw(net, usual=True), draw(net)
+    assert {node.name for node in usual.nodes} == {"idle", "here", "there", "go", "walk", "back"}
+    assert {"mend", "give_up", "lost", "broken"} < {node.name for node in whole.nodes}
+    assert {arc.kind for arc in usual.arcs} == {"flow"}
+
+
+def test_what_other_nets_mark_is_usual(data):
+    """A coordinator is asked by places that none of its transitions marks."""
+    names = {node.name for node in draw(load_net(data / "coordinator.yaml"), usual=True).nodes}
+    assert {"asked", "found", "accept.find", "return.find"} <= names

@@ -28,7 +28,7 @@ from im_pnt_display.page.site import (
     TOO_MANY,
     Allowance,
 )
-from im_pnt_display.page.state import REFUSALS_KEPT, DisplayState
+from im_pnt_display.page.state import MOST_CELL_PARTS, REFUSALS_KEPT, DisplayState
 from im_pnt_display.page.viewers import Viewers
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
@@ -61,11 +61,16 @@ def asked(server, path="", **headers):
     return asyncio.run(ask())
 
 
+def socket_of(server):
+    """The address of the socket of who may do whatever the page may."""
+    return f"{server.url}ws{server.address.removeprefix(server.url)}"
+
+
 def told(server, *texts, kinds=("answer",)):
     """What a viewer hears that sends texts, until the last kind that it waits for."""
 
     async def talk():
-        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+        async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
             heard = [await viewer.receive_json(timeout=60.0)]
             for text in texts:
                 await viewer.send_str(text)
@@ -166,6 +171,74 @@ def test_who_may_operate_is_heard(serve):
     assert heard == [ASKED]
 
 
+@pytest.mark.parametrize("path", ["", "ws"])
+@pytest.mark.parametrize("token", ["", "wrong", "\u00e4"])
+def test_whoever_has_another_token_is_told_where_the_right_one_is(serve, path, token):
+    server = serve(operate=lambda wanted: None, token="right")
+    assert asked(server, f"{path}?token={token}")[::2] == (403, module.WRONG_TOKEN)
+    assert asked(server)[0] == 200, "who only looks needs none"
+    assert server.address == f"{server.url}?token=right"
+
+
+def test_without_the_token_a_page_only_looks(serve):
+    heard = []
+    server = serve(operate=heard.append)
+
+    async def talk():
+        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+            await viewer.receive_json(timeout=60.0)
+            await viewer.send_json(ASKED)
+            return await viewer.receive_json(timeout=60.0)
+
+    assert asyncio.run(talk())["message"] == READ_ONLY
+    assert heard == []
+    assert DisplayServer(operate=heard.append).address != DisplayServer(operate=heard.append).address
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_the_cell_is_for_who_looks_at_it_and_its_viewers_are_counted(serve, wait_until, apart):
+    counted = []
+    server = serve(audience=lambda *numbers: counted.append(numbers), apart=apart)
+    state = server.state
+
+    async def talk():
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(socket_of(server)) as other,
+            session.ws_connect(socket_of(server)) as viewer,
+        ):
+            for each in (other, viewer):
+                await each.receive_json(timeout=60.0)
+            server.show(state.cell("robot", "<robot/>"))
+            server.show(state.cell("marker/a/1", None))
+            server.show({"kind": "done"})
+            assert (await viewer.receive_json(timeout=60.0))["kind"] == "done"
+            await viewer.send_json({"net": "", "request": "look", "argument": "cell"})
+            parts = [await viewer.receive_json(timeout=60.0)]
+            server.show(state.cell("joints", {"j": 1.0}))
+            parts.append(await viewer.receive_json(timeout=60.0))
+            await viewer.send_json({"net": "", "request": "look", "argument": ""})
+            while counted[-1] != (2, 0):
+                await asyncio.sleep(0.01)
+            server.show(state.cell("joints", {"j": 2.0}))
+            server.show({"kind": "done"})
+            assert (await viewer.receive_json(timeout=60.0))["kind"] == "done"
+            assert [(await other.receive_json(timeout=60.0))["kind"] for _ in range(2)] == ["done", "done"]
+            return parts
+
+    assert [part["content"] for part in asyncio.run(talk())] == ["<robot/>", {"j": 1.0}]
+    wait_until(lambda: counted[-1] == (0, 0), "the leaving of all")
+    assert (2, 1) in counted
+
+
+def test_of_the_cell_no_more_is_kept_than_a_cell_has():
+    state = DisplayState()
+    entered = [state.enter(state.cell(f"marker/m/{number}", {})) for number in range(MOST_CELL_PARTS + 5)]
+    assert entered == [True] * MOST_CELL_PARTS + [False] * 5
+    assert state.enter(state.cell("marker/m/0", None))
+    assert len(state.cell_parts()) == MOST_CELL_PARTS - 1
+
+
 @pytest.mark.parametrize("field", ["net", "request", "argument"])
 @pytest.mark.parametrize("text", [r"\ud800", r"a\udfffb", r"\udc00\ud800"])
 def test_text_that_no_message_can_carry_is_passed_over(serve, field, text):
@@ -182,7 +255,7 @@ def test_a_request_that_is_too_long_ends_its_own_connection_alone(serve):
     server = serve(operate=heard.append)
 
     async def talk():
-        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+        async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
             await viewer.receive_json(timeout=60.0)
             await viewer.send_str("x" * (LONGEST_REQUEST + 1))
             return (await viewer.receive(timeout=60.0)).type
@@ -229,10 +302,10 @@ def test_more_viewers_than_it_can_serve_are_told_so(serve, monkeypatch):
     server = serve()
 
     async def look():
-        async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
+        async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
             await viewer.receive_json(timeout=60.0)
             with pytest.raises(aiohttp.WSServerHandshakeError) as error:
-                await session.ws_connect(f"{server.url}ws")
+                await session.ws_connect(socket_of(server))
             return error.value.status
 
     assert asyncio.run(look()) == 503
@@ -275,7 +348,7 @@ def ping(viewer):
 async def flooded(url, send):
     """Have a viewer send without an end; returns what it heard until its connection was ended."""
     heard = []
-    async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as viewer:
+    async with aiohttp.ClientSession() as session, session.ws_connect(url) as viewer:
 
         async def flood():
             with contextlib.suppress(ConnectionError, aiohttp.ClientError):
@@ -295,7 +368,7 @@ async def flooded(url, send):
 @pytest.mark.parametrize("apart", [False, True])
 def test_a_viewer_that_sends_too_much_is_told_so_and_ended(serve, send, apart):
     server = serve(apart=apart)
-    heard = asyncio.run(flooded(server.url, send))
+    heard = asyncio.run(flooded(socket_of(server), send))
     assert heard[-1]["message"] == TOO_FAST
     assert asked(server)[0] == 200
 
@@ -305,7 +378,7 @@ def test_a_flood_of_many_viewers_reaches_nets_at_the_rate_of_the_page(serve):
     server = serve(operate=heard.append, apart=True)
 
     async def flood():
-        return await asyncio.gather(*(flooded(server.url, ask) for _ in range(20)))
+        return await asyncio.gather(*(flooded(socket_of(server), ask) for _ in range(20)))
 
     began = monotonic()
     told_all = asyncio.run(flood())
@@ -320,8 +393,8 @@ def test_what_one_viewer_may_not_do_is_told_to_that_viewer_alone(serve):
     async def talk():
         async with (
             aiohttp.ClientSession() as session,
-            session.ws_connect(f"{server.url}ws") as other,
-            session.ws_connect(f"{server.url}ws") as viewer,
+            session.ws_connect(socket_of(server)) as other,
+            session.ws_connect(socket_of(server)) as viewer,
         ):
             for each in (other, viewer):
                 await each.receive_json(timeout=60.0)
@@ -404,7 +477,7 @@ def test_the_controls_of_a_net_stay_while_it_fires(tmp_path):
 
 
 PLAYS = """
-import { Recording } from "./recording.mjs";
+import { Recording } from "./recording.js";
 let now = 0, frames = [], answers = [];
 const anything = () => new Proxy(() => {}, { get: (_, name) => (name === Symbol.toPrimitive ? () => 1 : anything()),
                                              set: () => true, apply: () => anything() });
@@ -444,7 +517,9 @@ console.log(JSON.stringify(found));
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node, which runs the scripts of the page")
 def test_a_recording_plays_at_its_pace_however_often_play_is_clicked(tmp_path):
-    (tmp_path / "recording.mjs").write_text((module.STATIC / "recording.js").read_text())
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    for name in ("player.js", "recording.js"):
+        shutil.copy(module.STATIC / name, tmp_path)
     (tmp_path / "plays.mjs").write_text(PLAYS)
     done = subprocess.run(["node", tmp_path / "plays.mjs"], check=True, capture_output=True, text=True)
     assert json.loads(done.stdout) == [1.0, 1.0, 0.0, 0.0, 1.0]

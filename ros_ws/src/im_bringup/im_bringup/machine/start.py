@@ -61,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, help="seed of all random numbers")
     parser.add_argument("--port", type=int, help="TCP port of the display (a web page); the next free one if in use")
     parser.add_argument(
-        "--control", action="store_true", default=None, help="let the display operate nets (default: only show them)"
+        "--control", action="store_true", default=None, help="let the page operate the machine (default: only show it)"
     )
     parser.add_argument(
         "--unproved",

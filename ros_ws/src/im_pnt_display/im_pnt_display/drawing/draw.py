@@ -77,14 +77,15 @@ class Drawing:
         return [[*ends[index, True], *route, *ends[index, False]] for index, route in enumerate(inner)]
 
 
-def draw(net: Net, *, phases: bool = False) -> Drawing:
+def draw(net: Net, *, phases: bool = False, usual: bool = False) -> Drawing:
     """Lay out a net.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
+        usual: Leave out what tokens reach only after a failure.
     """
-    nodes, arcs = parts(net, phases=phases)
+    nodes, arcs = parts(net, phases=phases, usual=usual)
     top = [node.name for node in nodes if node.tokens and node.kind == "place" and node.name != OUTPUT_SEMAPHORE]
     layout = layered({node.name: node.box for node in nodes}, [(arc.source, arc.target) for arc in arcs], top)
     return Drawing(net.name, nodes, arcs, layout)

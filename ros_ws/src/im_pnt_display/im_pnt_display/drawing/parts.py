@@ -71,15 +71,17 @@ class DrawnArc:
     kind: str
 
 
-def parts(net: Net, *, phases: bool = False) -> tuple[tuple[DrawnNode, ...], tuple[DrawnArc, ...]]:
+def parts(net: Net, *, phases: bool = False, usual: bool = False) -> tuple[tuple[DrawnNode, ...], tuple[DrawnArc, ...]]:
     """Return the nodes and arcs to draw.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
+        usual: Leave out what tokens reach only after a failure.
     """
     whole = expand(net)
-    shown, renamed = _distinct(whole if phases else _folded(net, whole))
+    folded = whole if phases else _folded(net, whole)
+    shown, renamed = _distinct(_usual(folded) if usual else folded)
     nodes = {node.name: node for node in _nodes(shown)}
     for name, place in renamed.items():
         nodes[name] = replace(nodes[name], label=place, place=place)
@@ -151,6 +153,38 @@ def _folded(net: Net, whole: Net) -> Net:
     hidden = {place(name) for name, t in net.transitions.items() if t.action is not None for place in phases}
     places = {name: place for name, place in whole.places.items() if name not in hidden}
     return Net(net.name, places, {**net.transitions, **structure}, escalate=net.escalate)
+
+
+def _usual(net: Net) -> Net:
+    """Return the part of a net that tokens reach while no action fails.
+
+    Places that no transition marks are marked by other nets.
+    """
+    every = net.transitions.values()
+    produced = {place for t in every for place in (*t.outputs, *t.on_failure, *t.on_doubt)}
+    reached = {place.name for place in net.places.values() if place.tokens or place.name not in produced}
+    kept: dict[str, Transition] = {}
+    while new := [t for t in every if t.name not in kept and reached.issuperset(t.inputs)]:
+        for t in new:
+            kept[t.name] = t
+            reached.update(t.outputs)
+    transitions = {
+        t.name: replace(
+            t,
+            inhibitors={place: weight for place, weight in t.inhibitors.items() if place in reached},
+            resets=tuple(place for place in t.resets if place in reached),
+            on_failure={},
+            on_doubt={},
+        )
+        for t in every
+        if t.name in kept
+    }
+    return replace(
+        net,
+        places={name: place for name, place in net.places.items() if name in reached},
+        transitions=transitions,
+        escalate=None,
+    )
 
 
 def _nodes(net: Net) -> Iterator[DrawnNode]:

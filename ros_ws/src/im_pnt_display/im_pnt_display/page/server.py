@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import errno
+import json
+import secrets
 import socket
 import sys
 import threading
@@ -14,7 +16,7 @@ from im_core.errors import LinkError
 from im_core.process import ChildProcess
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
-from im_pnt_display.page.viewers import Operate, Viewers
+from im_pnt_display.page.viewers import Audience, Operate, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -39,9 +41,11 @@ class DisplayServer:
         host: Address to listen on, 0.0.0.0 are all of IPv4 and :: all of IPv6; it answers to that name, to those of
             this computer for itself, and on all addresses to those of this computer for others.
         port: Port; the next free one is taken where it is in use, any free one for 0.
-        operate: Takes what viewers want done with nets; None: they only look.
+        operate: Takes what viewers with the token want done; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
         apart: Whether a process of its own answers, which begins with the first visitor: viewers cannot slow this one.
+        audience: Takes each change of the numbers of viewers.
+        token: That of the address at which viewers may operate; empty: a new one.
     """
 
     def __init__(
@@ -51,12 +55,15 @@ class DisplayServer:
         operate: Operate | None = None,
         recording: "RecordedNets | None" = None,
         apart: bool = False,
+        audience: Audience = lambda viewers, of_cell: None,
+        token: str = "",
     ) -> None:
         self.state = DisplayState()
+        self._token, self._audience = token or secrets.token_urlsafe(16), audience
         self._host, self._port, self._recording, self._apart = host, port, recording, apart
         self.state.operable = operate is not None
         self.state.recording = recording.overview if recording is not None else None
-        self._operate, self._viewers = operate, Viewers(self.state)
+        self._operate, self._viewers = operate, Viewers(self.state, audience if not apart else _nobody)
         self._sockets: list[socket.socket] = []
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -67,6 +74,11 @@ class DisplayServer:
         """Address of the page."""
         host = "localhost" if is_everywhere(self._host) else self._host
         return f"http://{f'[{host}]' if ':' in host else host}:{self._port}/"
+
+    @property
+    def address(self) -> str:
+        """Address of the page, where viewers may operate with the token; a secret of this user."""
+        return f"{self.url}?token={self._token}" if self._operate is not None else self.url
 
     def start(self) -> None:
         """Begin to serve.
@@ -106,7 +118,7 @@ class DisplayServer:
             else:
                 from im_pnt_display.page.site import Site  # with the libraries
 
-                site = Site(self._host, self._viewers, self._operate, self._recording)
+                site = Site(self._host, self._viewers, self._operate, self._recording, self._token)
                 await site.serve(self._sockets, self._stop)
 
     async def _visited(self) -> bool:
@@ -126,11 +138,13 @@ class DisplayServer:
         with its:
             child = ChildProcess.of_module(WEB_PROCESS, [self._host, *map(str, given)], inherit=given)
         reader, writer = await asyncio.open_connection(sock=ours)
-        backlog = self._viewers.enter()
+        writer.write(f"{self._token}\n".encode())
+        backlog = self._viewers.enter(of_cell=True)
         try:
             await _first(_pass_on(backlog, writer), self._take_requests(reader), self._stop.wait())
         finally:
             self._viewers.leave(backlog)
+            self._audience(0, 0)
             writer.transport.abort()
             with contextlib.suppress(OSError):
                 await writer.wait_closed()
@@ -141,8 +155,11 @@ class DisplayServer:
 
     async def _take_requests(self, reader: asyncio.StreamReader) -> None:
         while line := await reader.readline():
-            if self._operate is not None:
-                self._operate(read_json(dict[str, str], line.decode(), "a request"))
+            wanted = read_json(dict[str, str], line.decode(), "a request")
+            if wanted["request"] == "audience":
+                self._audience(*json.loads(wanted["argument"]))
+            elif self._operate is not None:
+                self._operate(wanted)
 
     def _listen(self) -> None:
         first = self._port
@@ -158,6 +175,10 @@ class DisplayServer:
             self._port = int(self._sockets[0].getsockname()[1])
             return
         raise LinkError(f"cannot serve the display on {self._host}: ports {first} to {port} are all in use", port=first)
+
+
+def _nobody(viewers: int, of_cell: int) -> None:
+    """Pass over the number of processes that answer viewers."""
 
 
 async def _first(*works: Coroutine[object, object, object]) -> None:

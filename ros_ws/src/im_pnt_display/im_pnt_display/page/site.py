@@ -1,6 +1,7 @@
 """The site of the display: the page, the state, moments of a recording, and a socket for each viewer."""
 
 import asyncio
+import hmac
 import socket
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -20,7 +21,12 @@ if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
 
 STATIC = Path(__file__).parent / "static"
-READ_ONLY = "this page only shows; scripts/start.sh --control lets it operate nets"
+VENDOR = Path(__file__).parent / "vendor"
+READ_ONLY = (
+    "this page only shows; where scripts/start.sh --control started the machine, scripts/im view prints the address of "
+    "one that operates"
+)
+WRONG_TOKEN = "the token in the address is not that of this page; scripts/im view prints the right address"
 RECORDED = "this page shows a recording; what happened is not changed"
 MOST_VIEWERS = 100
 MOST_CONNECTIONS = 150
@@ -69,22 +75,28 @@ class Site:
     Args:
         host: Address that it is served on.
         viewers: Those who look.
-        operate: Takes what viewers want done with nets; None: they only look.
+        operate: Takes what viewers with the token want done; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
+        token: The one in the address of whoever may operate.
     """
 
     def __init__(
-        self, host: str, viewers: Viewers, operate: Operate | None = None, recording: "RecordedNets | None" = None
+        self,
+        host: str,
+        viewers: Viewers,
+        operate: Operate | None = None,
+        recording: "RecordedNets | None" = None,
+        token: str = "",
     ) -> None:
-        self._viewers, self._operate, self._recording = viewers, operate, recording
+        self._viewers, self._operate, self._recording, self._token = viewers, operate, recording, token
         self._stop = asyncio.Event()
         self._allowance = Allowance(PAGE_PER_S, PAGE_AT_ONCE)
         self._app = guarded_application(host)
-        self._app.router.add_get("/", partial(_file, STATIC / "index.html"))
+        self._app.router.add_get("/", self._give_page)
         self._app.router.add_get("/state.json", self._give_state)
         self._app.router.add_get("/ws", self._view)
         self._app.router.add_get("/recording.json", self._give_moment)
-        for file in STATIC.iterdir():
+        for file in (*STATIC.iterdir(), *VENDOR.iterdir()):
             self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
     async def serve(self, sockets: Sequence[socket.socket], stop: asyncio.Event) -> None:
@@ -105,6 +117,22 @@ class Site:
             each.close()
         await runner.cleanup()
 
+    def _may_operate(self, request: web.Request) -> bool:
+        """Return whether a request has the token.
+
+        Raises:
+            HTTPForbidden: It has another one.
+        """
+        if (given := request.query.get("token")) is None:
+            return False
+        if self._operate is None or not hmac.compare_digest(given.encode(), self._token.encode()):
+            raise web.HTTPForbidden(text=WRONG_TOKEN)
+        return True
+
+    async def _give_page(self, request: web.Request) -> web.FileResponse:
+        self._may_operate(request)
+        return web.FileResponse(STATIC / "index.html")
+
     async def _give_state(self, request: web.Request) -> web.Response:
         return web.json_response(text=self._viewers.snapshot_text())
 
@@ -117,6 +145,7 @@ class Site:
             raise web.HTTPBadRequest(text=error.message) from error
 
     async def _view(self, request: web.Request) -> web.WebSocketResponse:
+        may_operate = self._may_operate(request)
         if len(self._viewers) >= MOST_VIEWERS:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False)
@@ -124,7 +153,7 @@ class Site:
         backlog = self._viewers.enter()
         sender = asyncio.create_task(_pass_on(backlog, socket))
         stopper = asyncio.create_task(self._stop.wait())
-        listener = asyncio.create_task(self._listen_to(socket))
+        listener = asyncio.create_task(self._listen_to(socket, backlog, may_operate))
         try:
             await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -137,7 +166,7 @@ class Site:
             await socket.close()
         return socket
 
-    async def _listen_to(self, socket: web.WebSocketResponse) -> bool:
+    async def _listen_to(self, socket: web.WebSocketResponse, backlog: asyncio.Queue[str], may_operate: bool) -> bool:
         """Take a message of a viewer; return whether the viewer has sent too much."""
         allowance = Allowance(VIEWER_PER_S, VIEWER_AT_ONCE)
         async for message in socket:
@@ -146,7 +175,9 @@ class Site:
             if message.type is WSMsgType.PING:
                 await socket.pong(message.data)
             elif message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
-                if refusal := self._refusal():
+                if wanted["request"] == "look":
+                    self._viewers.look(backlog, at_cell=wanted["argument"] == "cell")
+                elif refusal := self._refusal(may_operate):
                     await socket.send_json(self._viewers.state.answer(wanted["net"], False, refusal))
                 elif self._operate is not None:
                     self._operate(wanted)
@@ -164,9 +195,9 @@ class Site:
                 await asyncio.sleep(_TOLD_S)
         transport.abort()
 
-    def _refusal(self) -> str:
+    def _refusal(self, may_operate: bool) -> str:
         """Return the reason for not passing on a request; empty for a request passed on."""
-        if self._operate is None:
+        if not may_operate:
             return READ_ONLY if self._recording is None else RECORDED
         return "" if self._allowance.take_request() else TOO_MANY
 

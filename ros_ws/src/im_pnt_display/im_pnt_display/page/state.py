@@ -1,4 +1,4 @@
-"""State of a display: nets, the markings, and the last firings; as plain data."""
+"""State of a display: nets, markings, last firings, commands, and the cell; as plain data."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -9,18 +9,25 @@ from im_pnt_display.drawing.draw import draw
 
 FIRINGS_KEPT = 300
 REFUSALS_KEPT = 20
+#: Parts of the cell: anybody may publish markers.
+MOST_CELL_PARTS = 200
 
 Change = dict[str, object]
 
 
 def net_content(net: Net) -> dict[str, object]:
-    """Return the structure and drawing of a net, as JSON data."""
+    """Return the structure and drawings of a net, as JSON data.
+
+    ``usual`` is the drawing without what tokens reach only after a failure; None where that is all.
+    """
+    drawing, usual = draw(net), draw(net, usual=True)
     return {
         "net": net.name,
         "description": net.description,
         "symbols": net.symbols(),
         "services": sorted(net.services),
-        "drawing": draw(net).to_dict(),
+        "drawing": drawing.to_dict(),
+        "usual": usual.to_dict() if len(usual.nodes) < len(drawing.nodes) else None,
     }
 
 
@@ -38,6 +45,8 @@ class DisplayState:
         self._refusals: dict[str, Change] = {}
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
         self._mcs: Change | None = None
+        self._commands: dict[str, Change] = {}
+        self._cell: dict[str, Change] = {}
         self.operable = False
         self.recording: Mapping[str, object] | None = None
 
@@ -66,6 +75,15 @@ class DisplayState:
                 if change == self._mcs:
                     return False
                 self._mcs = change
+            case "commands":
+                if change == self._commands.get(part := str(change["part"])):
+                    return False
+                self._commands[part] = change
+            case "cell":
+                part = str(change["part"])
+                if part not in self._cell and len(self._cell) >= MOST_CELL_PARTS:
+                    return False
+                self._cell[part] = change
         return True
 
     def _restore(self, snapshot: Mapping[str, Any]) -> None:
@@ -75,6 +93,7 @@ class DisplayState:
         self._refusals = {refusal["net"]: refusal for refusal in snapshot["refusals"]}
         self._firings = deque(snapshot["firings"], maxlen=FIRINGS_KEPT)
         self._mcs, self.operable, self.recording = (snapshot[key] for key in ("mcs", "operable", "recording"))
+        self._commands = {change["part"]: change for change in snapshot["commands"]}
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
         """Return the change for a new net or a new structure; a former refusal of the name is over.
@@ -116,13 +135,36 @@ class DisplayState:
         """Return the change for the state of the Motion Control System.
 
         Args:
-            condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, and whether all that
-                is ``stale``.
+            condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, the reason of a
+                ``protective_stop``, owners of ``stopped`` groups, and whether all that is ``stale``.
         """
         return {"kind": "mcs", **condition}
 
+    def commands(self, part: str, content: object) -> Change:
+        """Return the change for a part of the state of commands.
+
+        Args:
+            part: ``known``, ``listed``, ``ended`` or ``diagnostics``.
+            content: All of the part, as JSON data.
+        """
+        return {"kind": "commands", "part": part, "content": content}
+
+    def cell(self, part: str, content: object) -> Change:
+        """Return the change for a part of the cell, for viewers of the cell alone.
+
+        Args:
+            part: ``robot``, ``joints``, ``frame/<name>``, ``marker/<namespace>/<id>``, ``image/<camera>`` or
+                ``spot/<camera>``.
+            content: All of the part, as JSON data; None: the part has gone.
+        """
+        return {"kind": "cell", "part": part, "content": content}
+
+    def cell_parts(self) -> list[Change]:
+        """Return the known parts of the cell, for a new viewer of the cell."""
+        return [change for change in self._cell.values() if change["content"] is not None]
+
     def snapshot(self) -> Change:
-        """Return the whole state, for a new viewer."""
+        """Return the whole state but for the cell, for a new viewer."""
         return {
             "kind": "snapshot",
             "nets": [self._nets[name] for name in sorted(self._nets)],
@@ -130,6 +172,7 @@ class DisplayState:
             "refusals": list(self._refusals.values()),
             "firings": list(self._firings),
             "mcs": self._mcs,
+            "commands": list(self._commands.values()),
             "operable": self.operable,
             "recording": self.recording,
         }

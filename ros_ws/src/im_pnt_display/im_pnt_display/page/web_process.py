@@ -1,7 +1,7 @@
 """The process answering visitors of the page, apart from the node showing nets: viewers cannot slow the machine.
 
-It takes the listening sockets of the display, and a socket to the display: the state and its changes come there, a line
-of JSON each, and what viewers want done with nets goes back. It ends with that socket.
+It takes the listening sockets of the display, and a socket to the display: the token, the state and its changes come
+there, a line each, and what viewers want done goes back, with how many they are. It ends with that socket.
 """
 
 import asyncio
@@ -30,13 +30,18 @@ async def answer_visitors(host: str, link: socket.socket, listening: Sequence[so
         listening: Sockets that visitors come to.
     """
     reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_LINE)
-    viewers = Viewers(DisplayState())
-    viewers.show(json.loads(await reader.readline()))
 
     def operate(wanted: Mapping[str, str]) -> None:
         writer.write(f"{json.dumps(wanted)}\n".encode())
 
-    site, stop = Site(host, viewers, operate if viewers.state.operable else None), asyncio.Event()
+    def count(*numbers: int) -> None:
+        operate({"net": "", "request": "audience", "argument": json.dumps(numbers)})
+
+    viewers = Viewers(DisplayState(), count)
+    token = (await reader.readline()).decode().strip()
+    viewers.show(json.loads(await reader.readline()))
+    site = Site(host, viewers, operate if viewers.state.operable else None, token=token)
+    stop = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(site.serve(listening, stop))
         while line := await reader.readline():

@@ -1,17 +1,18 @@
-"""``pnt_display``: shows every net of the machine on a web page."""
+"""``pnt_display``: shows the machine on a web page: nets, commands and the cell."""
 
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
+from urllib.parse import parse_qs, urlsplit
 
 from rclpy.client import Client
 from rclpy.parameter import Parameter
 
 from im_core.errors import ImError, NotFoundError
-from im_core.files import write_whole
+from im_core.files import read_text, write_whole
 from im_core.names import display_file
 from im_core.ros import qos
 from im_core.ros.calls import call
@@ -21,10 +22,12 @@ from im_core.ros.run import main as run_main
 from im_msgs.msg import Firing, Marking, McsState, NetDescription, NetRefusal
 from im_msgs.srv import ControlNet
 from im_pnt_display.page import messages
+from im_pnt_display.page.cell import Part
 from im_pnt_display.page.descriptions import NetDescriptions
 from im_pnt_display.page.server import DisplayServer
+from im_pnt_display.ros.cell import CellTopics
+from im_pnt_display.ros.dispatcher import ANSWER_S, DispatcherClient
 
-ANSWER_S = 5.0
 #: /mcs repeats its state twice a second; after this silence what it said last is stale [s], and how often that is seen.
 MCS_SILENCE_S, MCS_LOOK_S = 3.0, 1.0
 
@@ -39,14 +42,25 @@ class DisplayNode(ManagedNode):
             "host", "127.0.0.1", "address that the page is served on, and answers to besides localhost; 0.0.0.0: all"
         )
         port = declare("port", 8080, "TCP port of the page, the next free one if in use; 0: any", span=(0, 65535))
-        control = declare("control", False, "whether viewers may operate nets; if not, they only look")
-        self.server = DisplayServer(host, port, self._wanted if control else None, apart=True)
+        control = declare(
+            "control", False, "whether viewers with the token may operate the machine; if not, they only look"
+        )
+        self.server = DisplayServer(
+            host,
+            port,
+            self._wanted if control else None,
+            apart=True,
+            audience=self._count_viewers,
+            token=_token_of_former() if control else "",
+        )
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
         self._undrawn_lock = threading.Lock()
         self._descriptions = NetDescriptions()
         self._operators: dict[str, Client] = {}
+        self._cell = CellTopics(self, self._show_cell)
+        self._dispatcher = DispatcherClient(self, self._show_commands)
 
     def phase_configure(self) -> None:
         """Open the page and follow the nets.
@@ -56,7 +70,7 @@ class DisplayNode(ManagedNode):
         """
         self.server.start()
         try:
-            write_whole(display_file(), self.server.url + "\n")
+            write_whole(display_file(), self.server.address + "\n", own=True)
         except ImError as error:  # other programs do not find the page by that file; it is served all the same
             self.get_logger().error(f"the address of the page is in no file: {error.message}")
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_NETS)
@@ -79,7 +93,14 @@ class DisplayNode(ManagedNode):
         if self._mcs is None or (said := self._mcs.message) is None:
             return
         groups = {group.group: group.state for group in said.groups if group.reserved}
-        condition = {"state": said.state, "reason": said.reason, "power": said.power, "brakes": said.brakes}
+        condition: dict[str, object] = {
+            "state": said.state,
+            "reason": said.reason,
+            "power": said.power,
+            "brakes": said.brakes,
+        }
+        condition["stopped"] = {group.group: group.owner for group in said.groups if group.protective_stop}
+        condition["protective_stop"] = said.protective_stop
         self.server.show(self.server.state.motion_control({**condition, "groups": groups, "stale": self._mcs.stale}))
 
     def _describe(self, message: NetDescription) -> None:
@@ -153,13 +174,33 @@ class DisplayNode(ManagedNode):
             why = error.message if isinstance(error, ImError) else repr(error)
             self.get_logger().warning(f"{what} cannot be shown: {why}")
 
+    def _show_commands(self, part: str, content: object) -> None:
+        self.server.show(self.server.state.commands(part, content))
+
+    def _show_cell(self, topic: str, read: Callable[[], Iterable[Part]]) -> None:
+        with self._warning(f"a message of {topic}"):
+            for part, content in read():
+                self.server.show(self.server.state.cell(part, content))
+
     # What viewers ask for; it comes in the server's thread.
+
+    def _count_viewers(self, viewers: int, of_cell: int) -> None:
+        self.spawn(self._attend(viewers > 0, of_cell > 0))
+
+    async def _attend(self, viewed: bool, cell_viewed: bool) -> None:
+        """Follow the viewed parts of the machine, and nothing else."""
+        self._dispatcher.follow(viewed)
+        self._cell.follow(cell_viewed)
 
     def _wanted(self, wanted: Mapping[str, str]) -> None:
         self.spawn(self._operate(wanted["net"], wanted["request"], wanted["argument"]))
 
     async def _operate(self, net: str, request: str, argument: str) -> None:
         try:
+            if not net:
+                done = await self._dispatcher.do(request, argument)
+                self.server.show(self.server.state.answer(net, True, done))
+                return
             asked = ControlNet.Request(net=net, request=request, argument=argument)
             answer = await call(self, self._operator(net), asked, ANSWER_S, f"{request} of net {net}")
         except ImError as error:
@@ -177,6 +218,13 @@ class DisplayNode(ManagedNode):
         if node not in self._operators:
             self._operators[node] = self.create_client(ControlNet, f"{node}/control_net")
         return self._operators[node]
+
+
+def _token_of_former() -> str:
+    """Return the token of a display of this run that was killed: its viewers go on; empty if there is none."""
+    with suppress(ImError, OSError):
+        return parse_qs(urlsplit(read_text(display_file()).strip()).query).get("token", [""])[0]
+    return ""
 
 
 def main() -> int:

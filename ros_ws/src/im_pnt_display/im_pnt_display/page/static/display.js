@@ -1,18 +1,24 @@
 // The page: what the server tells of, which nets are shown, and how. It is its address:
-// #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others.
+// #nets=a,b (or nets=all) shows these nets, #overview=1&only=a.p1,b.t2 these parts, &filter=spot dims the others,
+// &rare=1 shows what tokens reach only after a failure, &cell=0 hides the cell. ?token=... lets it operate.
 // A counterexample that is played takes the place of the running nets. Of a recording &t=12.5 shows that time [s].
+import { CellView, excuse } from "/static/cell.js";
+import { Commands } from "/static/commands.js";
 import { showControls } from "/static/operate.js";
 import { Player, readCounterexample, shown } from "/static/player.js";
 import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
 
-const KEPT = 300, REFUSALS_KEPT = 20, LISTED = 120, PLAYER = 52;
+const KEPT = 300, REFUSALS_KEPT = 20, LISTED = 120, PLAYER = 52, READABLE = 1, WIDE = 1100;
 const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
 const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, mode, paused, proposed}
 const refusals = new Map();  // name -> {message, counterexample}
 const commands = new Map();  // name -> {progress, end} of its newest command
 const firings = [];
+const unfolded = new Set();  // nets of which a failure has brought tokens to a part that is folded
+const token = new URLSearchParams(location.search).get("token");
+let wrongToken = false;
 let page = readPage();
 let followed = null;
 let socket = null;
@@ -25,11 +31,14 @@ const scene = new Scene(byId("scene"), (key) => {
 });
 const player = new Player(showStep, () => show({}));
 const recording = new Recording(showMoment, take, keepPage, (message) => say(false, message));
+const desk = new Commands((request, argument) => ask("", request, argument), say);
+const cell = new CellView(byId("robot"), byId("cameras"));
 
 function readPage() {
   const query = new URLSearchParams(location.hash.slice(1));
   const list = (key) => new Set((query.get(key) || "").split(",").filter(Boolean));
   return { nets: list("nets"), only: list("only"), overview: query.get("overview") === "1", filter: query.get("filter") || "",
+    rare: query.get("rare") === "1", cell: (query.get("cell") ?? (innerWidth >= WIDE ? "1" : "0")) === "1",
     at: Number(query.get("t")) || 0 };
 }
 
@@ -39,6 +48,8 @@ function keepPage() {
   if (page.only.size) query.set("only", [...page.only].join(","));
   if (page.overview) query.set("overview", "1");
   if (page.filter) query.set("filter", page.filter);
+  if (page.rare) query.set("rare", "1");
+  if (page.cell !== (innerWidth >= WIDE)) query.set("cell", page.cell ? "1" : "0");
   if (recording.overview) query.set("t", recording.at.toFixed(3));
   history.replaceState(null, "", "#" + query);
 }
@@ -69,13 +80,14 @@ function refresh(redraw) {
     followed = follow();
     if (player.counterexample) drawCounterexample(); else drawLive();
     scene.filter(page.filter);
-    if (!moved) fit();
+    if (!moved) settle();
   }
   scene.pick(page.only);
   byId("follow").classList.toggle("on", !page.overview && !page.nets.size);
   byId("all").classList.toggle("on", !page.overview && page.nets.has("all"));
   byId("overview").textContent = `overview of ${page.only.size}`;
   byId("overview").classList.toggle("on", page.overview);
+  byId("rare").classList.toggle("on", page.rare);
   listNets();
 }
 
@@ -84,8 +96,14 @@ function aspect() {
   return box.width / box.height;
 }
 
+// The drawing of a net: without what tokens reach only after a failure, until they do.
+function drawn(net) {
+  const whole = page.rare || page.overview || unfolded.has(net.net) || !net.usual;
+  return whole ? net : { ...net, drawing: net.usual };
+}
+
 function drawLive() {
-  scene.draw(shownNets().map((name) => nets.get(name)), page.overview ? page.only : null, aspect());
+  scene.draw(shownNets().map((name) => drawn(nets.get(name))), page.overview ? page.only : null, aspect());
   for (const marking of markings.values()) scene.mark(marking);
 }
 
@@ -123,11 +141,30 @@ function showMoment(moment) {
   soon();
 }
 
-function enterNet(net) { nets.set(net.net, net); }
+function enterNet(net) {
+  const shown = new Set((net.usual ?? net.drawing).nodes.map((node) => node.place || node.name));
+  net.folded = new Set(net.drawing.nodes.map((node) => node.place || node.name).filter((name) => !shown.has(name)));
+  nets.set(net.net, net);
+  unfolded.delete(net.net);
+}
+
+// Whether a marking has something in the part of its net that is folded.
+function isRare({ net, tokens, active }) {
+  const folded = nets.get(net)?.folded;
+  return folded?.size > 0 && [...Object.keys(tokens).filter((place) => tokens[place]), ...active].some((name) => folded.has(name));
+}
+
+// Unfolds the net of a marking; returns whether that was needed.
+function unfold(marking) {
+  if (page.rare || unfolded.has(marking.net) || !isRare(marking)) return false;
+  unfolded.add(marking.net);
+  return shownNets().includes(marking.net);
+}
 
 function play(counterexample) {
   staged = null;
   player.open(counterexample);
+  byId("player").scrollIntoView({ block: "nearest" });
 }
 
 async function playFile(file) {
@@ -154,8 +191,11 @@ function showMcs(mcs) {
   line.hidden = !mcs;
   if (!mcs) return;
   const groups = Object.entries(mcs.groups).map(([group, state]) => `${group} ${state}`).join(", ");
+  desk.condition(mcs);
   const said = `MCS ${mcs.state}${groups && ` (${groups})`}, power ${mcs.power ? "on" : "off"}, brakes ${mcs.brakes ? "on" : "off"}`;
-  line.textContent = mcs.stale ? `/mcs is silent; it said last: ${said}` : [said, mcs.reason].filter(Boolean).join(": ");
+  line.textContent = mcs.stale ? `/mcs is silent; it said last: ${said}` : [said, mcs.reason, mcs.protective_stop && `protective stop: ${mcs.protective_stop}`].filter(Boolean).join(": ");
+  byId("stopped").hidden = !(mcs.state === "estopped" || mcs.protective_stop);
+  byId("stopped").textContent = mcs.state === "estopped" ? `Emergency stop: ${mcs.reason}` : `Protective stop: ${mcs.protective_stop}`;
   line.title = mcs.reason;
   line.classList.toggle("stale", mcs.stale);
 }
@@ -187,6 +227,10 @@ function listNets() {
     });
     const link = Object.assign(document.createElement("a"), { href: `#nets=${name}`, textContent: name });
     link.title = `${net.description} (${net.node})`;
+    link.addEventListener("click", (event) => {
+      event.preventDefault();
+      show({ nets: new Set([name]), overview: false });
+    });
     const running = Object.assign(document.createElement("small"), { id: `running-${name}` });
     const bar = Object.assign(document.createElement("div"), { id: `bar-${name}`, className: "bar" });
     const operate = Object.assign(document.createElement("div"), { id: `operate-${name}`, className: "operate" });
@@ -214,7 +258,10 @@ function noteCommand(firing) {
   const net = nets.get(firing.net);
   if (!net?.symbols.length) return;
   const { progress, symbol } = firing;
-  if (net.symbols.includes(symbol)) commands.delete(firing.net);
+  if (net.symbols.includes(symbol)) {
+    commands.delete(firing.net);
+    unfolded.delete(firing.net);
+  }
   if (!commands.has(firing.net)) commands.set(firing.net, { progress: 0, end: "" });
   const command = commands.get(firing.net);
   command.progress = Math.max(progress, 0);
@@ -251,9 +298,14 @@ function take(change) {
   switch (change.kind) {
     case "snapshot":
       nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
-      operable = change.operable;
+      operable = change.operable && token !== null && !wrongToken;
+      desk.allow(operable);
+      cell.clear();
+      unfolded.clear();
+      look();
       change.nets.forEach(enterNet);
-      for (const marking of change.markings) markings.set(marking.net, marking);
+      for (const marking of change.markings) { markings.set(marking.net, marking); unfold(marking); }
+      for (const part of change.commands) desk.take(part);
       for (const refusal of change.refusals) refusals.set(refusal.net, refusal);
       firings.push(...change.firings);
       firings.forEach(noteCommand);
@@ -265,6 +317,8 @@ function take(change) {
       enterNet(recording.overview.drawings[change.drawing]); refresh(true);
       break;
     case "mcs": showMcs(change); break;
+    case "commands": desk.take(change); break;
+    case "cell": cell.take(change); break;
     case "net": enterNet(change); dropRefusal(change.net); refresh(true); break;
     case "gone":
       recording.shown = null;
@@ -274,7 +328,8 @@ function take(change) {
       break;
     case "marking":
       markings.set(change.net, change);
-      if (!player.counterexample) scene.mark(change);
+      if (unfold(change)) refresh(true);
+      else if (!player.counterexample) scene.mark(change);
       listRunning(change.net);
       break;
     case "refusal":
@@ -284,7 +339,7 @@ function take(change) {
       listRefusals();
       break;
     case "answer":
-      say(change.success, `${change.net}: ${change.message}`);
+      say(change.success, [change.net, change.message].filter(Boolean).join(": "));
       if (!change.success) {  // what was chosen is not so
         byId(`operate-${change.net}`)?.removeAttribute("data-shown");
         listRunning(change.net);
@@ -298,11 +353,31 @@ function take(change) {
       if (player.counterexample) break;
       if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
       scene.flash(change);
+      if (!moved) keepInView(change.net, change.transition);
   }
 }
 
-function connect() {
-  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws`);
+// Has the server tell of the cell while it is seen, and only then.
+function look() {
+  const seen = page.cell && !document.hidden && !recording.overview;
+  document.body.classList.toggle("with-cell", page.cell && !recording.overview);
+  byId("show-cell").classList.toggle("on", page.cell);
+  if (seen) cell.open().catch(excuse);
+  ask("", "look", seen ? "cell" : "");
+}
+
+// A token that a former machine gave out is refused with a sentence; the page goes on without it.
+async function checkToken() {
+  if (token === null) return;
+  const answer = await fetch(`/?${new URLSearchParams({ token })}`, { method: "HEAD" });
+  if (answer.status === 403 && !wrongToken) say(false, "the token in the address is not that of this machine; scripts/im view prints the right address");
+  wrongToken = answer.status === 403;
+}
+
+async function connect() {
+  await checkToken().catch(() => {});
+  const query = token !== null && !wrongToken ? `?${new URLSearchParams({ token })}` : "";
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/ws${query}`);
   const connected = (yes) => {
     byId("link").classList.toggle("off", !yes);
     byId("link").textContent = yes ? "connected" : "disconnected";
@@ -315,12 +390,71 @@ function connect() {
 
 function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
 
+// The first sight: the whole where its letters can be read, else as large as that asks for, around the newest firing.
+function settle() {
+  fit();
+  if (view.scale >= READABLE || page.overview) return;
+  const box = canvas.getBoundingClientRect(), at = focus();
+  view = { scale: READABLE, x: box.width / 2 - at.x * READABLE, y: box.height / 2 - at.y * READABLE };
+  hold();
+  applyView();
+}
+
+// Where the eye belongs: the newest firing, else the first marked place of the nets that are shown.
+function focus() {
+  const names = shownNets();
+  const fired = firings.findLast(({ net, transition }) => names.includes(net) && scene.spots.has(`${net}.${transition}`));
+  if (fired) return scene.spots.get(`${fired.net}.${fired.transition}`);
+  return scene.firstMarked() ?? { x: scene.extent.width / 2, y: 0 };
+}
+
+// No empty space is shown beside a drawing that is larger than the window.
+function hold() {
+  const box = canvas.getBoundingClientRect(), { width, height } = scene.extent, edge = 16;
+  const within = (at, room, size) => (size + 2 * edge < room ? (room - size) / 2 : Math.min(edge, Math.max(room - size - edge, at)));
+  view.x = within(view.x, box.width, width * view.scale);
+  view.y = within(view.y, box.height, height * view.scale);
+}
+
+// Moves the view to a part of a net that is outside its middle.
+function keepInView(net, name) {
+  const at = scene.spots.get(`${net}.${name}`), box = canvas.getBoundingClientRect();
+  if (!at || player.counterexample) return;
+  const x = view.x + at.x * view.scale, y = view.y + at.y * view.scale;
+  if (x > 0.15 * box.width && x < 0.85 * box.width && y > 0.15 * box.height && y < 0.85 * box.height) return;
+  view.x += box.width / 2 - x;
+  view.y += box.height / 2 - y;
+  hold();
+  applyView();
+}
+
+// Goes to the next part that the search finds, in any net, folded or not.
+let found = "";
+function jump() {
+  const wanted = page.filter.toLowerCase();
+  if (!wanted) return;
+  const first = shownNets(), order = [...first, ...[...nets.keys()].sort().filter((name) => !first.includes(name))];
+  const hits = order.flatMap((net) => nets.get(net).drawing.nodes
+    .filter((node) => node.kind !== "reference" && [node.label, ...node.notes].some((line) => line.toLowerCase().includes(wanted)))
+    .map((node) => ({ net, node })));
+  if (!hits.length) { say(false, `nothing is called ${page.filter}`); return; }
+  const keys = hits.map(({ net, node }) => `${net}.${node.name}`), next = hits[(keys.indexOf(found) + 1) % hits.length];
+  found = `${next.net}.${next.node.name}`;
+  say(true, `${keys.indexOf(found) + 1} of ${hits.length}: ${found}`);
+  if (!first.includes(next.net)) show({ nets: new Set([next.net]), overview: false });
+  if (!scene.spots.has(found)) show({ rare: true, overview: false });
+  const at = scene.spots.get(found), box = canvas.getBoundingClientRect(), scale = Math.max(view.scale, READABLE);
+  view = { scale, x: box.width / 2 - at.x * scale, y: box.height / 2 - at.y * scale };
+  moved = true;
+  applyView();
+  scene.flash({ net: next.net, transition: next.node.name, phase: "END" });
+}
+
 function fit() {
   const box = byId("canvas").getBoundingClientRect(), { width, height } = scene.extent;
   const top = player.counterexample ? PLAYER : 0;
   const scale = Math.max(Math.min((box.width - 32) / width, (box.height - top - 32) / height, 1.4), 0.05);
   view = { scale, x: (box.width - width * scale) / 2, y: Math.max(top + 16, (box.height - height * scale) / 3) };
-  moved = false;
   applyView();
 }
 
@@ -346,6 +480,7 @@ byId("filter").addEventListener("input", (event) => {
   page.filter = event.target.value;
   keepPage(); scene.filter(page.filter);
 });
+byId("filter").addEventListener("keydown", (event) => { if (event.key === "Enter") jump(); });
 byId("file").addEventListener("change", (event) => {
   if (event.target.files[0]) playFile(event.target.files[0]);
   event.target.value = "";
@@ -355,14 +490,18 @@ addEventListener("drop", (event) => {
   event.preventDefault();
   if (event.dataTransfer.files[0]) playFile(event.dataTransfer.files[0]);
 });
-byId("fit").addEventListener("click", fit);
+byId("fit").addEventListener("click", () => { moved = true; fit(); });
+byId("rare").addEventListener("click", () => show({ rare: !page.rare }));
+byId("show-cell").addEventListener("click", () => { page.cell = !page.cell; keepPage(); look(); });
+document.addEventListener("visibilitychange", look);
 byId("follow").addEventListener("click", () => show({ nets: new Set(), overview: false }));
 byId("all").addEventListener("click", () => show({ nets: new Set(["all"]), overview: false }));
 byId("clear").addEventListener("click", () => show({ only: new Set(), overview: false }));
 byId("overview").addEventListener("click", () => show({ overview: !page.overview && page.only.size > 0 }));
-addEventListener("resize", () => { if (!moved) fit(); });
+new ResizeObserver(() => { if (!moved) settle(); }).observe(canvas);
 addEventListener("hashchange", () => {
   show(readPage());
+  look();
   byId("filter").value = page.filter;
   if (recording.overview) recording.seek({ at: recording.within(page.at) });
 });

@@ -24,6 +24,11 @@ export function readCounterexample(text) {
   return counterexample;
 }
 
+// Whether a key is for the field that has the focus; Escape never is.
+export function isTyping({ key, target }) {
+  return key !== "Escape" && target.matches("input[type=search], input[type=text], select, textarea");
+}
+
 export class Player {
   // onStep(counterexample, step) draws; onEnd() goes back to the live nets.
   constructor(onStep, onEnd) {
@@ -36,7 +41,7 @@ export class Player {
     byId("last").addEventListener("click", () => this.go(Infinity));
     byId("leave").addEventListener("click", () => this.close());
     addEventListener("keydown", (event) => {
-      if (!this.counterexample || event.target.matches("input, select")) return;
+      if (!this.counterexample || isTyping(event)) return;
       const move = { ArrowLeft: this.at - 1, ArrowRight: this.at + 1, Home: 0, End: Infinity }[event.key];
       if (move !== undefined) { event.preventDefault(); this.go(move); }
       if (event.key === "Escape") this.close();

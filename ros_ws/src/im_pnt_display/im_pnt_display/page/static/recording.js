@@ -1,4 +1,6 @@
 // A recording: the server tells the nets at any moment and what follows it; here is the time line to scroll in.
+import { isTyping } from "./player.js";
+
 const byId = (id) => document.getElementById(id);
 const ROW = 13, LABELS = 250, AXIS = 18, ENOUGH = 60;
 
@@ -33,7 +35,7 @@ export class Recording {
     });
     addEventListener("resize", () => { if (this.overview) this.draw(); });
     addEventListener("keydown", (event) => {
-      if (!this.overview || document.body.classList.contains("playing") || event.target.matches("input[type=search], select")) return;
+      if (!this.overview || document.body.classList.contains("playing") || isTyping(event)) return;
       const act = { " ": () => this.play(!this.playing), ArrowLeft: () => this.back(), ArrowRight: () => this.on(),
         Home: () => this.seek({ firing: 0 }), End: () => this.seek({ firing: this.overview.firings }) }[event.key];
       if (act) { event.preventDefault(); act(); }

@@ -100,6 +100,7 @@ export class Scene {
     this.nodes = new Map();    // net -> Map(name -> {group, node, token})
     this.arcs = [];            // {line, net, arc}
     this.between = [];         // {line, net, transition}
+    this.spots = new Map();    // "net.name" -> node, with its place in the whole
     this.extent = { width: 1, height: 1 };
   }
 
@@ -112,7 +113,7 @@ export class Scene {
       return { net, nodes: part.nodes, arcs: part.arcs, size: [wide, part.size[1] + TITLE] };
     });
     this.extent = picked ? inOrder(parts) : packed(parts, aspect);
-    const spots = new Map();
+    const spots = this.spots;
     for (const part of parts) {
       this.drawNet(part, picked);
       for (const node of part.nodes)
@@ -137,7 +138,7 @@ export class Scene {
     for (const arc of arcs) {
       const line = make("path", { class: `arc ${arc.kind}`, d: arc.path }, inner);
       const [tipX, tipY] = arc.tip;
-      if (arc.kind === "inhibitor") make("circle", { cx: tipX, cy: tipY, r: 3, fill: "white", stroke: "#66737f" }, inner);
+      if (arc.kind === "inhibitor") make("circle", { cx: tipX, cy: tipY, r: 3, class: "inhibits" }, inner);
       else line.setAttribute("marker-end", "url(#tip)");
       if (arc.weight > 1) make("text", { x: tipX + 6, y: tipY - 6 }, inner, arc.weight);
       this.arcs.push({ line, net: name, arc });
@@ -147,7 +148,8 @@ export class Scene {
   }
 
   drawNode(parent, net, node) {
-    const group = make("g", { class: `node ${node.kind}` }, parent);
+    const told = [node.kind, node.label, ...node.notes].join(", ");
+    const group = make("g", { class: `node ${node.kind}`, tabindex: 0, role: "button", "aria-label": told }, parent);
     const [left, , height] = node.box;
     let token = null;
     if (node.kind === "transition") {
@@ -165,6 +167,7 @@ export class Scene {
         make("text", { class: "note", x: node.x + radius + 5, y: node.y + LINE * (line + 1) }, group, note));
     }
     group.addEventListener("click", () => this.onPick(`${net}.${node.name}`));
+    group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(`${net}.${node.name}`); });
     group.addEventListener("pointerenter", () => this.trace(net, node, true));
     group.addEventListener("pointerleave", () => this.trace(net, node, false));
     return { group, node, token };
@@ -200,6 +203,13 @@ export class Scene {
     }
     for (const link of this.between)
       if (link.net === net) link.line.classList.toggle("live", running.has(link.transition));
+  }
+
+  firstMarked() {
+    for (const [net, nodes] of this.nodes)
+      for (const [name, { group, node }] of nodes)
+        if (node.kind === "place" && group.classList.contains("marked")) return this.spots.get(`${net}.${name}`);
+    return undefined;
   }
 
   flash({ net, transition, phase }) {

@@ -1,0 +1,210 @@
+"""Client of the Dispatcher and of MCS for the page: commands, the line, results, stops, diagnostics."""
+
+import json
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.client import Client
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from im_core.bounded_json import read_json
+from im_core.errors import DataError, ImError, StateError
+from im_core.ros import qos
+from im_core.ros.calls import call, wait
+from im_core.ros.guard import GuardedActionClient
+from im_core.ros.node import ManagedNode
+from im_msgs.action import ExecuteCommand
+from im_msgs.srv import ControlCommand, GroupCommand, ListCommands
+
+ANSWER_S = 5.0
+LOOK_S = 0.5
+"""How often the line of commands is looked at while somebody views the page [s]."""
+ENDED_KEPT = 10
+LONGEST_RESULT = 300
+"""Characters that are shown of a result; a report of a calibration has 280,000."""
+CONTROLS = ("cancel", "pause", "resume")
+STOPS = {"estop": "/mcs/estop", "protective_stop": "/mcs/protective_stop", "reset": "/mcs/reset"}
+
+ShowPart = Callable[[str, object], None]
+"""Shows a part of the state of commands, see :meth:`.DisplayState.commands`."""
+
+
+class DispatcherClient:
+    """Commands of the machine, followed while somebody views the page.
+
+    Args:
+        node: The node.
+        show: Shows a part of the state.
+    """
+
+    def __init__(self, node: ManagedNode, show: ShowPart) -> None:
+        self._node, self._show = node, show
+        self._subscriptions: list[Subscription] = []
+        self._clients: dict[str, Client] = {}
+        self._execute = GuardedActionClient(node, ExecuteCommand, "/dispatcher/execute")
+        self._attached: set[int] = set()
+        self._ended: dict[int, dict[str, object]] = {}
+        self._diagnostics: dict[str, dict[str, object]] = {}
+        self._looking = False
+        self._timer = node.create_timer(LOOK_S, self._look, clock=node.steady_clock)
+        self._timer.cancel()
+
+    def follow(self, viewed: bool) -> None:
+        """Begin to follow the commands, or end; in the loop of the node."""
+        if not viewed:
+            self._timer.cancel()
+            for subscription in self._subscriptions:
+                self._node.destroy_subscription(subscription)
+            self._subscriptions = []
+        elif not self._subscriptions:
+            self._timer.reset()
+            listen = self._node.create_subscription
+            self._subscriptions = [
+                listen(String, "/dispatcher/commands", self._know, qos.LATCHED),
+                listen(DiagnosticArray, "/diagnostics", self._diagnose, qos.STATUS),
+            ]
+
+    async def do(self, request: str, argument: str) -> str:
+        """Carry out the request of a viewer: start a command, control one, or stop the machine.
+
+        Args:
+            request: ``start``, a request of :data:`CONTROLS` or of :data:`STOPS`, or ``go_on`` after a protective stop.
+            argument: JSON with ``symbol`` and ``arguments`` of a command to start, or with ``group`` and ``owner`` of
+                what goes on; the number of a command to control.
+
+        Returns:
+            What was done.
+
+        Raises:
+            ImError: It was refused, or nobody answered.
+        """
+        if request == "start":
+            return await self._start(read_json(dict[str, Any], argument, "a command"))
+        if request in CONTROLS:
+            if not (argument.isascii() and argument.isdecimal() and len(argument) < 10):
+                raise DataError(f"{argument[:40]!r} is no number of a command")
+            asked = ControlCommand.Request(command_id=int(argument), request=request)
+            return await self._ask(ControlCommand, "/dispatcher/control_command", asked)
+        if request == "go_on":
+            stopped = read_json(dict[str, str], argument, "a group and its owner")
+            wanted = GroupCommand.Request(group=stopped.get("group", ""), owner=stopped.get("owner", ""))
+            return await self._ask(GroupCommand, "/mcs/resume", wanted)
+        if request in STOPS:
+            return await self._ask(Trigger, STOPS[request], Trigger.Request())
+        known = ", ".join(("start", *CONTROLS, *STOPS, "go_on"))
+        raise DataError(f"{request[:40]!r} is nothing that a machine can do; there are {known}")
+
+    async def _ask(self, kind: Any, name: str, request: Any) -> str:
+        answer = await call(self._node, self._client(kind, name), request, ANSWER_S, f"{name} of the page")
+        if not answer.success:
+            raise StateError(answer.message or f"{name} gave no reason")
+        return answer.message or f"{name.removeprefix('/')} was done"
+
+    async def _start(self, asked: dict[str, Any]) -> str:
+        symbol = str(asked.get("symbol"))
+        goal = ExecuteCommand.Goal(symbol=symbol, arguments=json.dumps(asked.get("arguments", {})))
+        begun = self._node.promise()
+        number: list[int] = []
+
+        def told(message: Any) -> None:
+            number[:] = [int(message.feedback.command_id)]
+            if not begun.done():
+                begun.set_result(None)
+
+        def ended(future: Future) -> None:
+            self._end(symbol, number[0] if number else 0, future)
+            if not begun.done():
+                begun.set_result(future.result().result.status.message)
+
+        handle = await wait(
+            self._node, self._execute.send_goal_async(goal, feedback_callback=told), ANSWER_S, f"command {symbol}"
+        )
+        if not handle.accepted:
+            raise StateError(f"the dispatcher refused the command {symbol}")
+        handle.get_result_async().add_done_callback(ended)
+        if refusal := await begun:
+            raise StateError(refusal)
+        return f"{symbol} is command {number[0]}" if number else f"{symbol} is done"
+
+    def _look(self) -> None:
+        if not self._looking:  # the last look has been answered
+            self._looking = True
+            self._node.spawn(self._list())
+
+    async def _list(self) -> None:
+        try:
+            client = self._client(ListCommands, "/dispatcher/list_commands")
+            listed = await call(self._node, client, ListCommands.Request(), ANSWER_S, "the commands for the page")
+        except ImError:  # the next look comes soon
+            return
+        finally:
+            self._looking = False
+        commands = [
+            {
+                "number": int(each.command_id),
+                "symbol": each.symbol,
+                "arguments": each.arguments,
+                "state": each.state,
+                "progress": round(float(each.progress), 3),
+                "message": each.message,
+                "needs": list(each.needs),
+            }
+            for each in listed.commands
+        ]
+        self._show("listed", commands)
+        for each in listed.commands:
+            if each.command_id not in self._attached:
+                self._attached.add(each.command_id)
+                self._node.spawn(self._attach(each.symbol, int(each.command_id)))
+
+    async def _attach(self, symbol: str, number: int) -> None:
+        """Wait for the end of a command that anybody began."""
+        goal = ExecuteCommand.Goal(attach=True, command_id=number, symbol=symbol)
+        try:
+            handle = await wait(self._node, self._execute.send_goal_async(goal), ANSWER_S, f"command {number}")
+        except ImError:  # it is attached to at the next look
+            self._attached.discard(number)
+            return
+        handle.get_result_async().add_done_callback(partial(self._end, symbol, number))
+
+    def _end(self, symbol: str, number: int, future: Future) -> None:
+        outcome = future.result().result
+        self._attached.discard(number)
+        if not number or not (outcome.success or outcome.status.code):  # refused, or a dead dispatcher's
+            return
+        results = {
+            name: json.dumps(value)[:LONGEST_RESULT] for name, value in json.loads(outcome.results or "{}").items()
+        }
+        self._ended.pop(number, None)
+        self._ended[number] = {
+            "number": number,
+            "symbol": symbol,
+            "success": outcome.success,
+            "message": outcome.status.message,
+            "results": results,
+        }
+        while len(self._ended) > ENDED_KEPT:
+            del self._ended[next(iter(self._ended))]
+        self._show("ended", list(self._ended.values()))
+
+    def _know(self, message: String) -> None:
+        self._show("known", read_json(dict[str, Any], message.data, "/dispatcher/commands").get("commands", []))
+
+    def _diagnose(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self._diagnostics[status.name] = {
+                "name": status.name,
+                "level": int.from_bytes(status.level, "little"),
+                "message": status.message,
+            }
+        self._show("diagnostics", sorted(self._diagnostics.values(), key=lambda each: str(each["name"])))
+
+    def _client(self, kind: Any, name: str) -> Client:
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name)
+        return self._clients[name]

@@ -1,0 +1,210 @@
+"""The page in a real browser: over a machine, in several tabs, after a restart, and over a bag.
+
+With ``IM_PICTURES=FOLDER`` the pictures of the documents are written there (docs/images).
+"""
+
+import io
+import json
+import os
+import urllib.request
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from im_core import clock, names
+from im_pnt.netfile import load_net
+from im_pnt_analysis.recorded.timeline import recording_of
+from im_pnt_analysis.simulation.replay import FiringSequence
+from im_pnt_display import DisplayServer
+from im_pnt_display.page.messages import drawn_counterexample
+from im_pnt_display.page.recording import RecordedNets
+from support.browser import PATIENCE_S, Tab, headless_browser
+from support.whole_machine import free_port, running_machine
+
+BAGS = Path(__file__).parent / "data" / "bags"
+FIRED = "[...document.querySelectorAll('#firings b')].map((each) => each.textContent).join(' ')"
+ENDED = "document.getElementById('ended').textContent"
+STATE = "document.getElementById('line').textContent"
+LETTERS = """[...document.querySelectorAll('#scene text')].map((text) => ({ box: text.getBoundingClientRect(),
+    size: parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a }))"""
+PICTURES = os.environ.get("IM_PICTURES")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with headless_browser() as started:
+        yield started
+
+
+@pytest.fixture
+def tab(browser):
+    """``tab(url, size, ...)``: a tab without errors of scripts."""
+    tabs = []
+
+    def opened(*arguments, **context):
+        tabs.append(Tab(browser, *arguments, **context))
+        return tabs[-1]
+
+    yield opened
+    for each in tabs:
+        each.close()
+
+
+def address():
+    return names.display_file().read_text().strip()
+
+
+def connected(each):
+    each.until("document.getElementById('link').textContent === 'connected'", "the connection")
+    each.until("document.querySelectorAll('#nets a').length >= 12", "the nets")
+    return each
+
+
+def start(each, command, **choices):
+    """Start a command by the form of the page."""
+    each.until(f"[...document.getElementById('command').options].some((one) => one.value === '{command}')", command)
+    each.page.select_option("#command", command)
+    for name, value in choices.items():
+        each.page.select_option(f"#arguments [name={name}]", value)
+    each.page.click("#start button")
+
+
+def followed(machine, topic):
+    return "pnt_display" in [each.node_name for each in machine.node.get_subscriptions_info_by_topic(topic)]
+
+
+def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
+    port = free_port()
+    with running_machine("--control", port=port) as machine:
+        url = address()
+        only_looks = connected(tab(url.partition("?")[0] + "#cell=0"))
+        assert not followed(machine, "/markers"), "nobody looks at the cell"
+        operates = connected(tab(url))
+        machine.wait_for(lambda: followed(machine, "/markers"), "the cell to be followed")
+        start(operates, "look", camera="ceiling_left")
+        for each in (only_looks, operates):
+            each.until(f"{ENDED}.includes('look done')", "the end of the command")
+            each.until(f"{FIRED}.includes('look')", "its firings")
+        assert only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED)
+        assert only_looks.page.evaluate(ENDED) == operates.page.evaluate(ENDED)
+        assert not only_looks.page.is_visible("#start")
+        operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")
+        operates.until("document.querySelectorAll('.spot:not([hidden])').length > 0", "the spot in it")
+        colors = Image.open(io.BytesIO(operates.page.locator("#robot").screenshot())).convert("RGB").getcolors(1 << 20)
+        assert len(colors) > 500, "robots have shades"
+
+        start(operates, "calibrate_camera", group="left")
+        operates.until(f"/running|calibrate_camera/.test({STATE})", "the command in the line")
+        if PICTURES:
+            operates.until(f"{STATE}.includes('%')", "progress")
+            operates.page.screenshot(path=Path(PICTURES) / "page.png")
+        operates.page.click("#line button:has-text('pause')")
+        only_looks.until(f"{STATE}.includes('paused')", "the pause")
+        operates.page.click("#line button:has-text('cancel')")
+        only_looks.until(f"{ENDED}.includes('calibrate_camera failed')", "the end of what was cancelled")
+
+        operates.page.click("#estop")
+        only_looks.until("document.getElementById('stopped').textContent.startsWith('Emergency stop')", "the stop")
+        operates.page.click("#reset")
+        only_looks.until("document.getElementById('stopped').hidden", "the reset")
+        operates.page.click("#show-cell")
+        machine.wait_for(lambda: not followed(machine, "/markers"), "the cell to be left alone")
+    for each in (only_looks, operates):
+        each.until("document.body.classList.contains('lost')", "the end of the machine to be seen")
+    with running_machine("--control", port=port):
+        for each in (only_looks, operates):
+            each.until("!document.body.classList.contains('lost')", "the new machine")
+            each.until(f"!{FIRED}.includes('look')", "the firings of the old machine to go")
+        operates.until("document.getElementById('answer').textContent.includes('scripts/im view')", "the other token")
+        assert not operates.page.is_visible("#start")
+        again = connected(tab(address()))
+        start(again, "open_gripper", group="left")
+        only_looks.until(f"{ENDED}.includes('open_gripper done')", "a command of the new machine")
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    recording = recording_of(BAGS / "faults")
+    server = DisplayServer(port=0, recording=RecordedNets("faults", recording))
+    server.start()
+    yield recording, server.url
+    server.stop()
+
+
+def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
+    recording, url = recorded
+    each = tab(url)
+    each.until("document.getElementById('count').textContent.startsWith('firing 0 ')", "the beginning")
+    each.page.focus("#seek")
+    each.page.keyboard.press("End")
+    each.until(f"document.getElementById('count').textContent.startsWith('firing {recording.firings} ')", "the end")
+    each.page.keyboard.press("Home")
+    each.until("document.querySelectorAll('#firings li').length === 0", "the beginning")
+    each.page.keyboard.press("ArrowRight")
+    each.until("document.querySelectorAll('#firings li').length === 1", "the first firing")
+
+
+@pytest.mark.parametrize(("size", "scheme"), [((1400, 900), "light"), ((390, 844), "dark")])
+def test_letters_can_be_read_at_first_sight(recorded, tab, size, scheme):
+    _, url = recorded
+    width, _ = size
+    each = tab(f"{url}#nets=calibrate_camera&t=60", size, color_scheme=scheme, reduced_motion="reduce")
+    each.until("document.querySelectorAll('#firings li').length > 10", "the moment")
+    letters = each.page.evaluate(LETTERS)
+    assert letters
+    assert min(letter["size"] for letter in letters) >= 9.0
+    area = each.page.locator("#canvas").bounding_box()
+    seen = [
+        letter
+        for letter in letters
+        if area["x"] <= letter["box"]["x"] and letter["box"]["right"] <= area["x"] + area["width"]
+        and area["y"] <= letter["box"]["y"] and letter["box"]["bottom"] <= area["y"] + area["height"]
+    ]  # fmt: skip
+    assert len(seen) >= 5, "the surroundings of the token"
+    assert each.page.evaluate("document.documentElement.scrollWidth") <= width
+    if width < 700:
+        assert area["y"] < 20, "the drawing comes first"
+
+
+def test_rare_parts_are_folded_until_they_are_wanted_and_the_search_finds_them(recorded, tab):
+    _, url = recorded
+    each = tab(f"{url}#nets=calibrate_camera")
+    each.until("document.querySelectorAll('.node').length > 20", "the net")
+    usual = each.page.locator(".node").count()
+    each.page.click("#rare")
+    each.until(f"document.querySelectorAll('.node').length > {usual}", "the rare parts")
+    each.page.click("#rare")
+    each.until(f"document.querySelectorAll('.node').length === {usual}", "the usual parts")
+    each.page.fill("#filter", "abort_unseen")
+    each.page.press("#filter", "Enter")
+    each.until("document.querySelector('[aria-label^=\"transition, abort_unseen\"]') !== null", "what was folded")
+    box = each.page.locator('[aria-label^="transition, abort_unseen"]').bounding_box()
+    area = each.page.locator("#canvas").bounding_box()
+    assert area["x"] < box["x"] < area["x"] + area["width"]
+    assert area["y"] < box["y"] < area["y"] + area["height"]
+
+
+def test_keys_reach_the_player_of_a_counterexample_from_wherever_the_focus_is(recorded, tab, tmp_path):
+    net = load_net(Path(__file__).parent.parent / "docs" / "nets" / "pick_and_place.yaml")
+    first = next(name for name, one in net.transitions.items() if all(net.places[place].tokens for place in one.inputs))
+    content = drawn_counterexample([net], FiringSequence((f"{first}.start",), (), "it can stand still"))
+    (tmp_path / "counterexample.json").write_text(json.dumps(content))
+    each = tab(recorded[1])
+    each.until("document.body.classList.contains('recorded')", "the recording")
+    each.page.set_input_files("#file", tmp_path / "counterexample.json")
+    each.until("document.body.classList.contains('playing')", "the player")
+    each.page.focus("#file")
+    each.page.keyboard.press("End")
+    each.until("document.getElementById('step').textContent === '1 of 1'", "the last step")
+    each.page.focus("#filter")
+    each.page.keyboard.press("Escape")
+    each.until("!document.body.classList.contains('playing')", "the end of the player")
+
+
+def test_a_page_needs_nothing_from_elsewhere(recorded):
+    """It works without a network: every script is the server's own."""
+    with urllib.request.urlopen(f"{recorded[1]}static/three.module.min.js", timeout=60.0) as script:
+        text = script.read().decode()
+    assert "three.js" in text.lower()
+    assert script.headers["Content-Type"].endswith("/javascript")
