@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from im_core import clock, names
+from im_core import names
 from im_pnt.netfile import load_net
 from im_pnt_analysis.recorded.timeline import recording_of
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_display import DisplayServer
 from im_pnt_display.page.messages import drawn_counterexample
 from im_pnt_display.page.recording import RecordedNets
-from support.browser import PATIENCE_S, Tab, headless_browser
+from support.browser import Tab, headless_browser
 from support.whole_machine import free_port, running_machine
 
 BAGS = Path(__file__).parent / "data" / "bags"
