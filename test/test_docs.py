@@ -10,9 +10,15 @@ from catkin_pkg.package import parse_package
 from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
+GUIDES = sorted(page for folder in (".", "tutorials") for page in (ROOT / "docs" / folder).glob("*.md"))
 EVIDENCE = sorted((ROOT / "docs" / "evidence").glob("*.md"))
 PACKAGES = sorted((ROOT / "ros_ws").glob("*/*/package.xml"))
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), *EVIDENCE, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [
+    *GUIDES,
+    *EVIDENCE,
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+]
 
 
 def places(name):
