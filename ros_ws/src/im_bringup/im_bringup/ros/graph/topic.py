@@ -81,7 +81,7 @@ def rate_text(stamps: Sequence[float]) -> str:
 
 
 def matching_profile(publishers: Sequence[TopicEndpointInfo], latched: bool) -> QoSProfile:
-    """Return a profile that hears all publishers, as reliable as the least of them; with ``latched`` as durable, too."""
+    """Return a profile that hears all publishers, as reliable as the least; with ``latched`` as durable, too."""
     offered = [each.qos_profile for each in publishers]
     reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
     durable = latched and bool(offered) and all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
