@@ -9,6 +9,7 @@ import pytest
 from std_msgs.msg import String
 
 from im import CommandCancelledError, Machine, MachineError, Pose, UnreachableError
+from support.notebook import source_of
 from support.whole_machine import COMMAND_S, free_port, running_machine, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
@@ -59,6 +60,13 @@ def test_examples_run(machine, name, tmp_path):
     done = subprocess.run(argv, capture_output=True, text=True, timeout=COMMAND_S, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert SAYS[name] in done.stdout
+
+
+def test_the_notebook_of_the_machine_runs_from_its_first_cell_to_its_last(machine):
+    argv = [sys.executable, "-c", source_of(EXAMPLES / "see_and_move.ipynb")]
+    done = subprocess.run(argv, capture_output=True, text=True, timeout=COMMAND_S, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "the light has moved by" in done.stdout
 
 
 def test_an_arm_is_reserved_moved_and_given_back(im):

@@ -10,9 +10,15 @@ from catkin_pkg.package import parse_package
 from im_pnt.netfile import load_net
 
 ROOT = Path(__file__).resolve().parent.parent
+GUIDES = sorted(page for folder in (".", "tutorials") for page in (ROOT / "docs" / folder).glob("*.md"))
 EVIDENCE = sorted((ROOT / "docs" / "evidence").glob("*.md"))
 PACKAGES = sorted((ROOT / "ros_ws").glob("*/*/package.xml"))
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), *EVIDENCE, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [
+    *GUIDES,
+    *EVIDENCE,
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+]
 
 
 def places(name):
@@ -95,3 +101,14 @@ def test_the_maintainers_are_those_of_the_licence_at_no_example_address(package)
     setup = package.parent / "setup.py"
     if setup.exists():
         assert f'maintainer="{holder}",\n    maintainer_email="{maintainer.email}"' in setup.read_text()
+
+
+def test_each_message_of_the_troubleshooting_is_one_that_is_printed():
+    sources = [*(ROOT / "ros_ws" / "src").glob("im*/im*/**/*.py"), *(ROOT / "scripts").glob("*")]
+    text = "\n".join(source.read_text(encoding="utf-8") for source in sources if source.is_file())
+    said = re.sub(r"\"\s*\n\s*f?\"", "", text)  # a sentence over several lines of code
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    messages = [row.split("|")[1].strip() for row in page.splitlines() if row.startswith("| ")]
+    messages = [message for message in messages if message != "message"]
+    assert len(messages) > 15
+    assert not [message for message in messages if message not in said]

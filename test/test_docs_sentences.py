@@ -7,7 +7,12 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+GUIDES = sorted(page for folder in (".", "tutorials") for page in (ROOT / "docs" / folder).glob("*.md"))
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *GUIDES,
+]
 LONGEST = 40  # words
 
 FENCE = re.compile(r"\s*(```|~~~)")

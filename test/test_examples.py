@@ -1,10 +1,15 @@
-"""The examples in the docstrings of four packages hold: what a reader types first."""
+"""The examples in the docstrings of four packages hold, and the notebook that needs no machine."""
 
 import doctest
 import importlib
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+from support.notebook import source_of
+from support.whole_machine import COMMAND_S, ROOT
 
 
 @pytest.mark.parametrize("package", ["im_calibration", "im_cell", "im_pnt", "im_pnt_analysis"])
@@ -23,3 +28,13 @@ def test_examples_of_a_package_hold(package):
                 runner.run(example)
     assert runner.failures == 0, "see the captured output"
     assert runner.tries >= 10
+
+
+def test_the_notebook_of_nets_runs_from_its_first_cell_to_its_last():
+    source = source_of(ROOT / "examples" / "nets.ipynb")
+    argv = [sys.executable, "-c", source]
+    done = subprocess.run(argv, capture_output=True, text=True, timeout=COMMAND_S, check=False)
+    assert done.returncode == 0, done.stderr
+    said = done.stdout.splitlines()
+    assert "verified 3 markings {'cold': 1, 'full': 1, 'hot': 1}" in said
+    assert "refused" in said

@@ -182,6 +182,16 @@ def test_the_rate_of_a_topic_is_told(im):
     assert "average rate: " in out
 
 
+def test_messages_from_before_count_for_no_rate(im, oven):
+    """They come all at once, and would make it a hundred times as large."""
+    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    bell = oven.create_publisher(String, "/oven/bell", latched)
+    for _ in range(100):
+        bell.publish(String())
+    code, out, err = im("topic", "hz", "/oven/bell", "--timeout", 1)
+    assert (code, out, err) == (3, "", "im topic: waited 1 s for a message on /oven/bell, in vain\n")
+
+
 def test_the_rate_is_that_of_the_intervals():
     told = topic.rate_text([0.0, 0.1, 0.3])
     assert told == "average rate: 6.667\n\tmin: 0.100s max: 0.200s std dev: 0.05000s window: 3"

@@ -1,4 +1,4 @@
-"""docs/vss_tutorial.md: its module, Tool and Service are loaded and called, as the page says."""
+"""docs/tutorials/vision_service.md: its module, Tool and Service are loaded and called, as the page says."""
 
 import os
 import re
@@ -12,7 +12,7 @@ from im_core.config import package_file
 from im_core.ros.calls import call_blocking
 from im_msgs.srv import VisionQuery
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "vss_tutorial.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorials/vision_service.md"
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""``docs/your_robot.md``: a task over two action servers of the standard types, run, killed and resumed as it says."""
+"""``docs/tutorials/your_robot.md``: a task over two action servers of standard types, run, killed and resumed."""
 
 import re
 import signal
@@ -11,7 +11,7 @@ from im_core import clock
 from im_pnt_analysis.cli import main as pnt
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "your_robot.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "tutorials/your_robot.md").read_text(encoding="utf-8")
 FILES = ROOT / "docs" / "nets" / "your_robot"
 FETCHED = ["gripper 0.04", "arm [0.4, -1.2, 0.8]", "gripper 0.01", "arm [0.0, -0.6, 0.6]"]
 TYPED = re.findall(r"^\$ (.*)$", PAGE, re.MULTILINE)
@@ -70,7 +70,7 @@ transitions:
 
 
 def test_the_page_shows_the_files():
-    pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(nets/your_robot/\1\)\n```\w+\n(.*?)```"
+    pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(\.\./nets/your_robot/\1\)\n```\w+\n(.*?)```"
     shown = dict(re.findall(pattern, PAGE, re.DOTALL))
     linked = FILES / "toy_robot.py"
     assert shown == {file.name: file.read_text(encoding="utf-8") for file in {*FILES.glob("*.*")} - {linked}}

@@ -1,4 +1,4 @@
-"""Nets alone, on a robot of your own whose nodes offer what they call (docs/your_robot.md); Ctrl-C ends them.
+"""Nets alone, on a robot of your own whose nodes offer what they call (docs/tutorials/your_robot.md); Ctrl-C ends them.
 
     nets.launch.py nets:="pick.yaml cell.yaml" page:=true
 

@@ -134,6 +134,19 @@ def test_with_a_configuration_of_other_hardware_it_may_be_on_any_host(far, own):
     assert list(parsed(spread(far, task)).on_host("far")) == [far]
 
 
+def test_a_port_for_foxglove_adds_the_bridge_to_the_first_host():
+    plain = parsed(machine({"far": {"a": {"one": "{}"}}, "localhost": {"b": {"two": "{}"}}}))
+    assert [placed.name for placed in plain.tasks()] == ["one", "two"]
+    bridged = plain.with_values(None, None, None, foxglove=9000)
+    bridge = list(bridged.tasks())[-1]
+    assert (bridge.id, bridge.name, bridge.host, bridge.process) == (3, "foxglove_bridge", "far", "foxglove_bridge")
+    assert (bridge.task.package, bridge.task.node) == ("im_bag", "/foxglove_bridge")
+    assert bridged.parameters_of(bridge.task)["port"] == 9000
+    assert tasks_of(bridged.on_host("far")) == {"a": ["one"], "foxglove_bridge": ["foxglove_bridge"]}
+    assert tasks_of(bridged.on_host("localhost")) == {"b": ["two"]}
+    assert deployment.with_options_text(plain, deployment.options_text(bridged)) == bridged
+
+
 def test_references_become_values_and_keep_their_type():
     text = machine({"localhost": {"a": {"one": '{factor: "${clock_factor}", seed: "${seed}", name: "run ${seed}"}'}}})
     changed = parsed(text).with_values(0.0, None, None)

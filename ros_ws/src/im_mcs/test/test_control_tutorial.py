@@ -1,4 +1,4 @@
-"""docs/control_law.md: its law is loaded, configured, switched to and followed, as the page says."""
+"""docs/tutorials/control_law.md: its law is loaded, configured, switched to and followed, as the page says."""
 
 import ast
 import os
@@ -13,7 +13,7 @@ import yaml
 from im_core.errors import ConfigError
 from im_mcs.limits.configuration import McsConfig
 
-PAGE = Path(__file__).resolve().parents[4] / "docs" / "control_law.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "tutorials/control_law.md"
 LAW = "my_laws:SlidingMode"
 
 

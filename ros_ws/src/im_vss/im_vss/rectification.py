@@ -8,7 +8,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.frames import Image
 
 
-class Rectification:
+class ImageRectification:
     """Map from a camera's image to the rectified one (Hartley and Zisserman, section 11.12).
 
     A pixel of the rectified image is a ray of the camera with the matrix P, turned back by R; the lens of the real

@@ -6,7 +6,7 @@ import pytest
 
 from im_cell.calibration_files.intrinsics import Rectified, monocular
 from im_cell.camera_model import CameraModel
-from im_vss.rectification import Rectification
+from im_vss.rectification import ImageRectification
 
 K = np.array([[310.0, 0.0, 158.0], [0.0, 308.0, 122.0], [0.0, 0.0, 1.0]])
 WIDE = CameraModel(320, 240, K, [-0.05, 0.01, -0.002, 0.0005], distortion_model="equidistant")
@@ -31,7 +31,7 @@ def of_opencv(image, model, rectified):
 @pytest.mark.parametrize("turned", [False, True], ids=["alone", "of a pair"])
 def test_a_rectified_image_is_that_of_opencv(image, model, turned):
     rectified = TURNED if turned else monocular(model)
-    ours = Rectification(model, rectified).apply(image)
+    ours = ImageRectification(model, rectified).apply(image)
     assert ours.shape == image.shape
     np.testing.assert_allclose(ours.astype(int), of_opencv(image, model, rectified).astype(int), atol=2)
     assert np.abs(ours.astype(int) - image).max() > 50, "it is another image"
@@ -40,4 +40,4 @@ def test_a_rectified_image_is_that_of_opencv(image, model, turned):
 def test_an_image_without_distortion_stays():
     image = np.arange(240 * 320, dtype=np.uint32).astype(np.uint8).reshape(240, 320)
     ideal = CameraModel(320, 240, K, np.zeros(5))
-    np.testing.assert_array_equal(Rectification(ideal, monocular(ideal)).apply(image), image)
+    np.testing.assert_array_equal(ImageRectification(ideal, monocular(ideal)).apply(image), image)

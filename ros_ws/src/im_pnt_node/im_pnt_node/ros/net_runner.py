@@ -30,7 +30,7 @@ from im_pnt_node.ros.commands.commands import CommandOutcome
 from im_pnt_node.ros.node import PntNode
 
 _DESCRIPTION = """Verifies nets together and runs them in a node of their own, without the machine: a robot's own nodes
-offer services, actions and topics, and the nets call them. docs/your_robot.md begins with an empty folder.
+offer services, actions and topics, and the nets call them. docs/tutorials/your_robot.md begins with an empty folder.
 
   scripts/im pnt run pick.yaml                                   runs the net; action /pick/execute takes commands
   scripts/im pnt run pick.yaml --symbol pick --arg width=0.02    runs one command, tells its steps, and ends

@@ -15,7 +15,7 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook, CameraEntry
 from im_vss.laser.book import LaserBook
-from im_vss.rectification import Rectification
+from im_vss.rectification import ImageRectification
 from im_vss.ros.messages import to_camera_info, to_compressed, to_header, to_image, to_transform
 
 
@@ -41,7 +41,7 @@ class ImageOutputs:
         self._raw = self._publishers(names, Image, "image_raw", qos.IMAGES)
         self._compressed = self._publishers(names, CompressedImage, "image_raw/compressed", qos.IMAGES)
         self._rect = self._publishers(names, Image, "image_rect", qos.IMAGES)
-        self._rectifications: dict[str, tuple[CameraEntry, Rectification]] = {}
+        self._rectifications: dict[str, tuple[CameraEntry, ImageRectification]] = {}
         self._info = self._publishers(names, CameraInfo, "camera_info", qos.LATCHED)
         self._display = self._publishers(names, Image, "image_display", qos.IMAGES)
         self.left: dict[str, tuple[Array, Array]] = {}
@@ -86,11 +86,11 @@ class ImageOutputs:
                 places.append((entry.parent, entry.frame, entry.model.position, entry.model.R_cam_base.T))
             self._tf_static.publish(TFMessage(transforms=[to_transform(*place, stamp_ns) for place in places]))
 
-    def _rectification(self, entry: CameraEntry) -> Rectification:
+    def _rectification(self, entry: CameraEntry) -> ImageRectification:
         """Return the rectification by the present calibration of a camera."""
         known, found = self._rectifications.get(entry.name, (None, None))
         if found is None or known is not entry:
-            found = Rectification(entry.model, entry.rectified)
+            found = ImageRectification(entry.model, entry.rectified)
             self._rectifications[entry.name] = entry, found
         return found
 

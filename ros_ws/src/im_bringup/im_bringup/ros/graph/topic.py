@@ -19,6 +19,8 @@ from im_core.options import at_least, seconds
 
 #: Messages that wait to be shown; more than that are left out.
 _DEPTH = 1000
+#: Messages that reach who comes later.
+_PUBLISHED = 10
 _LONGEST = 128
 _POLL_S = 0.02
 
@@ -78,11 +80,11 @@ def rate_text(stamps: Sequence[float]) -> str:
     )
 
 
-def matching_profile(publishers: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """Return a profile that hears all publishers: as reliable and durable as the least of them."""
+def matching_profile(publishers: Sequence[TopicEndpointInfo], latched: bool) -> QoSProfile:
+    """Return a profile that hears all publishers, as reliable as the least; with ``latched`` as durable, too."""
     offered = [each.qos_profile for each in publishers]
     reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
-    durable = bool(offered) and all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    durable = latched and bool(offered) and all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
     return QoSProfile(
         depth=_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
@@ -96,7 +98,9 @@ def _type(node: GraphClient, options: argparse.Namespace) -> int:
 
 def _info(node: GraphClient, options: argparse.Namespace) -> int:
     name = options.topic_name
-    print(f"Type: {node.find('topic', name, options.timeout)}\n")
+    type_name = node.find("topic", name, options.timeout)
+    node.listed("node")  # names of nodes come after their topics
+    print(f"Type: {type_name}\n")
     for title, ends in (
         ("Publisher", node.get_publishers_info_by_topic(name)),
         ("Subscription", node.get_subscriptions_info_by_topic(name)),
@@ -125,7 +129,7 @@ def _echo(node: GraphClient, options: argparse.Namespace) -> int:
 
 def _hz(node: GraphClient, options: argparse.Namespace) -> int:
     name = options.topic_name
-    messages = _subscribed(node, name, class_of(node.find("topic", name, options.timeout)), raw=True)
+    messages = _subscribed(node, name, class_of(node.find("topic", name, options.timeout)), timed=True)
     stamps: list[float] = []
     while True:
         node.wait(lambda: not messages.empty(), f"a message on {name}", options.timeout)
@@ -137,22 +141,26 @@ def _hz(node: GraphClient, options: argparse.Namespace) -> int:
             print(rate_text(stamps), flush=True)
 
 
-def _subscribed(node: GraphClient, name: str, kind: Any, raw: bool = False) -> "queue.Queue[tuple[float, Any]]":
-    """Subscribe to a topic; return its messages, each with the time it came at."""
+def _subscribed(node: GraphClient, name: str, kind: Any, timed: bool = False) -> "queue.Queue[tuple[float, Any]]":
+    """Subscribe to a topic; return its messages, each with the time it came at.
+
+    Where only the times count, messages are not decoded, and those from before, which come all at once, left out.
+    """
     messages: queue.Queue[tuple[float, Any]] = queue.Queue(_DEPTH)
 
     def keep(message: Any) -> None:
         if not messages.full():
             messages.put((clock.monotonic(), message))
 
-    node.create_subscription(kind, name, keep, matching_profile(node.get_publishers_info_by_topic(name)), raw=raw)
+    profile = matching_profile(node.get_publishers_info_by_topic(name), latched=not timed)
+    node.create_subscription(kind, name, keep, profile, raw=timed)
     return messages
 
 
 def _pub(node: GraphClient, options: argparse.Namespace) -> int:
     kind = class_of(options.message_type)
     message = message_from(kind(), options.values, options.message_type)
-    profile = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    profile = QoSProfile(depth=_PUBLISHED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     publisher = node.create_publisher(kind, options.topic_name, profile)
     wanted = options.wait_matching_subscriptions
     if wanted is None:
