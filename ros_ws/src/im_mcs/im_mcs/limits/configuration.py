@@ -92,6 +92,9 @@ class Switching(Model):
 
     handover_s: float = Field(gt=0, le=10, description="time over which the torque of the previous law fades [s]")
     laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
+    yielding: tuple[str, ...] = Field(
+        default=(), description="module:Class, of laws without integral: an arm that stands still is at rest anywhere"
+    )
 
 
 class LawProcesses(Model):
