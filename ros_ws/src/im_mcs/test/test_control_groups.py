@@ -94,6 +94,17 @@ def test_what_an_arm_carries_moves_from_the_integral_to_the_model_without_a_bump
     assert max(errors) < 1.5e-3  # the integral gives back what the model takes on
 
 
+def test_an_arm_under_an_impedance_is_at_rest_where_its_load_has_pushed_it(laden):
+    """It yields by millimetres and milliradians to what no model knows; no bound of the setpoint fits that."""
+    bench, _ = laden
+    assert bench.ask("set_controller", group="left", controller=IMPEDANCE)["success"]
+    q = bench.mcs.setpoint[0][:9]
+    reply = bench.ask("move", group="left", path={"kind": "joint", "points": [(q + 0.05).tolist()]})
+    assert reply["success"], reply
+    off = np.abs(bench.mcs.setpoint[0] - bench.mcs.measured.q)[:9].max()
+    assert off > 2.0 * bench.mcs.config.servo.settle.still_tolerance
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [

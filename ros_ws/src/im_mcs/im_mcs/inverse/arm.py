@@ -1,4 +1,4 @@
-"""Singularities and reach of a six-joint arm with a spherical wrist, such as the PUMA 560."""
+"""Singularities and reach of a six-joint arm: by name where it is built like the PUMA 560, else by its Jacobian."""
 
 import math
 
@@ -10,20 +10,26 @@ from im_core.errors import StateError
 from im_mcs.model import CellModel
 
 _ARM_JOINTS = 6
-SINGULARITIES = ("shoulder", "elbow", "wrist")
+# places at which the factors are compared with the determinant [rad], and how well they agree
+_PLACES = 0.3 + 0.7 * np.outer(np.arange(1.0, 5.0), [1.0, 0.7, -0.6, 0.9, -0.8, 0.5])
+_AGREE = 1e-6
 
 
 class Arm:
-    """Last six joints before a frame: two intersecting axes, an elbow parallel to the second, a spherical wrist.
+    """Last six joints before a frame.
 
-    The determinant of its Jacobian is the product of three factors (R.P. Paul, C.N. Stevenson, "Kinematics of robot
-    wrists", 1983): how far the wrist's centre is from the first axis (shoulder), how far the elbow is bent, and the
-    sine of joint 5 (wrist). Each factor is 0 in the singularity of that name.
+    Where these are two intersecting axes, an elbow parallel to the second, and a spherical wrist, the determinant of
+    the Jacobian is the product of three factors (R.P. Paul, C.N. Stevenson, "Kinematics of robot wrists", 1983): how
+    far the wrist's centre is from the first axis (shoulder), how far the elbow is bent, and the sine of joint 5
+    (wrist). Each factor is 0 in the singularity of that name. Whether an arm is built so is found by comparing both.
+    Of any other arm the one factor is the determinant, and nothing is known of its reach but the lengths of its links.
 
     Attributes:
+        singularities: Names of the factors.
         joints: Ranks of the six joints among all, shape (6,).
         carriers: Ranks of the joints that carry the arm, in order.
-        reach: From the second axis to the centre of the wrist with the arm stretched out [m].
+        reach: From the second axis to the centre of the wrist with the arm stretched out; of an arm of another build to
+            the frame, no less than that [m].
 
     Args:
         model: Kinematics.
@@ -50,25 +56,36 @@ class Arm:
         self._shoulder = shoulder.translation
         self._data = model.pin.createData()
         self.reach = self._upper + self._fore
+        self._frame = model.frame_id(frame)
+        self.singularities: tuple[str, ...] = ("shoulder", "elbow", "wrist")
+        ratios = [self._determinant(q) / math.prod(self.factors(q)) for q in _PLACES]
+        if max(ratios) - min(ratios) > _AGREE * max(map(abs, ratios)):
+            self.singularities = ("arm",)
+            last = model.pin.frames[self._frame].placement
+            self.reach = float(sum(np.linalg.norm(place.translation) for place in (*placements[2:], last)))
 
-    def factors(self, q: NDArray[np.float64]) -> tuple[float, float, float]:
-        """Shoulder, elbow and wrist factor, each signed and at most 1 in size.
+    def factors(self, q: NDArray[np.float64]) -> tuple[float, ...]:
+        """Shoulder, elbow and wrist factor, each signed and at most 1 in size; or the determinant alone.
 
         Args:
             q: Positions of the arm's joints, shape (6,) [rad].
         """
+        if len(self.singularities) == 1:
+            return (self._determinant(q),)
         x, y = self._centre(q)
         off_axis = x * self._upright[1] - y * self._upright[0]
         return off_axis / self.reach, math.sin(q[2] + self._bend), math.sin(q[4])
 
     def away(self, q: NDArray[np.float64], wanted: float) -> NDArray[np.float64]:
-        """Return the direction of growing factors up to ``wanted``, 0 for larger ones; shape (6,).
+        """Return the direction of growing factors up to ``wanted``, shape (6,); 0 for larger ones, or none known.
 
         Args:
             q: Positions of the arm's joints, shape (6,) [rad].
             wanted: Size that each factor should have.
         """
         gradient = np.zeros(_ARM_JOINTS)
+        if len(self.singularities) == 1:
+            return gradient
         shoulder, elbow, wrist = self.factors(q)
         x, y = self._centre(q)
         forearm = q[1] + q[2] + self._bend
@@ -91,10 +108,20 @@ class Arm:
         pin.forwardKinematics(self._model.pin, self._data, q_all)
         base = self._data.oMi[int(self.joints[0]) + 1]
         to = base.rotation.T @ (wrist - base.translation) - self._shoulder
+        if len(self.singularities) == 1:
+            return max(float(np.linalg.norm(to)) - self.reach, 0.0)
         off_axis = math.hypot(to[0], to[1])
         in_plane = math.sqrt(max(float(to @ to) - self._offset**2, 0.0))
         nearest = abs(self._upper - self._fore)
         return max(in_plane - self.reach, nearest - in_plane, abs(self._offset) - off_axis, 0.0)
+
+    def _determinant(self, q: NDArray[np.float64]) -> float:
+        """Determinant of the arm's Jacobian, lengths divided by the reach."""
+        whole = np.zeros(self._model.n)
+        whole[self.joints] = q
+        frame = pin.ReferenceFrame.LOCAL
+        jacobian = pin.computeFrameJacobian(self._model.pin, self._data, whole, self._frame, frame)[:, self.joints]
+        return float(np.linalg.det(jacobian)) / self.reach**3
 
     def _centre(self, q: NDArray[np.float64]) -> tuple[float, float]:
         """Centre of the wrist in the plane of the upper arm, from the second axis [m]."""

@@ -13,18 +13,19 @@ from im_mcs.inverse.redundancy import Redundancy
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 
-_ITERATIONS = 80
+# the last ones are all but undamped: near a singularity damped steps end beside the pose
+_ITERATIONS, _UNDAMPED = 100, 80
 # Solutions keep clear of the limits, so that a measured position is never beyond them [rad or m].
 _LIMIT_MARGIN = 0.02
 # Where nothing is reached, steps end a little before the limit that is in the way [rad or m].
 _AT_LIMIT = 0.01
 _POSITION_TOLERANCE_M = 1e-7
 _ROTATION_TOLERANCE_RAD = 1e-7
-_DAMPING = 1e-3
+_DAMPING, _LAST_DAMPING = 1e-3, 1e-6
 _STEP = 0.5
 _NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
-_SEEDS = 24
+_SEEDS = 64
 _SEED_KEY = 20240607
 
 
@@ -151,18 +152,24 @@ class InverseKinematics:
                 return
             jacobian = self._model.jacobian(self._whole(q_all, q), self._frame)[:, self._index]
             pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
-            q = self._step(jacobian, error, q, pull)
+            damping = _DAMPING if k < _UNDAMPED else _LAST_DAMPING
+            q = self._step(jacobian, error, q, pull, damping)
             error = self._error(target, q_all, q)
 
     def _step(
-        self, jacobian: NDArray[np.float64], error: NDArray[np.float64], q: NDArray[np.float64], pull: float
+        self,
+        jacobian: NDArray[np.float64],
+        error: NDArray[np.float64],
+        q: NDArray[np.float64],
+        pull: float,
+        damping: float,
     ) -> NDArray[np.float64]:
         """One damped step within the limits."""
         free = np.ones(len(q), dtype=np.bool_)
         wish = pull * self._redundancy.wish(q) if pull > 0.0 else np.zeros(len(q))
         for _ in range(2):
             j = jacobian * free
-            inverse = j.T @ np.linalg.inv(j @ j.T + _DAMPING**2 * np.eye(6))
+            inverse = j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(6))
             step = inverse @ error
             step += (wish - inverse @ (j @ wish)) * free
             step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-12))

@@ -23,14 +23,14 @@ class Tracked:
         dq: First derivative, shape (18,).
         ddq: Second derivative, shape (18,).
         singular_value: Smallest of the arm's Jacobian, lengths divided by its reach.
-        factors: Shoulder, elbow and wrist factor.
+        factors: Of the arm's singularities.
     """
 
     q: NDArray[np.float64]
     dq: NDArray[np.float64]
     ddq: NDArray[np.float64]
     singular_value: float
-    factors: tuple[float, float, float]
+    factors: tuple[float, ...]
 
 
 class ArmTracker:

@@ -93,6 +93,9 @@ class Switching(Model):
 
     handover_s: float = Field(gt=0, le=10, description="time over which the torque of the previous law fades [s]")
     laws: dict[str, dict[str, Any]] = Field(default_factory=dict, description="parameters by module:Class")
+    yielding: tuple[str, ...] = Field(
+        default=(), description="module:Class, of laws without integral: an arm that stands still is at rest anywhere"
+    )
 
 
 class LawProcesses(Model):
@@ -128,6 +131,13 @@ class GoalSettings(Model):
     stopped_velocity: float = Field(default=0.02, gt=0, description="largest estimated velocity of each [rad/s or m/s]")
 
 
+class NoiseSettings(Model):
+    """How far noise of recorded positions is smoothed, where a trajectory names no path tolerance."""
+
+    rad: float = Field(default=1e-3, gt=0, description="largest change of a joint's position [rad]")
+    m: float = Field(default=1e-3, gt=0, description="largest change of a track's position [m]")
+
+
 class Planning(Model):
     """Defaults of the motion planning layer."""
 
@@ -138,6 +148,7 @@ class Planning(Model):
     max_points: int = Field(ge=1, description="most points of one path")
     max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
     goal: GoalSettings = GoalSettings()
+    noise: NoiseSettings = NoiseSettings()
     line: Line
 
 

@@ -388,7 +388,8 @@ class ControlledGroup:
         self._position, self._velocity = position, v[self.index]
         if self.still:
             if not self.controller.switching:
-                self.monitor.update(tick, position, setpoint.q)
+                yields = self.controller.name in self.context.config.switching.yielding
+                self.monitor.update(tick, position, None if yields else setpoint.q)
                 self.controller.hold_integral(self.monitor.phase in (RestPhase.MEASURING, RestPhase.AT_REST))
         elif self.monitor.phase is not RestPhase.MOVING:
             self._begun()

@@ -86,7 +86,7 @@ class RestMonitor:
         Args:
             tick: Number of the tick.
             q: Readings, shape (n,).
-            target: Setpoint, shape (n,); None while brakes hold, when any place will do.
+            target: Setpoint, shape (n,); None where any place will do: while brakes hold, or under a law that yields.
         """
         if self.phase is RestPhase.AT_REST:
             self._watch(q)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError, LimitError
 from im_mcs.inverse import ArmTracker, Tracked
-from im_mcs.inverse.arm import SINGULARITIES, Arm
+from im_mcs.inverse.arm import Arm
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.line.geometry import LinePath, PathPlace
 from im_mcs.planning.trajectories.polynomial import quintic
@@ -127,7 +127,7 @@ class LineCurve:
         there = self._place(end, here.q + h * (here.dq + 0.5 * h * here.ddq))
         if isinstance(there, ImError):
             return there
-        for name, a, b in zip(SINGULARITIES, here.factors, there.factors, strict=True):
+        for name, a, b in zip(self._arm.singularities, here.factors, there.factors, strict=True):
             if a * b < 0.0:
                 return self._singular(name, end, there)
         return there
@@ -142,10 +142,10 @@ class LineCurve:
         tracked = self._tracked(found, place) if found is not None else None
         if tracked is None:
             worst = int(np.argmin(np.abs(self._arm.factors(q[self._arm.joints]))))
-            return self._singular(SINGULARITIES[worst], s, None)
+            return self._singular(self._arm.singularities[worst], s, None)
         if tracked.singular_value < self._singular_value:
             worst = int(np.argmin(np.abs(tracked.factors)))
-            return self._singular(SINGULARITIES[worst], s, tracked)
+            return self._singular(self._arm.singularities[worst], s, tracked)
         for i in self._index:
             value, lower, upper = float(tracked.q[i]), float(self._limits.lower[i]), float(self._limits.upper[i])
             if not lower - _ROUNDING <= value <= upper + _ROUNDING:
@@ -215,11 +215,13 @@ class LineCurve:
         return error
 
     def _singular(self, name: str, s: float, there: Tracked | None) -> ImError:
-        joint = self._limits.names[int(self._arm.joints[{"shoulder": 0, "elbow": 2, "wrist": 4}[name]])]
+        rank = {"shoulder": 0, "elbow": 2, "wrist": 4, "arm": -1}[name]
+        joint = self._limits.names[int(self._arm.joints[rank])]
         what = {
             "shoulder": f"the wrist over the axis of {joint}",
             "elbow": f"the arm stretched or folded at {joint}",
             "wrist": f"{joint} at 0",
+            "arm": f"a direction in which no joint up to {joint} moves the wrist",
         }[name]
         value = "" if there is None else f", smallest singular value {there.singular_value:.3g}"
         return ImError(

@@ -32,6 +32,7 @@ class RetimedTrajectory(PiecewisePolynomial):
     Attributes:
         because: The first place where the asked one is beyond a limit.
         asked: The asked one.
+        smoothed: What noise in its positions has cost, as a clause; empty: it has none.
 
     Args:
         lengths, coefficients, points: As for every trajectory.
@@ -51,6 +52,7 @@ class RetimedTrajectory(PiecewisePolynomial):
     ) -> None:
         super().__init__(lengths, coefficients, points)
         self._times, self.asked, self.because = times, asked, because
+        self.smoothed = ""
 
     def asked_time(self, t: float) -> float:
         """Return the requested trajectory's time at the place of the re-timed one at time ``t`` [s]."""
@@ -60,10 +62,11 @@ class RetimedTrajectory(PiecewisePolynomial):
     def report(self) -> str:
         """Changes, with the reasons."""
         facts = self.because.facts
-        return (
+        retimed = (
             f"re-timed along its path: {self.duration:.3f} s instead of {self.asked.duration:.3f} s, because of "
             f"{facts['quantity']} of {facts['joint']} at {facts['time']:.3f} s"
         )
+        return self.smoothed + (f", then {retimed}" if self.duration > self.asked.duration else "") or retimed
 
 
 def retime(
