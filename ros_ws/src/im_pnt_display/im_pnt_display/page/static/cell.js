@@ -47,9 +47,9 @@ export class CellView {
     if (!this.three) { this.waiting.push({ part, content }); return; }
     const [kind, ...rest] = part.split("/"), name = rest.join("/");
     switch (kind) {
-      case "robot": this.build(content); break;
-      case "joints": for (const [joint, at] of Object.entries(content)) this.move(joint, at); break;
-      case "frame": this.place(this.frame(name), content); break;
+      case "robot": if (content) this.build(content); break;
+      case "joints": for (const [joint, at] of Object.entries(content ?? {})) this.move(joint, at); break;
+      case "frame": if (content) this.place(this.frame(name), content); break;
       case "marker": this.mark(name, content); break;
       case "image": case "spot": this.show(name, kind, content); return;
     }
