@@ -43,6 +43,11 @@ CONTRAST = """(() => {
     return Math.min(...letters.map((letter) => letter / paper).map((ratio) => Math.max(ratio, 1 / ratio)));
 })()"""
 """The least contrast of letters to the ground, as WCAG 2 defines it."""
+SEEN = "[...document.images].some((image) => image.naturalWidth === 4)"
+NO_WEBGL = """const made = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.startsWith("webgl") ? null : made.call(this, kind, ...more);
+};"""
 PICTURES = os.environ.get("IM_PICTURES")
 
 
@@ -178,21 +183,31 @@ def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     each.until("document.querySelectorAll('#firings li').length === 1", "the first firing")
 
 
-def test_over_a_bag_the_cell_is_drawn_as_it_was(tab, tmp_path):
-    write_bag_with_cell(BAGS / "undisturbed", tmp_path / "bag")
-    cell = RecordedCell(tmp_path / "bag")
-    server = DisplayServer(port=0, recording=RecordedNets("bag", recording_of(tmp_path / "bag"), cell))
+@pytest.fixture(scope="module")
+def with_cell(tmp_path_factory):
+    """The address of the page over a bag with a cell."""
+    bag = tmp_path_factory.mktemp("bags") / "cell"
+    write_bag_with_cell(BAGS / "undisturbed", bag)
+    server = DisplayServer(port=0, recording=RecordedNets("cell", recording_of(bag), RecordedCell(bag)))
     server.start()
-    try:
-        each = tab(server.url)
-        each.until("document.getElementById('count').textContent.startsWith('firing 0 ')", "the beginning")
-        each.until("document.querySelectorAll('#cameras figure').length === 1", "the camera")
-        begun = wait_for_shades(each)
-        each.page.keyboard.press("End")
-        each.until("[...document.images].some((image) => image.naturalWidth === 4)", "the image")
-        assert begun > 200, "robots have shades"
-    finally:
-        server.stop()
+    yield server.url
+    server.stop()
+
+
+def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
+    each = tab(with_cell)
+    each.until("document.querySelectorAll('#cameras figure').length === 1", "the camera")
+    assert wait_for_shades(each) > 200, "robots have shades"
+    assert not each.page.evaluate(SEEN)
+    each.page.keyboard.press("End")
+    each.until(SEEN, "the image")
+
+
+def test_a_browser_that_cannot_draw_the_cell_says_so_and_shows_the_images(with_cell, tab):
+    each = tab(f"{with_cell}#t=1000", script=NO_WEBGL)
+    each.until("!document.getElementById('flat').hidden", "the sentence")
+    assert "cannot be drawn in three dimensions here" in each.page.inner_text("#flat")
+    each.until(SEEN, "the image")
 
 
 @pytest.mark.parametrize(("size", "scheme"), [((1400, 900), "light"), ((390, 844), "dark")])
