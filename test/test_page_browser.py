@@ -3,9 +3,11 @@
 With ``IM_PICTURES=FOLDER`` the pictures of the documents are written there (docs/images).
 """
 
+import contextlib
 import io
 import json
 import os
+import socket
 import urllib.request
 from pathlib import Path
 
@@ -18,9 +20,11 @@ from im_pnt_analysis.recorded.timeline import recording_of
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_display import DisplayServer
 from im_pnt_display.page.messages import drawn_counterexample
+from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import RecordedNets
+from support.bag_with_cell import write_bag_with_cell
 from support.browser import Tab, headless_browser
-from support.whole_machine import free_port, running_machine
+from support.whole_machine import running_machine
 
 BAGS = Path(__file__).parent / "data" / "bags"
 FIRED = "[...document.querySelectorAll('#firings b')].map((each) => each.textContent).join(' ')"
@@ -28,6 +32,22 @@ ENDED = "document.getElementById('ended').textContent"
 STATE = "document.getElementById('line').textContent"
 LETTERS = """[...document.querySelectorAll('#scene text')].map((text) => ({ box: text.getBoundingClientRect(),
     size: parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a }))"""
+CONTRAST = """(() => {
+    const light = (color) => {
+        const [r, g, b] = color.match(/[\\d.]+/g).map((part) => part / 255)
+            .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4));
+        return 0.2126 * r + 0.7152 * g + 0.0722 * b + 0.05;
+    };
+    const paper = light(getComputedStyle(document.body).backgroundColor);
+    const letters = [...document.querySelectorAll('#scene text')].map((text) => light(getComputedStyle(text).fill));
+    return Math.min(...letters.map((letter) => letter / paper).map((ratio) => Math.max(ratio, 1 / ratio)));
+})()"""
+"""The least contrast of letters to the ground, as WCAG 2 defines it."""
+SEEN = "[...document.images].some((image) => image.naturalWidth === 4)"
+NO_WEBGL = """const made = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.startsWith("webgl") ? null : made.call(this, kind, ...more);
+};"""
 PICTURES = os.environ.get("IM_PICTURES")
 
 
@@ -51,6 +71,15 @@ def tab(browser):
         each.close()
 
 
+def lasting_port():
+    """A free port that the kernel gives to no client: one that tries to connect would take it while no machine runs."""
+    for port in range(20_000, 32_000):
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("no port is free")
+
+
 def address():
     return names.display_file().read_text().strip()
 
@@ -70,12 +99,22 @@ def start(each, command, **choices):
     each.page.click("#start button")
 
 
+def wait_for_shades(each):
+    """The number of colours of the drawn cell, once there is one."""
+    for _ in range(200):
+        picture = Image.open(io.BytesIO(each.page.locator("#robot").screenshot())).convert("RGB")
+        if (shades := len(picture.getcolors(1 << 20))) > 200:
+            break
+        each.page.wait_for_timeout(50)
+    return shades
+
+
 def followed(machine, topic):
     return "pnt_display" in [each.node_name for each in machine.node.get_subscriptions_info_by_topic(topic)]
 
 
 def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
-    port = free_port()
+    port = lasting_port()
     with running_machine("--control", port=port) as machine:
         url = address()
         only_looks = connected(tab(url.partition("?")[0] + "#cell=0"))
@@ -91,8 +130,7 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
         assert not only_looks.page.is_visible("#start")
         operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")
         operates.until("document.querySelectorAll('.spot:not([hidden])').length > 0", "the spot in it")
-        colors = Image.open(io.BytesIO(operates.page.locator("#robot").screenshot())).convert("RGB").getcolors(1 << 20)
-        assert len(colors) > 500, "robots have shades"
+        assert wait_for_shades(operates) > 200, "robots have shades"
 
         start(operates, "calibrate_camera", group="left")
         operates.until(f"/running|calibrate_camera/.test({STATE})", "the command in the line")
@@ -145,6 +183,33 @@ def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     each.until("document.querySelectorAll('#firings li').length === 1", "the first firing")
 
 
+@pytest.fixture(scope="module")
+def with_cell(tmp_path_factory):
+    """The address of the page over a bag with a cell."""
+    bag = tmp_path_factory.mktemp("bags") / "cell"
+    write_bag_with_cell(BAGS / "undisturbed", bag)
+    server = DisplayServer(port=0, recording=RecordedNets("cell", recording_of(bag), RecordedCell(bag)))
+    server.start()
+    yield server.url
+    server.stop()
+
+
+def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
+    each = tab(with_cell)
+    each.until("document.querySelectorAll('#cameras figure').length === 1", "the camera")
+    assert wait_for_shades(each) > 200, "robots have shades"
+    assert not each.page.evaluate(SEEN)
+    each.page.keyboard.press("End")
+    each.until(SEEN, "the image")
+
+
+def test_a_browser_that_cannot_draw_the_cell_says_so_and_shows_the_images(with_cell, tab):
+    each = tab(f"{with_cell}#t=1000", script=NO_WEBGL)
+    each.until("!document.getElementById('flat').hidden", "the sentence")
+    assert "cannot be drawn in three dimensions here" in each.page.inner_text("#flat")
+    each.until(SEEN, "the image")
+
+
 @pytest.mark.parametrize(("size", "scheme"), [((1400, 900), "light"), ((390, 844), "dark")])
 def test_letters_can_be_read_at_first_sight(recorded, tab, size, scheme):
     _, url = recorded
@@ -154,6 +219,7 @@ def test_letters_can_be_read_at_first_sight(recorded, tab, size, scheme):
     letters = each.page.evaluate(LETTERS)
     assert letters
     assert min(letter["size"] for letter in letters) >= 9.0
+    assert each.page.evaluate(CONTRAST) >= 4.5
     area = each.page.locator("#canvas").bounding_box()
     seen = [
         letter

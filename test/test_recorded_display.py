@@ -14,8 +14,10 @@ from im_pnt_analysis.cli.terminal import BAD_INPUT
 from im_pnt_analysis.recorded.firings import mission_of
 from im_pnt_analysis.recorded.timeline import Described, Moment, NetRecording, RecordedMarking, recording_of
 from im_pnt_display import DisplayServer
+from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
 from im_pnt_display.page.site import RECORDED
+from support.bag_with_cell import JOINT, write_bag_with_cell
 
 BAGS = Path(__file__).parent / "data" / "bags"
 NAMES = sorted(path.name for path in BAGS.iterdir() if path.is_dir())
@@ -180,11 +182,61 @@ def test_nothing_is_operated_in_a_recording(shown):
     assert (answer["success"], answer["message"]) == (False, RECORDED)
 
 
+@pytest.fixture(scope="module")
+def with_cell(tmp_path_factory):
+    """A bag with a cell, its recording, its number of firings, and a page over it."""
+    bag = tmp_path_factory.mktemp("bags") / "cell"
+    firings = write_bag_with_cell(BAGS / "undisturbed", bag)
+    recording = recording_of(bag)
+    server = DisplayServer(port=0, recording=RecordedNets("cell", recording, RecordedCell(bag)))
+    server.start()
+    yield recording, firings, server
+    server.stop()
+
+
+def parts(server, query):
+    status, text = asked(server, f"cell.json?{query}")
+    assert status == 200, text
+    return {change["part"]: change["content"] for change in json.loads(text)}
+
+
+def test_the_cell_is_as_it_was_at_each_moment(with_cell):
+    recording, firings, server = with_cell
+    assert json.loads(asked(server, "state.json")[1])["recording"]["cell"] is True
+    end = recording.moments[-1].at_s
+    first, last = parts(server, "at=0"), parts(server, f"at={end}")
+    assert first["robot"].startswith("<?xml")
+    assert first["frame/wall"]["xyz"] == [0.0, 0.0, 2.0]
+    assert first["marker/lights/0"]["frame"] == "left_led"
+    assert "marker/odd/1" not in first, "no page could draw it"
+    assert first["image/wall"] is first["spot/wall"] is None, "none has been taken"
+    assert last["image/wall"].startswith("data:image/png;base64,")
+    assert last["spot/wall"] == [1.0, 2.0]
+    turned = [parts(server, f"at={end * share}")["joints"][JOINT] for share in (0.0, 0.3, 0.6, 1.0)]
+    assert turned == sorted(turned)
+    assert turned[0] < turned[1] < turned[3] <= firings / 1000.0
+
+
+def test_of_the_cell_only_what_has_changed_is_told_again(with_cell):
+    recording, _, server = with_cell
+    end = recording.moments[-1].at_s
+    assert parts(server, f"at={end}&since={end}") == {}
+    assert parts(server, f"at={end}&since={0.9 * end}").keys() == {"joints"}
+    assert parts(server, f"at=0&since={end}")["image/wall"] is None, "who goes back sees it go"
+
+
+def test_a_bag_without_a_robot_has_no_cell(shown):
+    assert not RecordedCell(BAGS / "faults").recorded
+    assert parts(shown[1], "at=0") == {}
+    assert asked(shown[1], "cell.json?at=soon")[0] == asked(shown[1], "cell.json")[0] == 400
+
+
 def test_running_nets_have_no_recording():
     server = DisplayServer(port=0)
     server.start()
     try:
-        assert asked(server, "recording.json?at=0")[0] == 404
+        for path in ("recording.json", "cell.json"):
+            assert asked(server, f"{path}?at=0")[0] == 404
         assert json.loads(asked(server, "state.json")[1])["recording"] is None
     finally:
         server.stop()

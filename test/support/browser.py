@@ -34,14 +34,16 @@ class Tab:
         browser: The browser.
         url: Address that it opens.
         size: Width and height of the window [px].
+        script: JavaScript that runs before those of the page.
     """
 
-    def __init__(self, browser, url, size=(1400, 900), **context):
+    def __init__(self, browser, url, size=(1400, 900), script="", **context):
         self._context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **context)
         self.page = self._context.new_page()
         self.page.set_default_timeout(60_000)
         self.errors = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.add_init_script(script)
         self.page.goto(url)
 
     def until(self, script, what):

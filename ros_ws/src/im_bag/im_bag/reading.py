@@ -109,7 +109,10 @@ def topics_of(bag: Path) -> dict[str, str]:
 
 
 def messages_of(
-    bag: Path, wanted: Mapping[str, Collection[str]], fields: Mapping[str, Collection[str]] | None = None
+    bag: Path,
+    wanted: Mapping[str, Collection[str]],
+    fields: Mapping[str, Collection[str]] | None = None,
+    logged_ns: int | None = None,
 ) -> Iterator[BagMessage]:
     """The messages of some topics, in order of the time of recording.
 
@@ -117,6 +120,7 @@ def messages_of(
         bag: Folder of the bag, or a file of it.
         wanted: Topics, and which types each may have.
         fields: Of types that may have changed since: the fields that are read.
+        logged_ns: Only messages that were recorded then [ns]; None: all.
 
     Raises:
         DataError: The bag cannot be read, has no such topic, one of another type, or of a type that it does not define
@@ -141,7 +145,7 @@ def messages_of(
                     "this workspace, which can read it",
                     type=name,
                 )
-        yield from read_on(bag, _decoded(reader, chosen, store))
+        yield from read_on(bag, _decoded(reader, chosen, store, logged_ns))
 
 
 def read_on(bag: Path, messages: Iterator[MessageT]) -> Iterator[MessageT]:
@@ -160,8 +164,11 @@ def read_on(bag: Path, messages: Iterator[MessageT]) -> Iterator[MessageT]:
         yield message
 
 
-def _decoded(reader: Reader, connections: Sequence[Connection], store: Typestore) -> Iterator[BagMessage]:
-    for connection, logged_ns, data in reader.messages(connections=connections):
+def _decoded(
+    reader: Reader, connections: Sequence[Connection], store: Typestore, only_ns: int | None
+) -> Iterator[BagMessage]:
+    until = None if only_ns is None else only_ns + 1
+    for connection, logged_ns, data in reader.messages(connections, only_ns, until):
         content = store.deserialize_cdr(data, connection.msgtype)
         yield BagMessage(connection.topic, connection.msgtype, content, logged_ns)
 

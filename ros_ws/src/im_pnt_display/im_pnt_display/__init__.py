@@ -1,7 +1,7 @@
 """Nets to look at: drawings, and a web page showing live nets and playing counterexamples.
 
-For whoever watches a machine or writes about a net. Knows ``im_core``, the model and files of ``im_pnt``, and the
-replay and command line of ``im_pnt_analysis``; nobody knows it: ``pnt`` finds what it adds by entry points.
+For whoever watches a machine or writes about a net. Knows ``im_core``, ``im_bag``, the model and files of ``im_pnt``,
+and the replay and command line of ``im_pnt_analysis``; nobody knows it: ``pnt`` finds what it adds by entry points.
 """
 
 from typing import TYPE_CHECKING

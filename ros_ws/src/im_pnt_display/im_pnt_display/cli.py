@@ -91,13 +91,15 @@ def _add_address(parser: argparse.ArgumentParser) -> None:
 def run_display(options: argparse.Namespace) -> int:
     """Show a recording until a signal asks to end."""
     from im_pnt_analysis.recorded.timeline import recording_of  # the libraries of bags and of web pages take a while
+    from im_pnt_display.page.recorded_cell import RecordedCell
     from im_pnt_display.page.recording import RecordedNets
     from im_pnt_display.page.server import DisplayServer
 
     recording = recording_of(options.bag)
     ended = threading.Event()
     heed_end_signals(lambda *_: ended.set())
-    server = DisplayServer(options.host, options.port, recording=RecordedNets(options.bag.resolve().name, recording))
+    shown = RecordedNets(options.bag.resolve().name, recording, RecordedCell(options.bag))
+    server = DisplayServer(options.host, options.port, recording=shown)
     server.start()
     try:
         moments = f"{recording.firings} firings in {recording.moments[-1].at_s:.1f} s"

@@ -183,12 +183,13 @@ transitions:
   mend: {in: lost, out: broken}
   give_up: {in: [broken, idle], out: idle}
   back: {in: there, out: idle}
+  halt: {in: there, guard: cancelled, out: broken}
 """,
         "n.yaml",
     )
     usual, whole = draw(net, usual=True), draw(net)
     assert {node.name for node in usual.nodes} == {"idle", "here", "there", "go", "walk", "back"}
-    assert {"mend", "give_up", "lost", "broken"} < {node.name for node in whole.nodes}
+    assert {"mend", "give_up", "halt", "lost", "broken"} < {node.name for node in whole.nodes}
     assert {arc.kind for arc in usual.arcs} == {"flow"}
 
 

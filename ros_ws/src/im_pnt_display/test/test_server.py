@@ -146,6 +146,7 @@ def test_browsers_are_told_what_the_page_may_do(serve, path):
     assert policy["script-src"] == "'self'"
     assert headers["X-Frame-Options"] == "DENY"
     assert headers["X-Content-Type-Options"] == "nosniff"
+    assert headers["Cache-Control"] == "no-cache"
 
 
 def test_the_page_needs_nothing_that_the_policy_forbids():
@@ -192,7 +193,8 @@ def test_without_the_token_a_page_only_looks(serve):
 
     assert asyncio.run(talk())["message"] == READ_ONLY
     assert heard == []
-    assert DisplayServer(operate=heard.append).address != DisplayServer(operate=heard.append).address
+    other = serve(operate=heard.append)
+    assert server.address.partition("?")[2] != other.address.partition("?")[2], "each has a token of its own"
 
 
 @pytest.mark.parametrize("apart", [False, True])

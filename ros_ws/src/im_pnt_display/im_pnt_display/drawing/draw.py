@@ -83,7 +83,7 @@ def draw(net: Net, *, phases: bool = False, usual: bool = False) -> Drawing:
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
-        usual: Leave out what tokens reach only after a failure.
+        usual: Leave out what tokens reach only after a failure or a cancellation.
     """
     nodes, arcs = parts(net, phases=phases, usual=usual)
     top = [node.name for node in nodes if node.tokens and node.kind == "place" and node.name != OUTPUT_SEMAPHORE]

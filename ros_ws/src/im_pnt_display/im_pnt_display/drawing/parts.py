@@ -27,6 +27,8 @@ REFERENCE_RADIUS = 6.5
 LINE = 12.0
 _WIDE, _NARROW = 6.2, 5.1
 _LONGEST_VALUE = 60
+_CANCELLED = "cancelled"
+"""Guard of what is done because somebody has cancelled."""
 _STRUCTURE = (Role.ACCEPT, Role.FINISH, Role.FINISH_FAILED, Role.RETURN, Role.WITHDRAWN)
 
 
@@ -77,7 +79,7 @@ def parts(net: Net, *, phases: bool = False, usual: bool = False) -> tuple[tuple
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
-        usual: Leave out what tokens reach only after a failure.
+        usual: Leave out what tokens reach only after a failure or a cancellation.
     """
     whole = expand(net)
     folded = whole if phases else _folded(net, whole)
@@ -156,7 +158,7 @@ def _folded(net: Net, whole: Net) -> Net:
 
 
 def _usual(net: Net) -> Net:
-    """Return the part of a net that tokens reach while no action fails.
+    """Return the part of a net that tokens reach while no action fails and nothing is cancelled.
 
     Places that no transition marks are marked by other nets.
     """
@@ -164,7 +166,8 @@ def _usual(net: Net) -> Net:
     produced = {place for t in every for place in (*t.outputs, *t.on_failure, *t.on_doubt)}
     reached = {place.name for place in net.places.values() if place.tokens or place.name not in produced}
     kept: dict[str, Transition] = {}
-    while new := [t for t in every if t.name not in kept and reached.issuperset(t.inputs)]:
+    asked = [t for t in every if str(t.guard) != _CANCELLED]
+    while new := [t for t in asked if t.name not in kept and reached.issuperset(t.inputs)]:
         for t in new:
             kept[t.name] = t
             reached.update(t.outputs)

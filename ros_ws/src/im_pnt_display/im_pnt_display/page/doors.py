@@ -22,6 +22,7 @@ _HEADERS = {
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-cache",  # another machine at this address has another token, and perhaps another page
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 

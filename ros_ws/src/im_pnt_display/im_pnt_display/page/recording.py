@@ -8,6 +8,7 @@ from im_pnt.execution.notification import Firing
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place
 from im_pnt_analysis.recorded.timeline import Described, Moment, NetRecording, NetState
 from im_pnt_display.page.messages import firing_content
+from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.state import FIRINGS_KEPT, Change, net_content
 
 #: So many firings come with a moment: those that follow it.
@@ -20,15 +21,17 @@ class RecordedNets:
     Args:
         name: What the recording is called.
         recording: The recording.
+        cell: The cell in it; None: it is not shown.
 
     Attributes:
         overview: What a viewer needs to know of the whole, as JSON data: ``name``; ``firings`` and ``end``, their
-            number and the time of the last moment [s]; ``drawings``, the descriptions of all nets; ``rows`` and
-            ``bars``, the time line (row, begin [s], end [s] or None, whether it failed, command); ``gaps``.
+            number and the time of the last moment [s]; whether there is a ``cell``; ``drawings``, the descriptions of
+            all nets; ``rows`` and ``bars``, the time line (row, begin [s], end [s] or None, whether it failed,
+            command); ``gaps``.
     """
 
-    def __init__(self, name: str, recording: NetRecording) -> None:
-        self._recording = recording
+    def __init__(self, name: str, recording: NetRecording, cell: RecordedCell | None = None) -> None:
+        self._recording, self._cell = recording, cell
         mission = recording.mission
         lasting = [firing for firing in mission.firings if firing.on_time_line]
         rows = {label: row for row, label in enumerate(dict.fromkeys(f"{f.net}.{f.transition}" for f in lasting))}
@@ -36,6 +39,7 @@ class RecordedNets:
             "name": name,
             "firings": recording.firings,
             "end": recording.moments[-1].at_s,
+            "cell": cell is not None and cell.recorded,
             "drawings": [{"node": told.node, **net_content(told.net)} for told in recording.descriptions],
             "rows": list(rows),
             "bars": [[rows[f"{f.net}.{f.transition}"], f.begin_s, f.end_s, f.failed, f.command_id] for f in lasting],
@@ -75,6 +79,19 @@ class RecordedNets:
             "steps": list(self._steps(states, recording.moments[position:until], firing)),
             "more": until < len(recording.moments),
         }
+
+    def cell(self, asked: Mapping[str, str]) -> list[Change]:
+        """Return the changes of the cell at a time.
+
+        Args:
+            asked: ``at``, the time [s], and ``since``, the time at which the viewer knows the cell; empty: at none.
+
+        Raises:
+            DataError: They are no times, or the bag cannot be read.
+        """
+        since = asked.get("since", "")
+        at_s, since_s = _time(asked.get("at", "")), _time(since) if since else None
+        return self._cell.parts(at_s, since_s) if self._cell is not None else []
 
     def _steps(self, states: dict[str, NetState], moments: Sequence[Moment], firing: int) -> Iterator[Change]:
         """Return the changes at some moments, with the states."""

@@ -3,8 +3,8 @@
 import asyncio
 import hmac
 import socket
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,6 +96,7 @@ class Site:
         self._app.router.add_get("/state.json", self._give_state)
         self._app.router.add_get("/ws", self._view)
         self._app.router.add_get("/recording.json", self._give_moment)
+        self._app.router.add_get("/cell.json", self._give_cell)
         for file in (*STATIC.iterdir(), *VENDOR.iterdir()):
             self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
@@ -137,12 +138,17 @@ class Site:
         return web.json_response(text=self._viewers.snapshot_text())
 
     async def _give_moment(self, request: web.Request) -> web.Response:
+        with _complaints():
+            return web.json_response(self._recorded().moment(request.query))
+
+    async def _give_cell(self, request: web.Request) -> web.Response:
+        with _complaints():  # a large bag takes a while
+            return web.json_response(await asyncio.to_thread(self._recorded().cell, request.query))
+
+    def _recorded(self) -> "RecordedNets":
         if self._recording is None:
-            raise web.HTTPNotFound(text="this page shows running nets, no recording")
-        try:
-            return web.json_response(self._recording.moment(request.query))
-        except ImError as error:
-            raise web.HTTPBadRequest(text=error.message) from error
+            raise web.HTTPNotFound(text="this page shows a running machine, no recording")
+        return self._recording
 
     async def _view(self, request: web.Request) -> web.WebSocketResponse:
         may_operate = self._may_operate(request)
@@ -200,6 +206,15 @@ class Site:
         if not may_operate:
             return READ_ONLY if self._recording is None else RECORDED
         return "" if self._allowance.take_request() else TOO_MANY
+
+
+@contextmanager
+def _complaints() -> Iterator[None]:
+    """Answer an error of ours with the sentence."""
+    try:
+        yield
+    except ImError as error:
+        raise web.HTTPBadRequest(text=error.message) from error
 
 
 class _Refusal(asyncio.Protocol):

@@ -18,7 +18,8 @@ Change = dict[str, object]
 def net_content(net: Net) -> dict[str, object]:
     """Return the structure and drawings of a net, as JSON data.
 
-    ``usual`` is the drawing without what tokens reach only after a failure; None where that is all.
+    ``usual`` is the drawing without what tokens reach only after a failure or a
+    cancellation; None where that is all.
     """
     drawing, usual = draw(net), draw(net, usual=True)
     return {

@@ -118,8 +118,9 @@ class DispatcherClient:
 
         def ended(future: Future) -> None:
             self._end(symbol, number[0] if number else 0, future)
+            outcome = future.result().result
             if not begun.done():
-                begun.set_result(future.result().result.status.message)
+                begun.set_result("" if outcome.success else outcome.status.message or "the dispatcher gave no reason")
 
         handle = await wait(
             self._node, self._execute.send_goal_async(goal, feedback_callback=told), ANSWER_S, f"command {symbol}"

@@ -4,17 +4,33 @@ const byId = (id) => document.getElementById(id);
 const numbers = (text) => (text ?? "0 0 0").trim().split(/\s+/).map(Number);
 const HIDDEN = /^workspace\//;
 
+// Gives back what an object holds of the memory of the graphics.
+function dispose({ geometry, material }) {
+  geometry?.dispose();
+  material?.dispose();
+}
+
 export class CellView {
   constructor(canvas, cameras) {
     Object.assign(this, { canvas, cameras, three: null, waiting: [], turn: { azimuth: -1.1, height: 0.42, distance: 6 } });
     this.listen();
   }
 
-  // Loads the library at the first look; throws where the browser cannot draw in three dimensions.
-  async open() {
-    if (this.three) return;
+  // Loads the library at the first look, once; throws where the browser cannot draw in three dimensions.
+  open() {
+    this.opened ??= this.load();
+    return this.opened;
+  }
+
+  async load() {
     const three = await import("/static/three.module.min.js");
-    this.renderer = new three.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    try {
+      this.renderer = new three.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    } catch (error) {
+      this.flat = true;
+      this.waiting = [];
+      throw error;
+    }
     this.three = three;
     this.scene = new three.Scene();
     this.scene.add(new three.HemisphereLight(0xffffff, 0x8899aa, 2.2));
@@ -24,7 +40,7 @@ export class CellView {
     this.camera = new three.PerspectiveCamera(40, 1, 0.05, 100);
     this.camera.up.set(0, 0, 1);
     this.target = new three.Vector3(0, 0, 0.8);
-    this.clear();
+    this.empty();
     for (const change of this.waiting.splice(0)) this.take(change);
   }
 
@@ -32,7 +48,12 @@ export class CellView {
   clear() {
     this.cameras.replaceChildren();
     this.images = new Map();
-    if (!this.three) { this.waiting = []; return; }
+    this.waiting = [];
+    if (this.three) this.empty();
+  }
+
+  empty() {
+    this.world?.traverse(dispose);
     this.world?.removeFromParent();
     this.world = new this.three.Group();
     this.scene.add(this.world);
@@ -44,14 +65,17 @@ export class CellView {
   }
 
   take({ part, content }) {
-    if (!this.three) { this.waiting.push({ part, content }); return; }
     const [kind, ...rest] = part.split("/"), name = rest.join("/");
+    if (kind === "image" || kind === "spot") { this.show(name, kind, content); return; }
+    if (!this.three) { if (!this.flat) this.waiting.push({ part, content }); return; }
     switch (kind) {
-      case "robot": this.build(content); break;
-      case "joints": for (const [joint, at] of Object.entries(content)) this.move(joint, at); break;
-      case "frame": this.place(this.frame(name), content); break;
+      case "robot": if (content) this.build(content); break;
+      case "joints":
+        for (const [joint, at] of Object.entries(content ?? {})) this.move(joint, at);
+        if (this.robot) this.aim();
+        break;
+      case "frame": if (content) this.place(this.frame(name), content); break;
       case "marker": this.mark(name, content); break;
-      case "image": case "spot": this.show(name, kind, content); return;
     }
     this.draw();
   }
@@ -91,12 +115,19 @@ export class CellView {
       const factor = Number(mimic?.getAttribute("multiplier") ?? 1), slides = joint.getAttribute("type") === "prismatic";
       this.joints.set(leader, [...(this.joints.get(leader) ?? []), { child, axis, factor, slides }]);
     }
-    const box = new this.three.Box3();  // around what moves; the floor is larger
+    this.aimed = false;
+  }
+
+  // Has the view take in what moves, where it first was; the floor is larger.
+  aim() {
+    if (this.aimed) return;
+    this.aimed = true;
+    this.world.updateMatrixWorld(true);
+    const box = new this.three.Box3();
     for (const frame of this.frames.values()) if (frame.urdf) box.expandByObject(frame);
-    if (!box.isEmpty()) {
-      box.getCenter(this.target);
-      this.turn.distance = 1.1 * box.getSize(new Vector3()).length();
-    }
+    if (box.isEmpty()) return;
+    box.getCenter(this.target);
+    this.turn.distance = 1.3 * box.getSize(new this.three.Vector3()).length();
   }
 
   toOrigin(object, origin) {
@@ -133,7 +164,7 @@ export class CellView {
   }
 
   mark(name, marker) {
-    this.shown.get(name)?.removeFromParent();
+    this.shown.get(name)?.removeFromParent().traverse(dispose);
     this.shown.delete(name);
     if (!marker || HIDDEN.test(name)) return;
     const three = this.three, { kind, color, scale, points } = marker;

@@ -302,7 +302,6 @@ function take(change) {
       desk.allow(operable);
       cell.clear();
       unfolded.clear();
-      look();
       change.nets.forEach(enterNet);
       for (const marking of change.markings) { markings.set(marking.net, marking); unfold(marking); }
       for (const part of change.commands) desk.take(part);
@@ -311,6 +310,7 @@ function take(change) {
       firings.forEach(noteCommand);
       listRefusals(); showMcs(change.mcs); refresh(true); soon();
       if (change.recording) recording.open(change.recording, recording.overview ? recording.at : page.at);
+      look();
       break;
     case "drawing":
       recording.shown = null;
@@ -359,8 +359,10 @@ function take(change) {
 
 // Has the server tell of the cell while it is seen, and only then.
 function look() {
-  const seen = page.cell && !document.hidden && !recording.overview;
-  document.body.classList.toggle("with-cell", page.cell && !recording.overview);
+  const there = !recording.overview || recording.overview.cell, seen = page.cell && there && !document.hidden;
+  document.body.classList.toggle("with-cell", page.cell && there);
+  byId("show-cell").hidden = !there;
+  recording.watchCell(seen);
   byId("show-cell").classList.toggle("on", page.cell);
   if (seen) cell.open().catch(excuse);
   ask("", "look", seen ? "cell" : "");

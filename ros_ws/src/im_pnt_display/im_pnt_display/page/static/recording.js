@@ -3,6 +3,7 @@ import { isTyping } from "./player.js";
 
 const byId = (id) => document.getElementById(id);
 const ROW = 13, LABELS = 250, AXIS = 18, ENOUGH = 60;
+const COLORS = ["paper", "ground", "soft", "ink", "line", "bad", "doubt", "pick"];
 
 export class Recording {
   // onMoment(moment) shows the nets as they were, onChange(change) what happens next; onRest() is told that it stands
@@ -10,6 +11,7 @@ export class Recording {
   constructor(onMoment, onChange, onRest, onError) {
     Object.assign(this, { onMoment, onChange, onRest, onError });
     this.overview = null;
+    this.colors = {};
     this.at = 0;          // testbed time since the first firing [s]
     this.firing = 0;      // how many have been
     this.steps = [];      // what comes next
@@ -24,7 +26,7 @@ export class Recording {
     byId("end").addEventListener("click", () => this.seek({ firing: this.overview.firings }));
     byId("seek").addEventListener("input", (event) => this.seek({ at: event.target.value }));
     const lines = byId("timeline");
-    const there = (event) => (event.offsetX - LABELS) / this.perSecond();
+    const there = (event) => (event.offsetX - this.labels) / this.perSecond();
     lines.addEventListener("pointerdown", (event) => {
       lines.setPointerCapture(event.pointerId);
       this.seek({ at: this.within(there(event)) });
@@ -33,7 +35,6 @@ export class Recording {
       if (event.buttons === 1) this.seek({ at: this.within(there(event)) });
       lines.title = this.told(Math.floor(event.offsetY / ROW), there(event));
     });
-    addEventListener("resize", () => { if (this.overview) this.draw(); });
     addEventListener("keydown", (event) => {
       if (!this.overview || document.body.classList.contains("playing") || isTyping(event)) return;
       const act = { " ": () => this.play(!this.playing), ArrowLeft: () => this.back(), ArrowRight: () => this.on(),
@@ -45,12 +46,42 @@ export class Recording {
   // Shows a recording from a time on; again after a lost connection, where it was.
   open(overview, at) {
     this.overview = overview;
+    this.cellAt = null;
     document.body.classList.add("recorded");
     byId("name").textContent = overview.name;
     byId("seek").max = overview.end;
     byId("gaps").textContent = overview.gaps.join("; ");
     this.draw();
+    if (!this.drawn) {
+      this.drawn = new ResizeObserver(() => this.draw());
+      this.drawn.observe(byId("lines"));
+      matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    }
     this.seek({ at: this.within(at) });
+  }
+
+  // Shows the cell of each moment, or no more; what changed since the last one is fetched, one after the other.
+  watchCell(yes) {
+    this.watching = yes && Boolean(this.overview?.cell);
+    if (this.watching) this.fetchCell();
+  }
+
+  async fetchCell() {
+    if (this.fetching) return;
+    this.fetching = true;
+    try {
+      while (this.watching && this.cellAt !== this.at) {
+        const at = this.at, answer = await fetch(`/cell.json?${new URLSearchParams({ at, since: this.cellAt ?? "" })}`);
+        if (!answer.ok) throw new Error(await answer.text());
+        for (const change of await answer.json()) this.onChange(change);
+        this.cellAt = at;
+      }
+    } catch (error) {
+      this.watching = false;
+      this.onError(error.message);
+    } finally {
+      this.fetching = false;
+    }
   }
 
   within(at) { return Math.min(Math.max(at, 0), this.overview.end); }
@@ -141,6 +172,7 @@ export class Recording {
 
   // Says where it is, in numbers and on the time line.
   tell() {
+    if (this.watching) this.fetchCell();
     byId("seek").value = this.at;
     byId("at").textContent = `${this.at.toFixed(3)} of ${this.overview.end.toFixed(1)} s`;
     byId("count").textContent = `firing ${this.firing} of ${this.overview.firings}`;
@@ -148,11 +180,14 @@ export class Recording {
     pen.setTransform(1, 0, 0, 1, 0, 0);
     pen.drawImage(this.picture, 0, 0);
     pen.scale(devicePixelRatio, devicePixelRatio);
-    pen.fillStyle = "#b3261e";
-    pen.fillRect(LABELS + this.at * this.perSecond() - 0.75, 0, 1.5, this.overview.rows.length * ROW);
+    pen.fillStyle = this.colors.bad;
+    pen.fillRect(this.labels + this.at * this.perSecond() - 0.75, 0, 1.5, this.overview.rows.length * ROW);
   }
 
-  perSecond() { return (byId("timeline").clientWidth - LABELS - 14) / (this.overview.end || 1); }
+  // Width of the names beside the bars [px].
+  get labels() { return Math.min(LABELS, 0.4 * byId("timeline").clientWidth); }
+
+  perSecond() { return (byId("timeline").clientWidth - this.labels - 14) / (this.overview.end || 1); }
 
   // Draws the time line, once for a size: a row for each action, a bar for each time that it ran.
   draw() {
@@ -162,26 +197,27 @@ export class Recording {
     this.picture = document.createElement("canvas");
     for (const canvas of [lines, this.picture])
       Object.assign(canvas, { width: width * devicePixelRatio, height: height * devicePixelRatio });
-    const pen = this.picture.getContext("2d"), scale = this.perSecond();
+    const pen = this.picture.getContext("2d"), scale = this.perSecond(), css = getComputedStyle(document.documentElement);
+    for (const name of COLORS) this.colors[name] = css.getPropertyValue(`--${name}`);
     pen.scale(devicePixelRatio, devicePixelRatio);
-    pen.fillStyle = "white";
+    pen.fillStyle = this.colors.paper;
     pen.fillRect(0, 0, width, height);
     pen.font = "10px Arial, 'Liberation Sans', Helvetica, sans-serif";
     rows.forEach((label, row) => {
-      pen.fillStyle = row % 2 ? "#f8fafc" : "#edf2f7";
+      pen.fillStyle = row % 2 ? this.colors.ground : this.colors.soft;
       pen.fillRect(0, row * ROW, width, ROW);
-      pen.fillStyle = "#1d2b3a";
-      pen.fillText(label, 6, row * ROW + 10, LABELS - 10);
+      pen.fillStyle = this.colors.ink;
+      pen.fillText(label, 6, row * ROW + 10, this.labels - 10);
     });
     for (const [row, begin, stop, failed] of bars) {
-      pen.fillStyle = failed ? "#b3261e" : stop === null ? "#8a3fb0" : "#2b6cb0";
-      pen.fillRect(LABELS + begin * scale, row * ROW + 2, Math.max(((stop ?? end) - begin) * scale, 1), ROW - 4);
+      pen.fillStyle = failed ? this.colors.bad : stop === null ? this.colors.doubt : this.colors.pick;
+      pen.fillRect(this.labels + begin * scale, row * ROW + 2, Math.max(((stop ?? end) - begin) * scale, 1), ROW - 4);
     }
     const raw = 80 / scale, power = 10 ** Math.floor(Math.log10(raw)), tick = [1, 2, 5, 10].find((n) => n * power >= raw) * power;
-    pen.fillStyle = "#66737f";
+    pen.fillStyle = this.colors.line;
     for (let at = 0; at <= end; at += tick) {
-      pen.fillRect(LABELS + at * scale, rows.length * ROW, 1, 4);
-      pen.fillText(`${+at.toPrecision(6)} s`, LABELS + at * scale + 3, rows.length * ROW + 13);
+      pen.fillRect(this.labels + at * scale, rows.length * ROW, 1, 4);
+      pen.fillText(`${+at.toPrecision(6)} s`, this.labels + at * scale + 3, rows.length * ROW + 13);
     }
     this.tell();
   }
