@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from im_core import plugins
 from im_core.files import is_same
 from im_core.options import at_least, computing_seconds
 from im_pnt.errors import NetError
@@ -14,6 +15,7 @@ from im_pnt_analysis.cli.terminal import OK, REFUSED, EndOnInterrupt, ProgressLi
 from im_pnt_analysis.cli.types import checked_types
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.simulation.replay import FiringSequence
+from im_pnt_analysis.verify.files import check_files
 from im_pnt_analysis.verify.report import Report, readable
 from im_pnt_analysis.verify.verdict import verify
 
@@ -55,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"), ProgressLine() as progress:
         nets = [load_net(file) for file in options.files]
         types = checked_types(nets)
+        plugins.find_beside(options.files)
+        endless = check_files(nets, [name for named in extensions("im_pnt.resources") for name in named()])
         report = verify(
             nets,
             SearchLimits(states=options.states, seconds=options.timeout),
@@ -66,7 +70,9 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report.to_dict() | {"types": types}, indent=1))
     else:
-        print(readable(report, titles(nets), options.all) + (f"\n  {'types':<14}{types}" if types else ""))
+        said = [("types", types)] if types else []
+        said += [("told", sentence) for sentence in endless]
+        print("\n".join([readable(report, titles(nets), options.all), *(f"  {key:<14}{text}" for key, text in said)]))
     return OK if report.ok else REFUSED
 
 
