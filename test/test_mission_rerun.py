@@ -95,6 +95,25 @@ def test_a_changed_net_is_the_first_difference(capsys, changed):
     assert "hurry goes first now" in told
 
 
+@pytest.mark.parametrize("delay", [0.3, 0.5, 0.9, 3.0])
+def test_a_firing_that_comes_later_is_the_first_difference(capsys, changed, delay):
+    net = changed("  begin_pose: {in:", f"  begin_pose: {{delay: {delay}, in:")
+    told = differs(capsys, BAGS / "undisturbed", "--nets", net)
+    assert "net calibrate_camera, transition begin_pose, command 1 (/dispatcher)" in told
+    assert "the bag:  begin_pose fires\n" in told
+    assert f"now:      fires {delay:.3f} s later\n" in told
+    assert f"its delay is constant(value {delay:g}); the tolerance is 0.1 s" in told
+
+
+def test_a_tolerance_allows_what_comes_later(capsys, changed):
+    net = changed("  begin_pose: {in:", "  begin_pose: {delay: 0.3, in:")
+    assert main([str(BAGS / "undisturbed"), "--nets", str(net), "--tolerance", "0.4"]) == EQUAL
+    capsys.readouterr()
+    net = changed("  begin_pose: {in:", "  begin_pose: {delay: 0.05, in:")
+    assert main([str(BAGS / "undisturbed"), "--nets", str(net)]) == EQUAL
+    assert "0.02 s" in differs(capsys, BAGS / "undisturbed", "--nets", net, "--tolerance", "0.02")
+
+
 def test_a_changed_function_is_the_first_difference(capsys, monkeypatch):
     monkeypatch.setattr(PoseLoop, "more_poses", lambda self: self.remaining > 1)
     told = differs(capsys, BAGS / "undisturbed")

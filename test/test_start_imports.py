@@ -29,7 +29,7 @@ LAUNCH = "im_bringup.ros.launch"
 #: All else waits until it has started the bootstrap.
 COMMAND = "im_bringup.machine.start"
 #: The bootstrap has it tell whether the nets may run together, which mostly was proved before.
-PROVE = "im_pnt_analysis.cli.prove"
+VERIFY = "im_pnt_analysis.cli.verify"
 USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
 POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zeros(3), numpy.eye(3))"
 
@@ -41,11 +41,11 @@ POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zer
         (f"import {SUPERVISOR}", ("numpy", "pydantic", "yaml")),
         (f"import {COMMAND}", ("im_cell", "numpy", "rclpy", "scipy")),
         (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
-        (f"import {PROVE}", ("numpy", "im_pnt_analysis.search.reachability")),
+        (f"import {VERIFY}", ("numpy", "im_pnt_analysis.search.reachability")),
         (USED_TYPE, ("em", "lark")),
         (POSE, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "command", "launch", "prove", "type of ROS", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "verify", "type of ROS", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

@@ -20,7 +20,7 @@ GROUPS = {
     "node": "the same of a node with guard, action and journal, told to a display",
     "idle": "CPU time while a thousand actions run and nothing happens, in the core and in a node",
     "search": "markings a second of explicit search; time and memory of large spaces",
-    "verify": "pnt prove of all shipped nets, as before a start",
+    "verify": "pnt verify of all shipped nets, as before a start",
     "journal": "entries of a journal a second, and coming back from them",
     "remote": "round trip of a token between two processes, in turns with a bare topic",
 }

@@ -106,7 +106,7 @@ def _check(name: str, answer: dict[str, object]) -> None:
 
 
 def shipped_lines(files: list[Path], folder: Path) -> list[Line]:
-    """``pnt prove`` of all shipped nets, as before a start: with nothing proved before, and once more.
+    """``pnt verify`` of all shipped nets, as before a start: with nothing proved before, and once more.
 
     Args:
         files: The nets.
@@ -115,7 +115,7 @@ def shipped_lines(files: list[Path], folder: Path) -> list[Line]:
     Raises:
         ImError: They are refused, or not proved.
     """
-    command = [sys.executable, "-m", "im_pnt_analysis", "prove", *map(str, files)]
+    command = [sys.executable, "-m", "im_pnt_analysis", "verify", "--loaded", *map(str, files)]
     environment = {**os.environ, **own_path(), "IM_CACHE_DIR": str(folder / "cache")}
     found: list[Line] = []
     for what, bar in (("", MOST_PROVE_S), (", unchanged", None)):
@@ -123,8 +123,8 @@ def shipped_lines(files: list[Path], folder: Path) -> list[Line]:
         ended = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
         took, used = monotonic() - began, _of_children() - used
         if ended.returncode:
-            raise ImError(f"pnt prove of {len(files)} nets failed: {(ended.stderr or ended.stdout).strip()[:500]}")
-        found.append(Line(f"pnt prove, {len(files)} shipped nets{what}, CPU", used, "s", bar=bar))
+            raise ImError(f"pnt verify of {len(files)} nets failed: {(ended.stderr or ended.stdout).strip()[:500]}")
+        found.append(Line(f"pnt verify, {len(files)} shipped nets{what}, CPU", used, "s", bar=bar))
         found.append(Line("  wall", took, "s"))
     return found
 

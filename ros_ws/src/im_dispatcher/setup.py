@@ -22,5 +22,6 @@ setup(
         "console_scripts": [
             "dispatcher=im_dispatcher.ros.node:main",
         ],
+        "im_pnt.resources": ["cell = im_dispatcher.cell.needs:cell_resources"],
     },
 )

@@ -17,7 +17,7 @@ from support.tasks import NAMES, bootstrap
 
 
 class Prover:
-    """Stands for ``pnt prove``: a process that says what it is told to, and ends with a code."""
+    """Stands for ``pnt verify``: a process that says what it is told to, and ends with a code."""
 
     def __init__(self, code, says):
         self.argv = [sys.executable, "-S", "-c", f"print({says!r}); raise SystemExit({code})"]

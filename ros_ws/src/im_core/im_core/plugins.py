@@ -1,8 +1,10 @@
 """Loader of objects named ``module:Class`` in configuration, and of the public names of packages."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import TypeVar, overload
 
@@ -50,6 +52,11 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
     if contract is not None and not (isinstance(found, type) and issubclass(found, contract)):
         raise ConfigError(f"{what} '{reference}' is no {contract.__name__}", what=what, reference=reference)
     return found
+
+
+def find_beside(files: Iterable[str | Path]) -> None:
+    """Find modules beside some files first, for the rest of the process."""
+    sys.path[:0] = list(dict.fromkeys(str(Path(file).resolve().parent) for file in files))
 
 
 def require_current(reference: str, what: str) -> None:

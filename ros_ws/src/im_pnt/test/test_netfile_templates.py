@@ -76,6 +76,34 @@ def test_copies_take_texts_lists_and_values_of_what_is_run_through():
     assert net.transitions["left_go"].symbol == "left"
 
 
+QUOTED = """net: n
+places: {start: 1}
+templates:
+  arm:
+    parameters: [side, home, count, on]
+    places: {$(side)_idle: "$(count)"}
+    transitions:
+      $(side)_go:
+        in: start
+        out: "$(side)_idle"
+        on_failure: start
+        delay: "$(late)"
+        topic:
+          name: "/$(side)/a$(count)"
+          type: a/msg/B
+          message: {data: ["$(home)", "$(count+1)", "$(side)", "$(on)", "at $(home)", "$(count)$(count)"]}
+use: {template: arm, with: {side: left, home: -0.50, count: 3, on: true, late: 2.5}}
+"""
+
+
+def test_a_quoted_value_keeps_its_type():
+    net = parse_net(QUOTED.replace("count, on]", "count, on, late]"))
+    assert net.places["left_idle"].tokens == 3
+    go = net.transitions["left_go"]
+    assert go.action.fields["data"] == [-0.5, 4, "left", True, "at -0.50", "33"]
+    assert (go.action.name, go.delay.mean) == ("/left/a3", 2.5)
+
+
 @pytest.mark.parametrize(
     ("text", "value"),
     [("i", 7), ("i+1 mod 8", 0), ("-1 mod n", 2), ("(i-1)*2", 12), ("2*i+1", 15), ("1+(i mod 2)", 2), ("word", "left")],

@@ -141,19 +141,50 @@ def test_groups_are_the_nets_that_can_reach_each_other(links):
     assert {net.name for net in group_of(nets[3], nets)} == {f"n{i}" for i in reach[3]}
 
 
-def test_prove_says_what_is_verified_refused_and_not_proved(tmp_path, capsys):
-    files = []
+@pytest.fixture
+def files(tmp_path):
+    """Nets ``one`` and ``two`` that ask each other, ``ring``, and ``large``."""
     for net in (ask("one", "two"), ask("two", "one"), ring()):
-        files.append(tmp_path / f"{net.name}.yaml")
-        files[-1].write_text(yaml_text(net))
-    one, two, round_ = map(str, files)
-    assert main(["prove", one, round_]) == OK
+        (tmp_path / f"{net.name}.yaml").write_text(yaml_text(net))
+    (tmp_path / "large.yaml").write_text("net: large\nplaces: {a: 900, b: , c: }\n" + RING.partition("\n")[2])
+    return lambda *names: [str(tmp_path / f"{name}.yaml") for name in names]
+
+
+def test_the_start_of_a_machine_says_what_is_verified_refused_and_not_proved(files, capsys):
+    assert main(["verify", "--loaded", *files("one", "ring")]) == OK
     assert capsys.readouterr().out.splitlines()[-1].startswith("2 nets verified in ")
-    assert main(["prove", one, round_]) == OK
+    assert main(["verify", "--loaded", *files("one", "ring")]) == OK
     assert capsys.readouterr().out.splitlines()[-1] == "2 nets unchanged since verified"
-    assert main(["prove", one, two]) == REFUSED
+    assert main(["verify", "--loaded", *files("one", "two")]) == REFUSED
     assert "nets one, two are refused:\n  refused       it is stuck" in capsys.readouterr().out
-    large = tmp_path / "large.yaml"
-    large.write_text("net: large\nplaces: {a: 900, b: , c: }\n" + RING.partition("\n")[2])
-    assert main(["prove", "--timeout", "1e-9", str(large)]) == UNPROVED
+    assert main(["verify", "--loaded", "--timeout", "1e-9", *files("large")]) == UNPROVED
     assert capsys.readouterr().out.splitlines()[-1].startswith("net large is not proved: whether ")
+
+
+def test_verify_says_the_verdict_first_and_the_start_finds_the_proof(files, capsys):
+    assert main(["verify", *files("one", "two")]) == REFUSED
+    assert capsys.readouterr().out.startswith("one+two: REFUSED\n  refused       it is stuck with ")
+    assert main(["verify", "--timeout", "1e-9", *files("large")]) == UNPROVED
+    assert capsys.readouterr().out.startswith("large: NOT VERIFIED\n")
+    assert main(["verify", *files("ring")]) == OK
+    capsys.readouterr()
+    assert main(["verify", "--loaded", *files("ring")]) == OK
+    assert capsys.readouterr().out.splitlines()[-1] == "1 net unchanged since verified"
+
+
+def test_verify_composes_only_what_must_be(tmp_path, capsys):
+    """Who asks a net that always answers is verified without it, and each net alone before that."""
+    caller = tmp_path / "caller.yaml"
+    caller.write_text("net: caller\nplaces: {a: 1}\ntransitions: {t: {in: a, out: a, request: maid.s, on_failure: a}}")
+    maid = tmp_path / "maid.yaml"
+    text = "net: maid\nplaces: {e: , d: , f: , m: {tokens: 1, resource: true}}\n"
+    text += "services: {s: {entry: e, done: d, failed: f}}\n"
+    maid.write_text(text + "transitions: {do: {in: [e, m], out: [d, m]}}")
+    assert main(["verify", str(caller), str(maid)]) == OK
+    out = capsys.readouterr().out
+    assert out.startswith("caller+maid: verified\n")
+    assert "2 parts, each verified by itself" in out
+    assert len(out.splitlines()) <= 10
+    maid.write_text(text + "transitions: {do: {in: [e, m], out: d}}")
+    assert main(["verify", str(caller), str(maid)]) == REFUSED
+    assert capsys.readouterr().out.startswith("maid: REFUSED\n")

@@ -1,6 +1,6 @@
 """Check whether the nets of a machine may run together: in a separate process, before START is given.
 
-Each node has verified its nets alone when it is configured, and describes them on ``/pnt/nets``. ``pnt prove`` then
+Each node has verified its nets alone when it is configured, and describes them on ``/pnt/nets``. ``pnt verify`` then
 verifies those that talk to each other together. What was proved before, and is unchanged, it finds in its cache.
 """
 
@@ -18,7 +18,7 @@ from im_core.startup import net_digest, nets_told
 
 #: What is ``pnt`` on the command line.
 PROVER = "im_pnt_analysis.cli"
-#: Exit codes of ``pnt prove``.
+#: Exit codes of ``pnt verify``.
 VERIFIED, UNPROVED = 0, 3
 
 Prove = Callable[[Sequence[Path], Path], ChildProcess]
@@ -30,7 +30,7 @@ class _Description(pydantic.BaseModel):
 
 def prove(files: Sequence[Path], log: Path) -> ChildProcess:
     """Begin to verify net files; the findings are written into a log, the verdict last."""
-    return ChildProcess.of_module(PROVER, ["prove", *map(str, files)], log=log)
+    return ChildProcess.of_module(PROVER, ["verify", "--loaded", *map(str, files)], log=log)
 
 
 class MachineNets:
@@ -151,7 +151,7 @@ def _twice(runs: Iterable[tuple[str, str, str]]) -> str:
 
 
 def _whole(log: Path) -> str:
-    """Return the output of ``pnt prove``, without the verified nets."""
+    """Return the output of ``pnt verify``, without the verified nets."""
     lines = read_text(log).strip().splitlines()
     begin = next((rank for rank, line in enumerate(lines) if " refused:" in line), len(lines) - 1)
     return "\n".join(lines[max(0, begin) :])

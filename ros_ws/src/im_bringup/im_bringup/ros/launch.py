@@ -28,7 +28,7 @@ from im_core.procfs import ProcessId
 
 #: What several processes load, beside what this one needs itself; of ROS its messages, which are plain Python.
 COMMON = (
-    *("im_cell.link", "im_cell.robot.truth", "pinocchio", "im_calibration", "im_pnt_analysis.cli.prove"),
+    *("im_cell.link", "im_cell.robot.truth", "pinocchio", "im_calibration", "im_pnt_analysis.cli.verify"),
     *("action_msgs.srv", "diagnostic_msgs.msg", "geometry_msgs.msg", "rcl_interfaces.srv", "sensor_msgs.msg"),
     *("std_msgs.msg", "std_srvs.srv", "type_description_interfaces.srv", "im_msgs.msg", "im_msgs.srv"),
     *("concurrent.futures.thread", "logging"),

@@ -5,7 +5,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from im_cell.robot import Cell
+from im_cell.robot import Cell, load_cell
 from im_core.errors import NotFoundError
 from im_pnt.errors import NetError
 from im_pnt.model.arguments import CommandDeclaration
@@ -24,6 +24,11 @@ def resources_of(cell: Cell) -> tuple[str, ...]:
     """Return the resources of a cell: arm, cart, gripper and light of each side, cameras, laser, zone."""
     sides = [f"{side}_{part}" for side in cell.sides for part in ("arm", "cart", "gripper", "led")]
     return (*sides, *cell.cameras, LASER, ZONE)
+
+
+def cell_resources() -> tuple[str, ...]:
+    """Return the resources of the shipped cell."""
+    return resources_of(load_cell())
 
 
 @dataclass(frozen=True)

@@ -333,6 +333,10 @@ class Delays:
         if fired in self._enabling.clocks:
             self._stop(fired)
 
+    def strikes_at(self, index: int) -> float | None:
+        """Return the time at which the clock of a transition strikes [s]; None: it does not run."""
+        return self._running[index].time if index in self._running else None
+
     def give_up(self, index: int) -> None:
         """Restart the wait of a transition blocked by the guard or symbol."""
         if index in self._conflicts.ripe:

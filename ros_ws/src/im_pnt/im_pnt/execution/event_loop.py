@@ -78,7 +78,7 @@ class EventLoop:
         written = (index for index, role in enumerate(roles) if role in (Role.PLAIN, Role.START))
         self.operator = Operator(written, (index for index, role in enumerate(roles) if role is Role.ACCEPT))
         self._timers, self._inbox, self._clock = timers, inbox, clock
-        self._delays = Delays(rule.transitions, rule.enabling, conflicts, timers, clock)
+        self.delays = Delays(rule.transitions, rule.enabling, conflicts, timers, clock)
         self.stretch = 0
         self._pumping = False
         self._guard_clocks: set[str] = set()
@@ -137,7 +137,7 @@ class EventLoop:
         activity = self.rule.fire(index, owner)
         enabling = self.rule.enabling
         if enabling.crossed or enabling.clocks:
-            self._delays.settle(index)
+            self.delays.settle(index)
         if not self.operator.free and index in self.operator.written:
             self.operator.spent()
             self.release()
@@ -200,7 +200,7 @@ class EventLoop:
 
     def _after_event(self) -> None:
         self.conflicts.wake_undeclared()
-        self._delays.settle()
+        self.delays.settle()
         if not self.operator.free:
             self.release()
 
@@ -324,14 +324,14 @@ class EventLoop:
             self.fire(index, self.rule.first_owner(index))
             return True
         self.conflicts.barred = _NOTHING if self.operator.free else self.operator.barred
-        if index in self.conflicts.delayed and self._delays.waits(index):
+        if index in self.conflicts.delayed and self.delays.waits(index):
             return False
         if index in self.conflicts.barred:
             self._hold(index)
             return False
         winner = self.conflicts.choose(index)
         if winner is None:
-            self._delays.give_up(index)
+            self.delays.give_up(index)
             return False
         if winner != index and index not in self.rule.enabling.stalled:
             self.rule.enabling.consider(index)

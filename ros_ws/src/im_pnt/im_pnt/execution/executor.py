@@ -329,6 +329,11 @@ class Executor:
             return f"its guard {found.guard} is false"
         return ""
 
+    def strikes_at(self, transition: str) -> float | None:
+        """Return the time at which the delay of a transition will be over (monotonic) [s]; None: it does not run."""
+        index = self.rule.number.get(transition)
+        return None if index is None else self._loop.delays.strikes_at(index)
+
     def replay(self, entry: NetEntry) -> None:
         """Apply an entry again: nothing is begun, sent or told.
 

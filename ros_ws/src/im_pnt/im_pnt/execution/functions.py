@@ -410,7 +410,7 @@ def _find(
         if name in known:
             return
         sentence = f"no {kind} function '{name}' is registered{nearest(name, known)}"
-        raise NetFileError(net.source, transition.line, f"transitions.{transition.name}: {sentence}")
+        raise NetFileError(transition.file or net.source, transition.line, f"transitions.{transition.name}: {sentence}")
     try:
         plugins.require_current(name, f"{kind} function")
         found = known.get(name) or plugins.load(name, None, f"{kind} function")
@@ -418,7 +418,7 @@ def _find(
             raise ConfigError(f"{kind} function '{name}' is a {type(found).__name__}, which cannot be called")
     except ConfigError as error:
         sentence = f"transitions.{transition.name}: {error.message}"
-        raise NetFileError(net.source, transition.line, sentence) from error
+        raise NetFileError(transition.file or net.source, transition.line, sentence) from error
     known[name] = found
 
 

@@ -77,7 +77,7 @@ def _complaint(net: Net, transition: Transition, location: Location, sentence: s
     while mark is None and location:
         mark, location = transition.marks.get(location), location[:-1]
     if mark is None:
-        return NetFileError(net.source, transition.line, f"{where}: {sentence}")
+        return NetFileError(transition.file or net.source, transition.line, f"{where}: {sentence}")
     return NetFileError(mark.file, mark.line, f"{where}: {sentence}{mark.note}", mark.column)
 
 

@@ -139,6 +139,7 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
             role=Role.END,
             origin=name,
             line=transition.line,
+            file=transition.file,
         )
         yield _phase(transition, f"failed{suffix}", inputs, failure, Role.FAILED)
     yield _phase(transition, "cancel", active, cancelling, Role.CANCEL)
@@ -156,6 +157,7 @@ def _phase(transition: Transition, name: str, inputs: Arcs, outputs: Arcs, role:
         role=role,
         origin=transition.name,
         line=transition.line,
+        file=transition.file,
     )
 
 

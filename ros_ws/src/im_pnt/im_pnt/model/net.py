@@ -193,6 +193,7 @@ class Transition:
         role: What it is in an expanded net.
         origin: Transition, service or place it was expanded from; its own name otherwise.
         line: Line of the file, 0 where it was made by a program.
+        file: File of that line, where it is another than that of the net: an included one.
         result: Values that its command or request returns when it ends well, by name.
         store: Values of data objects that are put when it ends well, by name.
         marks: Where its values stand, by the keys that lead there.
@@ -223,6 +224,7 @@ class Transition:
     role: Role = Role.PLAIN
     origin: str = ""
     line: int = 0
+    file: str = ""
     result: Mapping[str, object] = field(default_factory=dict)
     store: Mapping[str, object] = field(default_factory=dict)
     marks: Mapping[tuple[int | str, ...], Mark] = field(default_factory=dict, compare=False, repr=False)
@@ -298,6 +300,10 @@ class Net:
     commands: Mapping[str, CommandDeclaration] = field(default_factory=dict)
     assume: Mapping[str, Assumption] = field(default_factory=dict)
     at_once: int = 1
+
+    def place_of(self, transition: Transition) -> str:
+        """Return file and line of a transition, as messages begin; empty where it was made by a program."""
+        return f"{transition.file or self.source}:{transition.line}: " if transition.line else ""
 
     def initial_marking(self) -> dict[str, int]:
         """Return the tokens of the marked places."""

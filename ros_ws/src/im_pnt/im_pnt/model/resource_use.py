@@ -107,11 +107,8 @@ def untold(net: Net) -> Iterator[str]:
     """
     for transition in net.transitions.values():
         if isinstance(transition.action, ServiceAction | GoalAction | TopicAction) and transition.acts_on is None:
-            where = f"{net.source}:{transition.line}: " if transition.line else ""
-            yield (
-                f"{where}transition {transition.name} of net {net.name} does not say what its {transition.action} "
-                "acts on: declare `acts_on`, [] for nothing"
-            )
+            who = f"{net.place_of(transition)}transition {transition.name} of net {net.name}"
+            yield f"{who} does not say what its {transition.action} acts on: declare `acts_on`, [] for nothing"
 
 
 def require_told(net: Net) -> None:

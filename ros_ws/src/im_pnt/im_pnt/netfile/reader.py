@@ -72,7 +72,7 @@ class _Reader:
     def __init__(self, root: Value, file: NetFile, *, foreign: bool) -> None:
         self._root, self._file, self._foreign = root, file, foreign
         keys = (key for section, value in root.pairs if section.text == "transitions" for key, _ in value.pairs)
-        self._lines = {key.text: key.line for key in keys}
+        self._keys = {key.text: key for key in keys}
 
     def net(self) -> Net:
         """Make the net."""
@@ -271,7 +271,8 @@ class _Reader:
             symbol_expires=None if symbol is None else symbol.expires,
             retry_of=self._retried((*here, "retry_of"), file.retry_of),
             origin=name,
-            line=self._lines[name],
+            line=self._keys[name].line,
+            file="" if self._keys[name].file == self._root.file else self._keys[name].file,
             result=file.result,
             store=file.store,
             marks=_marks(find(self._root, here).value),

@@ -13,6 +13,7 @@ from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text, evaluate
 from im_pnt.expression.syntax import parse
 from im_pnt.netfile.schema.net import FragmentFile
+from im_pnt.netfile.schema.scalars import Written
 from im_pnt.netfile.schema.templates import Parameter, TemplateFile, UseFile
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
 
@@ -196,8 +197,12 @@ def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
     """Evaluate a given value: a whole expression to a number, one within a text to a text."""
     if not isinstance(given, str) or "$(" not in given:
         return given
-    whole = given.startswith("$(") and given.endswith(")") and given.count("$(") == 1
-    return evaluated(given[2:-1], running) if whole else substitute(given, running)
+    return evaluated(given[2:-1], running) if _is_whole(given) else substitute(given, running)
+
+
+def _is_whole(text: str) -> bool:
+    """Return whether a text is one ``$(...)`` and nothing beside it."""
+    return text.startswith("$(") and text.endswith(")") and text.count("$(") == 1
 
 
 def substitute(text: str, values: Mapping[str, Parameter]) -> str:
@@ -244,7 +249,10 @@ def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], no
         if "$(" not in value.text:
             return replace(value, note=note)
         try:
-            return replace(value, text=substitute(value.text, bound), note=note)
+            quoted = value.quoted
+            if quoted and _is_whole(value.text):  # quoted for YAML's sake: it keeps the type of its value
+                quoted = not isinstance(evaluated(value.text[2:-1], bound), int | Written)
+            return replace(value, text=substitute(value.text, bound), quoted=quoted, note=note)
         except ExpressionError as error:
             raise complaint(replace(value, note=note), str(error), location) from error
     if value.kind is Kind.LIST:

@@ -45,5 +45,6 @@ def written_out(transition: Transition, tries: int, escalate: str | None) -> tup
         )
         end = f"{name}_cancelled_{number}"
         guard = Guard(cancelled)
-        made += [again, Transition(end, {place: 1}, given_up, guard=guard, origin=end, line=transition.line)]
+        line, file = transition.line, transition.file
+        made += [again, Transition(end, {place: 1}, given_up, guard=guard, origin=end, line=line, file=file)]
     return [Place(place) for place in failed], made

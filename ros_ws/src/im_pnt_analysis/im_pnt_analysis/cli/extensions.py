@@ -10,7 +10,8 @@ def extensions(group: str, name: str | None = None) -> Iterator[Callable[..., An
     Args:
         group: ``im_pnt.commands``: functions that add a command to the parser; ``im_pnt.counterexamples``: functions
             that make a drawing for the page of nets and a firing sequence; ``im_pnt.programs``: functions that take
-            a command line and the name of the program; ``im_pnt.message_types``: types of messages.
+            a command line and the name of the program; ``im_pnt.message_types``: types of messages;
+            ``im_pnt.resources``: functions that return the names of the resources of a cell.
         name: The entry point of this name alone; None: all.
     """
     from importlib.metadata import entry_points  # takes longer than many a command, most of which need none

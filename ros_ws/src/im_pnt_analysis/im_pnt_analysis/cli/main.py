@@ -1,4 +1,4 @@
-"""``pnt``: verify, prove, simulate, time and convert net files, look into journals, and commands of other packages."""
+"""``pnt``: verify, simulate, time and convert net files, look into journals, and commands of other packages."""
 
 import argparse
 import sys
@@ -16,7 +16,6 @@ _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transi
 PNML files of other tools. docs/nets.md tells how to write one.
 
   scripts/im pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
-  scripts/im pnt prove .run/im0/nets/*.yaml                       what a machine asks before it starts
   scripts/im pnt run pick.yaml --symbol pick                      runs a net in a node of its own, on any robot
   scripts/im pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
   scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
@@ -29,14 +28,13 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt mission bags/demo                                do its nets still do the same?
 
 Exit code: 0 done or verified, 1 the net is refused, 2 a file or an option is wrong, 130 interrupted
-(prove: 3 it is not proved)."""
+(verify: 3 it is not proved)."""
 _DRAW = """
   scripts/im pnt draw dispatcher.yaml -o dispatcher.svg           draws it (.svg or .dot)
   scripts/im pnt display bags/demo                                the nets over a recording, on a web page"""
 
 _COMMANDS = {
     "verify": "check whether nets may run",
-    "prove": "check whether a machine may start with its nets",
     "simulate": "play a net",
     "time": "compute how fast a net is",
     "convert": "convert YAML to PNML and back",

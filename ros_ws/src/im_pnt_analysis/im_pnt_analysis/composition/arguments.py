@@ -34,7 +34,7 @@ def check_arguments(nets: Sequence[Net]) -> None:
             try:
                 _check_request(scope, transition, action, schema)
             except DataError as error:
-                where = f"{net.source}:{transition.line}: " if transition.line else ""
+                where = net.place_of(transition)
                 name = transition.origin or transition.name
                 text = f"{where}transition {name} of net {net.name} asks for what is refused: {error.message}"
                 raise NetError(text, **error.facts) from error

@@ -20,7 +20,7 @@ MOST_WAYS = 256
 
 
 class _Condition(NamedTuple):
-    """Part of what enables a transition: at least so many tokens in a place, or fewer."""
+    """Condition of enabling: at least a number of tokens in a place, or fewer."""
 
     place: str
     tokens: int

@@ -276,7 +276,7 @@ class _Holding:
         if t.origin in self.found:
             return
         has = work.held if held is None else held
-        where = f"{self.net.source}:{t.line}: " if t.line else ""
+        where = self.net.place_of(t)
         who = f"{where}transition {t.origin} of net {self.net.name}"
         try:
             lacking = self.acting.acts_on(t, work) - has

@@ -298,12 +298,14 @@ def _answers(report: Report, everything: bool) -> Iterator[tuple[str, str]]:
         yield "  growing", _some(report.unbounded_places, everything)
     count = "" if not report.deadlock_states else f", {report.deadlock_states} markings"
     yield "deadlock", told("has_deadlock", f"{'yes' if report.has_deadlock else 'no'}{count}")
-    yield "live", told("live")
-    yield "reversible", told("reversible")
+    for name in ("live", "reversible"):
+        if everything or getattr(report, name) is not None:
+            yield name, told(name)
     yield "returning", told("resources_return")
     if report.resources_held is not True or report.methods["resources_held"] != NOTHING_ACTS:
         yield "held", told("resources_held")
-    yield "never enabled", told("never_enabled", _some(report.never_enabled or [], everything))
+    if everything or report.never_enabled is not None:
+        yield "never enabled", told("never_enabled", _some(report.never_enabled or [], everything))
 
 
 def _some(names: list[str], everything: bool) -> str:

@@ -3,35 +3,75 @@
 from collections.abc import Sequence
 from functools import partial
 
+from im_core.clock import monotonic, thread_cpu
+from im_pnt.model.groups import groups, nets_by_name
 from im_pnt.model.net import Net
 from im_pnt_analysis.composition.compose import compose
 from im_pnt_analysis.search.limits import SearchLimits
-from im_pnt_analysis.verify.answers import answer_holding
+from im_pnt_analysis.verify.answers import answer_holding, conserve, describe
 from im_pnt_analysis.verify.layers import parts
-from im_pnt_analysis.verify.proofs import kept
+from im_pnt_analysis.verify.problem import problem_of
+from im_pnt_analysis.verify.proofs import Proofs, kept
 from im_pnt_analysis.verify.report import NEEDED, Progress, Report
-from im_pnt_analysis.verify.verdict import verify
+from im_pnt_analysis.verify.verdict import ALL_ROWS, verify
 
 
-def verify_in_parts(nets: Sequence[Net], limits: SearchLimits, progress: Progress) -> Report:
+def verify_files(nets: Sequence[Net], limits: SearchLimits, *, structure: bool, progress: Progress) -> Report:
+    """Verify nets as the start of a machine does: each alone, then together; the answers are all computed.
+
+    Args:
+        nets: Nets as written.
+        limits: Where each search gives up.
+        structure: Whether to find T-semiflows, siphons and traps, too, of nets that are composed.
+        progress: Is told what goes on.
+
+    Returns:
+        The verdict on the nets together; on one of them, if that is refused, or not proved, alone.
+
+    Raises:
+        NetError: They do not fit together.
+    """
+    began, used = monotonic(), thread_cpu()
+    nets_by_name(nets)
+    if len(nets) > 1:
+        alone = [kept([net], partial(verify, [net], limits, progress=progress)) for net in nets]
+        failing = [report for report in alone if report.refusals] or [report for report in alone if not report.ok]
+        if failing:
+            return failing[0]
+    report = verify_in_parts(nets, limits, progress, structure=structure)
+    if structure and report.p_semiflows is None:
+        progress("semiflows, siphons and traps of all nets together")
+        problem = problem_of(nets)
+        conserve(report, problem, thread_cpu() + limits.seconds, ALL_ROWS)
+        describe(report, problem, thread_cpu() + limits.seconds)
+    report.time_s, report.cpu_s = round(monotonic() - began, 4), round(thread_cpu() - used, 4)
+    if report.ok and len(groups(nets)) == 1:
+        Proofs().keep(nets, report)
+    return report
+
+
+def verify_in_parts(
+    nets: Sequence[Net], limits: SearchLimits, progress: Progress, *, structure: bool = False
+) -> Report:
     """Verify nets, alone or composed, as :func:`im_pnt_analysis.verify.load.verify_to_load` does without a kept proof.
 
     Args:
         nets: Nets as written.
         limits: Where the search gives up.
         progress: Is told what goes on.
+        structure: Whether to find T-semiflows, siphons and traps, too, of nets that are composed.
 
     Raises:
         NetError: They do not fit together.
     """
     divided = parts(nets) if len(nets) > 1 else [list(nets)]
     if len(divided) == 1:
-        return verify(nets, limits, progress=progress)
+        return verify(nets, limits, structure=structure, progress=progress)
     from im_pnt_analysis.composition.callers import callers  # brings a library that few nodes need
 
     standing = [callers(part, nets) for part in divided]
     if None in standing:
-        return verify(nets, limits, progress=progress)
+        return verify(nets, limits, structure=structure, progress=progress)
     together = [[*part, *(others or ())] for part, others in zip(divided, standing, strict=True)]
     proofs = [
         partial(verify, part, limits, holding=not others, progress=progress)

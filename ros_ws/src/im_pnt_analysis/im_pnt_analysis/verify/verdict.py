@@ -34,7 +34,7 @@ from im_pnt_analysis.verify.report import Progress, Report
 _FEW, _MANY = 20_000, 2_000_000
 """Markings after which explicit search lets other methods try: on nets of unknown bound, and on any."""
 
-_ROWS, _ALL_ROWS = 400, 2_000
+_ROWS, ALL_ROWS = 400, 2_000
 """P-semiflows to look for where only the verdict is wanted, which needs no more than bounds, and where all are."""
 
 _SHARE = 0.4
@@ -86,7 +86,7 @@ class _Verification:
     def run(self, *, structure: bool) -> None:
         problem, report = self.problem, self.report
         self.progress("semiflows")
-        proven = conserve(report, problem, self.deadline, _ALL_ROWS if structure else _ROWS)
+        proven = conserve(report, problem, self.deadline, ALL_ROWS if structure else _ROWS)
         if structure:
             self.progress("siphons and traps")
             describe(report, problem, self.deadline)

@@ -87,11 +87,18 @@ class RerunProgress:
         if recorded is None:
             then, why = "nothing more", ""
         elif isinstance(recorded, Input) and not _ends_too(recorded, now):
-            then, why = f"goes on with what arrives: {shown(recorded)}", ""
+            then, why = f"goes on with what arrives: {shown(recorded)}", self._earlier(entries, now)
         else:
             then, why = shown(recorded), self._reason(executor, recorded, now)
         transition = transition_of(recorded) or transition_of(now)
         raise self._difference(name, transition, executor, recorded or now, then, shown(now), why)
+
+    def _earlier(self, entries: Entries, now: NetEntry) -> str:
+        """Return by how much a firing comes before the recorded one of its transition; empty without one."""
+        later = entries.recorded[entries.reached :]
+        name = transition_of(now)
+        at = next((turn.at for entry, turn in later if name and transition_of(entry) == name), None)
+        return "" if at is None else f"in the bag it fires {at - self.turn.at:.3f} s later"
 
     def missing(self, name: str) -> Difference:
         """Make the difference of a net with no firing in place of a recorded one."""
@@ -102,6 +109,16 @@ class RerunProgress:
         why = self._reason(executor, recorded, None)
         transition = transition_of(recorded)
         return self._difference(name, transition, executor, recorded, shown(recorded), "nothing fires", why)
+
+    def late(self, name: str, late: float, tolerance: float) -> Difference:
+        """Make the difference of a net whose recorded firing comes later [s] than the tolerance [s] allows."""
+        entries, executor = self.entries[name], self.executors[name]
+        recorded = entries.next()
+        assert recorded is not None
+        transition = transition_of(recorded)
+        delay = executor.net.transitions[transition].delay
+        why = f"its delay is {delay}; the tolerance is {tolerance:g} s"
+        return self._difference(name, transition, executor, recorded, shown(recorded), f"fires {late:.3f} s later", why)
 
     def _difference(
         self, name: str, transition: str, executor: Executor, entry: NetEntry, then: str, now: str, why: str

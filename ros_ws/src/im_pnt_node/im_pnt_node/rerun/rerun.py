@@ -25,7 +25,7 @@ from im_pnt_node.journal.journal import fingerprint
 from im_pnt_node.journal.state import restore_net
 from im_pnt_node.rerun.difference import Difference, first_difference
 from im_pnt_node.rerun.engine import ENDED, ActionsAgain, Labelled, NotDoneAgain, RerunExecutor
-from im_pnt_node.rerun.entries import Entries, Input, error_of, reply_difference, told_of
+from im_pnt_node.rerun.entries import Entries, Input, error_of, reply_difference, told_of, transition_of
 from im_pnt_node.rerun.progress import RerunProgress, in_doubt
 from im_pnt_node.rerun.script import Messages, Script, ScriptHost
 from im_pnt_node.rerun.stream import Item, NodeStream, Turn
@@ -35,6 +35,8 @@ STORED = ("put", "append", "invalidate", "ask")
 
 #: Time by which a time-out may have struck later than it was due: the loop was busy [s].
 SLACK_S = 1.0
+#: Time by which a delay may be over later than in the recording, where nothing else is said [s].
+TOLERANCE_S = 0.1
 
 
 @dataclass
@@ -62,14 +64,22 @@ class NodeRerun:
         world: How actions are done again.
         messages: Reads and writes messages.
         nets: Nets that take the places of those of the bag, by name.
+        tolerance: Time by which a delay may be over later than in the recording [s].
 
     Raises:
         DataError: What was recorded makes no sense.
         NetError: Likewise.
     """
 
-    def __init__(self, stream: NodeStream, world: ActionsAgain, messages: Messages, nets: Mapping[str, Net]) -> None:
-        self._stream, self._world, self._given = stream, world, nets
+    def __init__(
+        self,
+        stream: NodeStream,
+        world: ActionsAgain,
+        messages: Messages,
+        nets: Mapping[str, Net],
+        tolerance: float = TOLERANCE_S,
+    ) -> None:
+        self._stream, self._world, self._given, self._tolerance = stream, world, nets, tolerance
         self._progress = RerunProgress(stream)
         self._script = Script(stream, self._progress.differs, messages)
         self._host = ScriptHost(stream.node, self._script, messages, self._progress.executors, self._progress.nets)
@@ -284,18 +294,33 @@ class NodeRerun:
     def _pump_stuck(self, executor: Executor, entries: Entries) -> bool:
         """Ask guards again, then let timers strike, then end actions of a former incarnation as recorded."""
         executor.post(GuardsChanged())
-        if self._progress.pump(executor):
+        if self._progress.pump(executor) or self._strike(executor, entries):
             return True
-        at = executor.next_wakeup()
-        if at is not None and at <= self._progress.turn.at + SLACK_S:
-            self._time = max(self._time, at)
-            if self._progress.pump(executor):
-                return True
         entry = entries.next()
         if isinstance(entry, EndFired | PhaseFired | MessageBuilt) and entry.number in self._before[executor.net.name]:
             executor.replay(entry)
             return entries.advance(entry)
         return False
+
+    def _strike(self, executor: Executor, entries: Entries) -> bool:
+        """Let the timer strike that a recorded firing waits for.
+
+        Raises:
+            Difference: The delay of the transition is over later than in the recording, by more than the tolerance.
+        """
+        before, turn = self._time, self._progress.turn
+        name = transition_of(entries.next())
+        at = executor.strikes_at(name)
+        if at is not None and (late := at - before) > self._tolerance:
+            raise self._progress.late(executor.net.name, late, self._tolerance)
+        if at is None and (at := executor.next_wakeup()) is not None and at > turn.at + SLACK_S:
+            return False
+        if at is None:
+            return False
+        self._time = max(before, at)
+        struck = self._progress.pump(executor)
+        self._time = before
+        return struck
 
     # What the nets send.
 

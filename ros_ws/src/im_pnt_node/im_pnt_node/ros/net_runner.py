@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> i
     try:
         if options.arg and options.symbol is None:
             raise ConfigError("--arg is an argument of a command: --symbol NAME is missing")
-        sys.path[:0] = list(dict.fromkeys(str(Path(file).resolve().parent) for file in options.files))
+        plugins.find_beside(options.files)
         nets = [load_net(file) for file in options.files]
         order = None if options.symbol is None else Order.read(nets, options.symbol, options.arg)
         verifier: Verifier = plugins.load(VERIFIER, None, "verifier")  # type: ignore[assignment]  # it is one

@@ -13,6 +13,7 @@ from im_bag.command_line import parsed
 from im_bag.reading import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
+from im_core.options import seconds
 from im_core.ros.interfaces import decoded, interface_class
 from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
@@ -25,7 +26,7 @@ from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 from im_pnt_node.distributed.codec import ANSWER
 from im_pnt_node.rerun.difference import Difference, first_difference
-from im_pnt_node.rerun.rerun import Compared, NodeRerun
+from im_pnt_node.rerun.rerun import TOLERANCE_S, Compared, NodeRerun
 from im_pnt_node.rerun.script import Script, ScriptHost
 from im_pnt_node.rerun.stream import NodeStream, streams_of
 from im_pnt_node.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
@@ -36,7 +37,8 @@ from im_pnt_node.ros.reporting.mission import TOPIC
 
 _DESCRIPTION = """Runs the nets of a recorded mission again on the recorded answers: no robot, no camera, no node.
 Commands, requests, answers, data objects and what guards look at come from the bag; the nets, their guards and their
-functions are those of this installation. Compares firing by firing, and tells the first difference with both sides.
+functions are those of this installation. Compares firing by firing, and tells the first difference with both sides;
+a firing whose delay is over later than in the bag, by more than --tolerance, is one.
 
   scripts/replay.sh bags/demo --mission                       does this installation still do the same?
   scripts/replay.sh bags/demo --mission --nets my_net.yaml    with another net in the place of the one of its name
@@ -188,13 +190,19 @@ def installed_nets() -> dict[str, Net]:
     return nets
 
 
-def rerun(bag: Path, nets: Mapping[str, Net], told: Callable[[str], None] = lambda _: None) -> Compared:
+def rerun(
+    bag: Path,
+    nets: Mapping[str, Net],
+    told: Callable[[str], None] = lambda _: None,
+    tolerance: float = TOLERANCE_S,
+) -> Compared:
     """Run the nets of a bag again.
 
     Args:
         bag: Folder of the bag, or a file of it.
         nets: Nets that take the places of those in the bag, by name.
         told: Is told how far it is.
+        tolerance: Time by which a delay may be over later than in the bag [s].
 
     Returns:
         What was compared: all was equal.
@@ -208,7 +216,7 @@ def rerun(bag: Path, nets: Mapping[str, Net], told: Callable[[str], None] = lamb
     for rank, stream in enumerate(streams, 1):
         if monotonic() - began > TOLD_S:
             told(f"{rank} of {len(streams)} nodes: {stream.node}")
-        part = NodeRerun(stream, RosWorld(), RosMessages(), nets).run()
+        part = NodeRerun(stream, RosWorld(), RosMessages(), nets, tolerance).run()
         whole.nets |= part.nets
         whole.changed |= part.changed
         whole.firings += part.firings
@@ -232,12 +240,19 @@ def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or a file of it")
     parser.add_argument("--nets", nargs="+", default=[], metavar="FILE", help="nets in the places of their namesakes")
     parser.add_argument("--bag-nets", action="store_true", help="the nets as recorded, not those that are installed")
+    parser.add_argument(
+        "--tolerance",
+        type=seconds,
+        default=TOLERANCE_S,
+        metavar="S",
+        help="time by which a delay may be over later than in the bag [s] (%(default)g)",
+    )
     options = parsed(parser, words)
     try:
         nets = {} if options.bag_nets else installed_nets()
         given = nets_by_name(map(load_net, options.nets))
         nets |= given
-        found = rerun(options.bag, nets, lambda text: print(f"{program}: {text}", file=sys.stderr))
+        found = rerun(options.bag, nets, lambda text: print(f"{program}: {text}", file=sys.stderr), options.tolerance)
         if unknown := sorted(given.keys() - found.nets):
             raise DataError(f"net {unknown[0]} is not in the bag; it has {', '.join(sorted(found.nets))}")
     except Difference as difference:

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from im_core.config import FieldError
 from im_pnt.expression.syntax import WORDS
 from im_pnt.netfile.schema.names import shown_name
-from im_pnt.netfile.schema.scalars import as_list, as_mapping, as_number, as_text, shown
+from im_pnt.netfile.schema.scalars import Written, as_list, as_mapping, as_number, as_text, shown
 from im_pnt.netfile.schema.values import ONE_TEXT, FilePart, Named, Names, Text
 
 _MANY = 10_000
@@ -25,7 +25,7 @@ def _parameter(value: object) -> Parameter:
     number = as_number(value)
     if isinstance(number, int) and not isinstance(number, bool) and abs(number) <= _LARGEST_PARAMETER:
         return number
-    return as_text(value)
+    return value if isinstance(value, Written) else as_text(value)
 
 
 def _range(value: object) -> Sequence[Parameter]:
