@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from im_core import names
+from im_core import clock, names
 from im_pnt.netfile import load_net
 from im_pnt_analysis.recorded.timeline import recording_of
 from im_pnt_analysis.simulation.replay import FiringSequence
@@ -23,7 +23,7 @@ from im_pnt_display.page.messages import drawn_counterexample
 from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import RecordedNets
 from support.bag_with_cell import write_bag_with_cell
-from support.browser import Tab, headless_browser
+from support.browser import PATIENCE_S, Tab, headless_browser
 from support.whole_machine import running_machine
 
 BAGS = Path(__file__).parent / "data" / "bags"
@@ -101,7 +101,8 @@ def start(each, command, **choices):
 
 def wait_for_shades(each):
     """The number of colours of the drawn cell, once there is one."""
-    for _ in range(200):
+    deadline = clock.monotonic() + PATIENCE_S
+    while clock.monotonic() < deadline:
         picture = Image.open(io.BytesIO(each.page.locator("#robot").screenshot())).convert("RGB")
         if (shades := len(picture.getcolors(1 << 20))) > 200:
             break
