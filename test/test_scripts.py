@@ -46,7 +46,8 @@ def test_the_command_line_teaches_and_refuses_what_it_does_not_know():
     done = im("recovr")
     assert (done.returncode, done.stderr) == (
         2,
-        "im: there is no subcommand recovr; there are: doctor dom load pnt recover run unload\n",
+        "im: there is no subcommand recovr; there are: action doctor dom lifecycle load node param pnt recover run "
+        "service topic unload\n",
     )
 
 
@@ -120,7 +121,7 @@ def test_an_option_that_pytest_does_not_have_is_refused_before_any_check(script)
 def test_run_lists_what_there_is(script):
     done = script("run")
     assert done.returncode == 0
-    assert "im_bringup: agent bootstrap data_objects " in done.stdout
+    assert "im_bringup: action agent bootstrap data_objects " in done.stdout
     assert "im_dom: dom\n" in done.stdout
     assert script("run", "im_dom").stdout == "dom\n"
 
