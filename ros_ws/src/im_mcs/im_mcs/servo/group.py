@@ -15,7 +15,7 @@ from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
 from im_mcs.planning.checks.admission import check_move, check_stream
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.checks.tolerances import TrajectoryTolerances, tolerances_of
+from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.motions.preparation import prepare
 from im_mcs.planning.motions.stream import StreamFollower, StreamLease
@@ -24,6 +24,7 @@ from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.requests import LineMove, MoveRequest, Policy, StreamRequest, TrajectoryMove
+from im_mcs.servo.goal_check import GoalCheck
 from im_mcs.servo.rest_monitor import RestMonitor, RestPhase
 from im_mcs.servo.stream_gate import StreamGate
 
@@ -48,6 +49,7 @@ class ControlledGroup:
         place: The same, quicker to write to.
         controller: Motion control layer; a law in force of several.
         monitor: Judge of rest.
+        check: Judge of goals.
         gate: Whether it takes a stream.
         engaged: Whether it has setpoints and torques.
         held: Fault of a protective stop that was asked for: latched until the group is resumed.
@@ -72,11 +74,11 @@ class ControlledGroup:
         self.index, self.place = context.index, place_of(context.index)
         self.controller = controller
         self.monitor = monitor
+        self.check = GoalCheck(name, context, planner, monitor)
         self.gate = StreamGate(name, planner.period_s)
         self.engaged = False
         self.held: ImError | None = None
         self.setpoint = planner.setpoint
-        self._position, self._velocity = planner.setpoint.q, planner.setpoint.v
         self._rates = Rates()
         self._current: Current | None = None
         self._queue: deque[Queued] = deque()
@@ -149,7 +151,7 @@ class ControlledGroup:
     def engage(self, q: NDArray[np.float64]) -> None:
         """Hold at ``q``, shape (n,): the first setpoint is the measured position."""
         self.hold(q)
-        self._position, self._velocity = q, np.zeros_like(q)
+        self.check.q, self.check.v = q, np.zeros_like(q)
         self.controller.reset()
         self.monitor.restart()
         self.engaged = True
@@ -384,8 +386,8 @@ class ControlledGroup:
         Raises:
             ControlLawError: The control law failed.
         """
-        position, setpoint = q[self.index], self.setpoint
-        self._position, self._velocity = position, v[self.index]
+        position, velocity, setpoint = q[self.index], v[self.index], self.setpoint
+        self.check.q, self.check.v = position, velocity
         if self.still:
             if not self.controller.switching:
                 yields = self.controller.name in self.context.config.switching.yielding
@@ -393,8 +395,9 @@ class ControlledGroup:
                 self.controller.hold_integral(self.monitor.phase in (RestPhase.MEASURING, RestPhase.AT_REST))
         elif self.monitor.phase is not RestPhase.MOVING:
             self._begun()
-        self._judge(tick)
-        return self.controller.torque(ControlInput(position, self._velocity, setpoint, gravity[self.index], q, wanted))
+        if self._current is not None and (fault := self.check.on_the_way(self._current, tick)) is not None:
+            self._interrupt(fault)
+        return self.controller.torque(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""
@@ -418,7 +421,7 @@ class ControlledGroup:
             "retimed": "" if current.retimed is None else current.retimed.report,
             "time": since,
             "desired": {"positions": setpoint.q.tolist(), "velocities": setpoint.v.tolist()},
-            "actual": {"positions": self._position.tolist()},
+            "actual": {"positions": self.check.q.tolist()},
         }
 
     @property
@@ -603,53 +606,9 @@ class ControlledGroup:
             if self.still and (current.at_once or self.settled):
                 self._end_current(fault)
                 self.hold(planner.setpoint.q)
-            return
-        if not planner.finished or not self.still:
-            return
-        if current.tolerances is not None:
-            if current.tolerances.reached(self._error(planner.setpoint)):
-                self._end_current(None)
-            elif (missed := self._missed(current, current.tolerances)) is not None:
-                self._end_current(missed)
-        elif self.settled:
-            self._end_current(None if self.monitor.at_rest else self._not_settled())
-
-    def _error(self, wanted: Setpoint) -> NDArray[np.float64]:
-        """Return request minus measurement of position and velocity, shape (2, n)."""
-        return np.array([wanted.q - self._position, wanted.v - self._velocity])
-
-    def _missed(self, current: Current, tolerances: TrajectoryTolerances) -> ImError | None:
-        """Return the fault of a goal that is not reached in the time that its message allows."""
-        error, late_s = self._error(self.planner.follower.end_setpoint), current.passed_s - current.asked_s
-        settled = self.planner.finished and self.settled
-        return tolerances.at_goal(error, late_s, settled, current.goal.since_tick + current.ticks)
-
-    def _judge(self, tick: int) -> None:
-        """Interrupt a trajectory beyond its tolerances: on the way, or because it is still on the way too late."""
-        current = self._current
-        if current is None or current.tolerances is None or current.goal.fault is not None or self.planner.finished:
-            return
-        followed = asked = self._error(self.planner.setpoint)
-        if current.asked is not None and current.passed_s < current.asked_s:
-            asked = self._error(current.asked.at(current.passed_s))
-        fault = current.tolerances.on_path(asked, followed, tick) or self._missed(current, current.tolerances)
-        if fault is not None:
-            self._interrupt(fault)
+        elif planner.finished and self.still and self.check.at_end(current):
+            self._end_current(self.check.fault)
 
     def _begun(self) -> None:
         self.monitor.restart()
         self.controller.hold_integral(False)
-
-    def _not_settled(self) -> ImError:
-        worst = self.monitor.worst()
-        limits, rank = self.context.limits, int(self.index[worst])
-        joint, unit = limits.names[rank], limits.units[rank]
-        error = float(self.monitor.last_error[worst])
-        return ImError(
-            f"group '{self.name}' did not settle: {joint} still moves or is off its setpoint, by {error:.3g} {unit} "
-            f"after {self.monitor.timeout_s:g} s",
-            code="not_settled",
-            joint=joint,
-            value=error,
-            unit=unit,
-        )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from im_core.errors import DataError
-from im_mcs.planning.trajectories.noise import is_noisy
+from im_mcs.planning.motions.noise import is_noisy
 
 SECONDS, WAY_SHARE = 3.0, 0.6
 

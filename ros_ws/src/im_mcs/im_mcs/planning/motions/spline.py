@@ -17,7 +17,7 @@ where they have accelerations too; the point before the first is the present set
 What leaves the range of a joint is refused. What is beyond a limit of velocity, acceleration or jerk between its
 points, as trapezoidal profiles and cubic splines are (their acceleration jumps), is re-timed along its own path
 (:mod:`im_mcs.planning.retiming`), or refused, as ``planning.beyond_limits`` says. Of recorded positions noise is
-smoothed first (:mod:`im_mcs.planning.trajectories.noise`). What takes over from a motion is tracked
+smoothed first (:mod:`im_mcs.planning.motions.noise`). What takes over from a motion is tracked
 (:mod:`im_mcs.planning.motions.tracked`).
 """
 
@@ -30,10 +30,10 @@ from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.checks.admission import POINTS_AT_ONCE, check_timed_points
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.envelope import check_range, first_excess, slowdown
+from im_mcs.planning.motions.noise import is_noisy, smoothed
 from im_mcs.planning.motions.tracked import TrackedTrajectory
 from im_mcs.planning.retiming import RetimedTrajectory, retime
 from im_mcs.planning.trajectories.interpolation import interpolated
-from im_mcs.planning.trajectories.noise import is_noisy, smoothed
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 from im_mcs.protocol.points import TimedPoints
