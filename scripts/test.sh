@@ -22,7 +22,7 @@ done
 # The tests of the page need a browser, which PyPI does not have; without one they are skipped, and say how to get it.
 if ((!quick && EUID == 0)) && ! command -v chromium chromium-browser >/dev/null && command -v apt-get >/dev/null; then
   say "test: installing chromium, in which the page is tested"
-  apt-get install -y -qq --no-install-recommends chromium >/dev/null ||
+  { apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium; } >/dev/null ||
     say "test: chromium could not be installed; the tests of the page are skipped"
 fi
 im_env
