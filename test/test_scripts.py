@@ -46,7 +46,7 @@ def test_the_command_line_teaches_and_refuses_what_it_does_not_know():
     done = im("recovr")
     assert (done.returncode, done.stderr) == (
         2,
-        "im: there is no subcommand recovr; there are: doctor dom load pnt recover run unload\n",
+        "im: there is no subcommand recovr; there are: doctor dom load pnt recover run unload view\n",
     )
 
 
