@@ -275,3 +275,9 @@ def test_a_page_needs_nothing_from_elsewhere(recorded):
         text = script.read().decode()
     assert "three.js" in text.lower()
     assert script.headers["Content-Type"].endswith("/javascript")
+
+
+def test_without_a_browser_the_tests_are_skipped_and_say_how_to_get_one(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    with pytest.raises(pytest.skip.Exception, match="apt-get install chromium"), headless_browser():
+        pass

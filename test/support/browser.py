@@ -14,11 +14,11 @@ MISSING = "no browser is here to test the page in: apt-get install chromium (or 
 @contextlib.contextmanager
 def headless_browser():
     """Chromium; the test is skipped where none is installed."""
-    from playwright.sync_api import sync_playwright
-
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
         pytest.skip(MISSING)
+    from playwright.sync_api import sync_playwright
+
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
         try:
