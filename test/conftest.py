@@ -82,17 +82,11 @@ def own_participants():
 
 
 LONGEST = (
-<<<<<<< HEAD
-    "case_study", "mission", "pnt_journal", "case_study_deaths", "vss_contention", "chaos", "bootstrap_node", "hosts",
-    "pose_cost", "trajectory", "motion", "recalibrate", "start_imports", "wrong_values", "set_up",
-    "middleware_memory", "pnt_node", "vss_laser", "record_replay", "your_robot", "testbed_drivers_node", "owners",
-    "imports", "vss_calibration_given", "vss_wrong_input", "vss_known_lengths", "backlog", "vss_tutorial", "tutorials",
-=======
     "case_study", "page_browser", "mission", "pnt_journal", "case_study_deaths", "vss_contention", "chaos",
     "bootstrap_node", "hosts", "pose_cost", "trajectory", "motion", "recalibrate", "start_imports", "wrong_values",
     "set_up", "middleware_memory", "pnt_node", "vss_laser", "record_replay", "your_robot", "testbed_drivers_node",
     "owners", "imports", "vss_calibration_given", "vss_wrong_input", "vss_known_lengths", "backlog", "vss_tutorial",
->>>>>>> 3d13e05e783354faba0353c1d7e3ddd6c8ed4ad7
+    "tutorials",
 )  # fmt: skip
 """Files ``test_<name>.py`` that take a third of a minute and more on a busy computer, the longest first."""
 
