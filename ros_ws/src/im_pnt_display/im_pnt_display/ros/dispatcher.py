@@ -25,6 +25,7 @@ ANSWER_S = 5.0
 LOOK_S = 0.5
 """How often the line of commands is looked at while somebody views the page [s]."""
 ENDED_KEPT = 10
+MOST_DIAGNOSTICS = 200
 LONGEST_RESULT = 300
 """Characters that are shown of a result; a report of a calibration has 280,000."""
 CONTROLS = ("cancel", "pause", "resume")
@@ -128,7 +129,7 @@ class DispatcherClient:
         if not handle.accepted:
             raise StateError(f"the dispatcher refused the command {symbol}")
         handle.get_result_async().add_done_callback(ended)
-        if refusal := await begun:
+        if refusal := await wait(self._node, begun, ANSWER_S, f"the number of command {symbol}"):
             raise StateError(refusal)
         return f"{symbol} is command {number[0]}" if number else f"{symbol} is done"
 
@@ -198,6 +199,8 @@ class DispatcherClient:
 
     def _diagnose(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if status.name not in self._diagnostics and len(self._diagnostics) >= MOST_DIAGNOSTICS:
+                continue  # names that somebody makes up
             self._diagnostics[status.name] = {
                 "name": status.name,
                 "level": int.from_bytes(status.level, "little"),
