@@ -131,6 +131,14 @@ def test_what_may_change_is_waited_for_and_assumed():
         decide_guards(net_with(*wait, places=place, before=stores))
 
 
+def test_a_token_that_leaves_with_its_object_may_wait_for_that():
+    first = "  pick: {symbol: pick, in: idle, out: seen}\n  never: {in: chosen, out: idle}"
+    places = "seen: {data_object: map, on_invalid: [chosen]}"
+    guarded = "  go: {in: seen, out: idle, guard: '${arguments.x < 3}', emit: pick_done}"
+    net = net_with(before=f"{first}\n{guarded}", places=places)
+    assert decide_guards(net) == frozenset()
+
+
 def test_a_function_of_python_may_say_anything_and_its_negation_the_opposite():
     assert decide_guards(net_with("is_ready", "not is_ready")) == {"end_0", "end_1"}
     assert decide_guards(net_with("is_ready", "${arguments.x < 3}")) == frozenset()

@@ -79,11 +79,11 @@ class GuardCoverage:
         self.decided = {name for name, proved in decided.items() if proved}
 
     def _guarded(self, place: str, kind: str) -> list[Transition]:
-        """Return the takers of a place if all of them have guards and need the same tokens; else nothing."""
+        """Return the takers of a place if all have guards, and need the same tokens, and nothing else moves one."""
         net = self._net
         takers = [t for t in net.transitions.values() if place in t.inputs and self._knowledge.serves(t, kind)]
         ends = any(place in (service.done, service.failed) for service in net.services.values())
-        if ends or len({self._knowledge.work_inputs(each) for each in takers}) != 1:
+        if ends or net.places[place].on_invalid or len({self._knowledge.work_inputs(each) for each in takers}) != 1:
             return []
         if any(each.guard is None or each.symbol is not None for each in takers):
             return []
