@@ -70,13 +70,13 @@ def held(tmp_path, monkeypatch):
     The solver finds it at the origin of the world.
     """
     arm, settings = Arm(), load_settings(CELL)
-    screen = SimpleNamespace(raw=lambda frame: None, display=lambda *_: None)
+    screen = SimpleNamespace(raw=lambda frame: None, display=lambda *_: None, residuals=lambda *_: None)
     rig = Rig(settings, CELL, CameraBook(CELL, settings.cameras, tmp_path), Cameras(), screen, mounts=Mounts(arm.now))
     vsm = VisionServicesManager(rig, load_catalogue())
     model = CameraModel(640, 480, rig.book[CAMERA].model.K, np.zeros(5), np.eye(3), np.zeros(3))
     known = CameraCovariance(tuple(f"{CAMERA}.{name}" for name in PARAMETERS), np.eye(len(PARAMETERS)))
     camera = SimpleNamespace(name=CAMERA, model=model)
-    found = SimpleNamespace(success=True, cameras=(camera,), camera_covariance=known)
+    found = SimpleNamespace(success=True, cameras=(camera,), camera_covariance=known, residuals=([],))
     monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
     monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})
 

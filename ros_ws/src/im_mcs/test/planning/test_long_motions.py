@@ -43,8 +43,12 @@ def there_and_back(rig, seconds):
 def wave(rig, seconds):
     """Far too quick to and fro, with a point every tenth of a second."""
     t = np.arange(0.1, seconds, 0.1)
-    q = rig.home + np.outer(0.05 * np.sin(t) + 0.01 * np.sin(40.0 * t), [0, 0, 0, 1, 1, 1, 1, 1, 1])
-    points = [{"time": x, "positions": row.tolist()} for x, row in zip(t.tolist(), q, strict=True)]
+    joints = [0, 0, 0, 1, 1, 1, 1, 1, 1]
+    q = rig.home + np.outer(0.05 * np.sin(t) + 0.01 * np.sin(40.0 * t), joints)
+    v = np.outer(0.05 * np.cos(t) + 0.4 * np.cos(40.0 * t), joints)
+    v[-1] = 0.0
+    rows = zip(t.tolist(), q.tolist(), v.tolist(), strict=True)
+    points = [{"time": x, "positions": at, "velocities": speed} for x, at, speed in rows]
     return {"kind": "trajectory", "points": points}
 
 

@@ -27,11 +27,11 @@ def on_path(rig, trajectory, since):
 
 
 def _distance(q, path):
-    k = int(np.argmin(((path - q) ** 2).sum(axis=1)))
-    a, b = path[max(k - 1, 0)], path[min(k + 1, len(path) - 1)]
-    way = b - a
-    share = 0.0 if not way.any() else (q - a) @ way / (way @ way)
-    return np.abs(q - a - share * way).max()
+    """From the nearest piece: the path may come by again, and the nearest sample be of that time."""
+    way = np.diff(path, axis=0)
+    length = (way**2).sum(axis=1)
+    share = np.clip(((q - path[:-1]) * way).sum(axis=1) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)
+    return np.abs(q - path[:-1] - share[:, None] * way).max(axis=1).min()
 
 
 def stopped_after(rig, since):
