@@ -124,7 +124,7 @@ def shipped_lines(files: list[Path], folder: Path) -> list[Line]:
         took, used = monotonic() - began, _of_children() - used
         if ended.returncode:
             raise ImError(f"pnt verify of {len(files)} nets failed: {(ended.stderr or ended.stdout).strip()[:500]}")
-        found.append(Line(f"pnt verify, {len(files)} shipped nets{what}, CPU", used, "s", bar=bar))
+        found.append(Line(f"scripts/im pnt verify, {len(files)} shipped nets{what}, CPU", used, "s", bar=bar))
         found.append(Line("  wall", took, "s"))
     return found
 

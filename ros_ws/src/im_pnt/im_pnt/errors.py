@@ -21,7 +21,9 @@ class NetFileError(ImError):
         super().__init__(f"{where}: {message}", code="net_file", file=file, line=line, column=column, **facts)
 
 
-_UNPROVED_HINT = "; 'pnt verify --timeout S' takes more time to prove it, 'start --unproved' starts it all the same"
+_UNPROVED_HINT = (
+    "; 'scripts/im pnt verify --timeout S' takes more time to prove it, 'start --unproved' starts it all the same"
+)
 
 
 class VerificationError(ImError):

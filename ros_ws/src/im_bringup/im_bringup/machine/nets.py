@@ -1,7 +1,8 @@
 """Check whether the nets of a machine may run together: in a separate process, before START is given.
 
-Each node has verified its nets alone when it is configured, and describes them on ``/pnt/nets``. ``pnt verify`` then
-verifies those that talk to each other together. What was proved before, and is unchanged, it finds in its cache.
+Each node has verified its nets alone when it is configured, and describes them on ``/pnt/nets``. After that
+``scripts/im pnt verify`` verifies those that talk to each other together. What was proved before, and is unchanged, it
+finds in its cache.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +19,7 @@ from im_core.startup import net_digest, nets_told
 
 #: What is ``pnt`` on the command line.
 PROVER = "im_pnt_analysis.cli"
-#: Exit codes of ``pnt verify``.
+#: Exit codes of ``scripts/im pnt verify``.
 VERIFIED, UNPROVED = 0, 3
 
 Prove = Callable[[Sequence[Path], Path], ChildProcess]
@@ -151,7 +152,7 @@ def _twice(runs: Iterable[tuple[str, str, str]]) -> str:
 
 
 def _whole(log: Path) -> str:
-    """Return the output of ``pnt verify``, without the verified nets."""
+    """Return the output of ``scripts/im pnt verify``, without the verified nets."""
     lines = read_text(log).strip().splitlines()
     begin = next((rank for rank, line in enumerate(lines) if " refused:" in line), len(lines) - 1)
     return "\n".join(lines[max(0, begin) :])

@@ -5,11 +5,11 @@ import math
 import sys
 
 from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
 
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
 from im_bringup.ros.interruptible import DONE, FAILED
 from im_core.errors import StateError
+from im_core.ros.guard import GuardedActionClient
 
 _STATES = {
     GoalStatus.STATUS_SUCCEEDED: "SUCCEEDED",
@@ -54,7 +54,7 @@ def _send_goal(node: GraphClient, options: argparse.Namespace) -> int:
     kind = class_of(type_name)
     goal = message_from(kind.Goal(), options.goal, type_name)
     node.require("action", name, type_name, options.timeout)
-    client = ActionClient(node, kind, name)
+    client = GuardedActionClient(node, kind, name)
     node.wait(client.server_is_ready, f"a server of {name}", options.timeout)
     feedback = (lambda message: print(f"Feedback:\n{message_text(message.feedback)}")) if options.feedback else None
     sent = client.send_goal_async(goal, feedback_callback=feedback)
