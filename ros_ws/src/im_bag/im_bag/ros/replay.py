@@ -37,6 +37,7 @@ from im_core.output import complain, say
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import message_class
+from im_core.ros.servers import node_of
 from im_core.startup import PHASE_TOPIC
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
@@ -139,7 +140,7 @@ class Replay:
         if leaders:
             others = len(self._node.get_node_names()) - 1 - len(leaders)
             machine = f"a machine runs in ROS domain {self._node.context.get_domain_id()}"
-            leader = f"{leaders[0].node_namespace.rstrip('/')}/{leaders[0].node_name}, with {others} other nodes"
+            leader = f"{node_of(leaders[0])}, with {others} other nodes"
             remedy = "set another ROS_DOMAIN_ID, stop the machine, or mix the topics with --force"
             raise StateError(f"{machine} ({leader}); {remedy}")
 

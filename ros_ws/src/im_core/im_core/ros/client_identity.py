@@ -13,6 +13,8 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 
+from im_core.ros.servers import node_of
+
 TOPICS_OF_ALL = ("/rosout", "/parameter_events")
 """Topics that a node publishes whatever else it does, unless it is told not to."""
 
@@ -72,7 +74,7 @@ def nodes_of(node: Node, client: str) -> tuple[str, ...]:
     """
     ends = [end for topic in TOPICS_OF_ALL for end in node.get_publishers_info_by_topic(topic)]
     mine = [end for end in ends if bytes(end.endpoint_gid[:_PARTICIPANT_BYTES]).hex() == client]
-    names = {f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in mine if end.node_name != _UNKNOWN}
+    names = {node_of(end) for end in mine if end.node_name != _UNKNOWN}
     return tuple(sorted(names))
 
 

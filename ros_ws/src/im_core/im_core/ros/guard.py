@@ -36,6 +36,7 @@ from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.rclpy_fixes.timers import punctual_timer
+from im_core.ros.servers import node_of
 from im_core.ros.status import to_status
 
 INTERNAL = "internal"
@@ -156,7 +157,7 @@ class GuardedNode(Node):
 
         def told() -> str:
             ends = self.get_publishers_info_by_topic(self.resolve_topic_name(topic))
-            names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
+            names = sorted({node_of(end) for end in ends})
             return f"{type_name(msg_type)}, published by {few(names) or 'nobody any more'}"
 
         guarded = self.guarded(f"subscription {topic}", callback, told)

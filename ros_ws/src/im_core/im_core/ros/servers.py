@@ -1,6 +1,7 @@
 """Servers of a service or an action: if two nodes serve one name, either one may answer."""
 
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from im_core.errors import ImError
 from im_core.ros.failures import few
@@ -20,7 +21,12 @@ def servers_of(node: Node, name: str) -> list[str]:
         Full names of nodes, sorted; a name is there twice where two nodes have it, or one node serves twice.
     """
     ends = [end for topic in _REQUESTS for end in node.get_subscriptions_info_by_topic(topic.format(name), True)]
-    return sorted(f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends)
+    return sorted(map(node_of, ends))
+
+
+def node_of(end: TopicEndpointInfo) -> str:
+    """Return the full name of the node of a publisher or subscription."""
+    return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
 
 
 def doubt(node: Node, name: str) -> str:

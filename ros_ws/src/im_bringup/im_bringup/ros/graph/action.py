@@ -10,6 +10,7 @@ from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, mess
 from im_bringup.ros.interruptible import DONE, FAILED
 from im_core.errors import StateError
 from im_core.ros.guard import GuardedActionClient
+from im_core.ros.servers import node_of
 
 _STATES = {
     GoalStatus.STATUS_SUCCEEDED: "SUCCEEDED",
@@ -45,7 +46,7 @@ def _info(node: GraphClient, options: argparse.Namespace) -> int:
     ):
         print(f"Action {title}: {len(ends)}")
         for end in ends:
-            print(f"    {end.node_namespace.rstrip('/')}/{end.node_name}")
+            print(f"    {node_of(end)}")
     return DONE
 
 

@@ -16,6 +16,7 @@ from im_bringup.ros.interruptible import DONE
 from im_core import clock
 from im_core.errors import StateError
 from im_core.options import at_least, seconds
+from im_core.ros.servers import node_of
 
 #: Messages that wait to be shown; more than that are left out.
 _DEPTH = 1000
@@ -109,7 +110,7 @@ def _info(node: GraphClient, options: argparse.Namespace) -> int:
         for end in ends if options.verbose else ():
             profile = end.qos_profile
             qualities = f"{profile.reliability.name}, {profile.durability.name}"
-            print(f"  {end.node_namespace.rstrip('/')}/{end.node_name}: {qualities}")
+            print(f"  {node_of(end)}: {qualities}")
     return DONE
 
 
