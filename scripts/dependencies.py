@@ -46,6 +46,7 @@ WHY = {
     "foxglove-sdk": "the machine seen with Foxglove",
     "z3-solver": "proofs about nets",
     "pytest": "tests",
+    "pytest-timeout": "tests that hang fail",
     "pytest-xdist": "tests",
     "hypothesis": "tests of properties",
     "jsonschema": "tests: the schema of net files",

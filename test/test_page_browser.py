@@ -51,8 +51,9 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 PICTURES = os.environ.get("IM_PICTURES")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def browser():
+    """A browser of the test's own: one that hangs takes no other test with it."""
     with headless_browser() as started:
         yield started
 

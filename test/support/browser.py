@@ -20,7 +20,11 @@ def headless_browser():
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
+        browser = playwright.chromium.launch(
+            executable_path=path,
+            args=["--no-sandbox", "--enable-unsafe-swiftshader", "--disable-dev-shm-usage"],
+            timeout=1000 * PATIENCE_S,
+        )
         try:
             yield browser
         finally:
@@ -40,7 +44,7 @@ class Tab:
     def __init__(self, browser, url, size=(1400, 900), script="", **context):
         self._context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **context)
         self.page = self._context.new_page()
-        self.page.set_default_timeout(60_000)
+        self.page.set_default_timeout(1000 * PATIENCE_S)
         self.errors = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.add_init_script(script)
