@@ -26,6 +26,9 @@ from support.bag_with_cell import write_bag_with_cell
 from support.browser import PATIENCE_S, Tab, headless_browser
 from support.whole_machine import running_machine
 
+# Chromium itself may hang for ever (its graphics process, without a graphics card): then a test has a second browser.
+pytestmark = [pytest.mark.timeout(600), pytest.mark.flaky(reruns=1, only_rerun=["from pytest-timeout"])]
+
 BAGS = Path(__file__).parent / "data" / "bags"
 FIRED = "[...document.querySelectorAll('#firings b')].map((each) => each.textContent).join(' ')"
 ENDED = "document.getElementById('ended').textContent"
