@@ -68,6 +68,7 @@ leave_ros() {
 
 # The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
 im_defaults() {
+  local config="$IM_WS/src/im_bringup/im_bringup/config" name value
   if [[ -z "${HOME:-}" ]]; then
     export HOME="$IM_ROOT/.run"
     mkdir -p "$HOME"
@@ -76,21 +77,15 @@ im_defaults() {
   # ROS reads a number, and names of files have its text: 7 and 007 would be two machines in one domain.
   [[ "$ROS_DOMAIN_ID" =~ ^(0|[1-9][0-9]{0,2})$ ]] && ((ROS_DOMAIN_ID <= 232)) ||
     die 2 "ROS_DOMAIN_ID='$ROS_DOMAIN_ID' is no ROS domain: a number from 0 to 232, without zeros before it"
-  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
   export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
   export IM_RESULTS_DIR="${IM_RESULTS_DIR:-$IM_ROOT/results}"
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
   # The memory policy of our profile counts with the second variable; a profile of the user's may be silent about it.
   [[ -n "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]] || export RMW_FASTRTPS_USE_QOS_FROM_XML=1
-  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
-  export PYTHONUNBUFFERED=1
-  # We have no plug-ins of pydantic, and each process would look through all packages for some.
-  export PYDANTIC_DISABLE_PLUGINS=__all__
-  # Work that takes long runs in threads, and in each of its arenas (8 for each processor) malloc keeps the most that any
-  # of them ever needed; what is computed there holds the interpreter's lock.
-  export MALLOC_ARENA_MAX="${MALLOC_ARENA_MAX:-2}"
-  # The servo's matrices are small: threads of a BLAS would only disturb it.
-  export OMP_NUM_THREADS="${OMP_NUM_THREADS:-1}" OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
+  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$config/fastdds.xml}"
+  while IFS='=' read -r name value; do
+    [[ "$name" == "#"* || -n "${!name:-}" ]] || export "$name=$value"
+  done <"$config/environment.txt"
 }
 
 # im_env: the complete environment, as every script but setup.sh needs it.

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from im_bringup.machine import machine_state as machine
-from im_bringup.tasks.agent import DEFAULTS, environment
+from im_bringup.tasks.agent import defaults, environment
 from im_bringup.tasks.deployment import default_path, load
 from im_core.executables import path_of
 from support.whole_machine import free_port
 
 ROOT = Path(__file__).resolve().parent.parent
-GIVEN_BY_SCRIPTS = (*DEFAULTS, "ROS_LOG_DIR", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
+GIVEN_BY_SCRIPTS = (*defaults(), "ROS_LOG_DIR", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
 
 
 def test_the_machine_gives_its_processes_what_the_scripts_give_to_tools(tmp_path):

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import json
+import math
 import re
 import statistics
 import threading
@@ -55,6 +56,18 @@ PROCESSES = {
     "motion_coordinator": "im_coordinators.ros.motion",
     "path_planning_coordinator": "im_coordinators.ros.path_planning",
     "vision_coordinator": "im_coordinators.ros.vision",
+}
+REPORT = {
+    "success": True,
+    "message": "Two cameras calibrated.",
+    "cameras": [],
+    "points_used": POSES,
+    "points_rejected": [],
+    "led_offset_m": [0.0, 0.06, 0.05],
+    "chi2_per_dof": 1.1,
+    "verdicts": [],
+    "scale": None,
+    "expected_error": {"triangulation_mm": 0.2, "reprojection_px": None},
 }
 ALONE = ["--ros-args", "-p", "standalone:=true"]
 
@@ -186,7 +199,7 @@ class Cell(ManagedNode):
     def _calibrate(self, request, response):
         self.problems.append(request)
         response.success = response.report.success = True
-        response.report.json = json.dumps({"success": True, "points_rejected": []})
+        response.report.json = json.dumps(REPORT)
         return response
 
 
@@ -395,6 +408,11 @@ def test_a_pose_costs_at_most_eleven_calls_whichever_it_is(cast, wait_until):
     assert [observation.pose for observation in problem.observations] == cast.names
     assert [observation.spots[0].u for observation in problem.observations] == list(range(1, POSES + 1))
     assert report(answer)["poses"] == POSES
+    told = answer.report
+    assert json.loads(told.json) == report(answer)
+    assert (told.success, answer.message, told.points_used) == (True, REPORT["message"], POSES)
+    assert (list(told.led_offset), told.chi2_per_dof, told.lengths_used) == (REPORT["led_offset_m"], 1.1, 0)
+    assert math.isnan(told.expected_reprojection)
     growth = [after - before for before, after in itertools.pairwise(cast.dom.sizes)]
     third = POSES // 3
     assert statistics.mean(growth[-third:]) < 1.1 * statistics.mean(growth[1 : 1 + third]), growth

@@ -8,7 +8,7 @@ setup(
     name="im_bringup",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"im_bringup": ["py.typed", "config/*.xml", "deployments/*.yaml"]},
+    package_data={"im_bringup": ["py.typed", "config/*.*", "deployments/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),

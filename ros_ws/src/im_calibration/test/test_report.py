@@ -9,6 +9,7 @@ import yaml
 
 from bench.calibration.synthetic import Design, make_scene
 from im_calibration import calibrate, report_of, summary, write_results
+from im_cell.calibration_report import report_fields
 from im_core.errors import DataError
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -123,3 +124,23 @@ def test_a_directory_that_cannot_be_written_is_named(solved, tmp_path):
     blocked.write_text("here")
     with pytest.raises(DataError, match=r"cannot be written to .*file"):
         write_results(blocked, *solved)
+
+
+def test_the_message_tells_what_the_report_does(solved, failed):
+    for calibration, problem in (solved, failed):
+        report = json.loads(json.dumps(report_of(calibration, problem), allow_nan=False))
+        fields = report_fields(report)
+        assert json.loads(fields["json"]) == report
+        assert fields["verdicts"] == [str(verdict) for verdict in calibration.verdicts]
+        rejected = [(each["pose"], each["camera"], each["reason"]) for each in fields["points_rejected"]]
+        assert rejected == [(each.pose, each.camera, each.reason) for each in calibration.rejections]
+        np.testing.assert_equal(fields["expected_reprojection"], calibration.expected.reprojection_rms_px)
+        assert np.isnan([fields["scale_error"], fields["scale_sd"]]).all()
+        for told, camera in zip(fields["cameras"], calibration.cameras, strict=True):
+            np.testing.assert_array_equal(told["k"], camera.model.K.ravel())
+            np.testing.assert_array_equal(told["r_cam_base"], camera.model.R_cam_base.ravel())
+            finite = np.all(np.isfinite(camera.covariance))
+            np.testing.assert_array_equal(told["covariance"], camera.covariance.ravel() if finite else [])
+    for spoilt in ({"success": True}, {**report, "cameras": None}, {**report, "scale": 3}):
+        with pytest.raises(DataError, match="the report of the calibration is not whole"):
+            report_fields(spoilt)

@@ -5,8 +5,8 @@
   :mod:`im_cell.fiducial`: how cameras and laser scanner image;
 - :mod:`im_cell.frames`: images and where they come from;
 - :mod:`im_cell.rotations`: quaternions, rotation vectors and matrices;
-- :mod:`im_cell.calibration_files`, :mod:`im_cell.calibration_error`, :mod:`im_cell.workspace`: calibrations as files,
-  and how wrong one is over the workspace;
+- :mod:`im_cell.calibration_files`, :mod:`im_cell.calibration_report`, :mod:`im_cell.calibration_error`,
+  :mod:`im_cell.workspace`: calibrations as files and in messages, and how wrong one is over the workspace;
 - :mod:`im_cell.link`: the ends of the link to the simulated testbed.
 
 The cell as drawn, and a camera 3 m above the floor; the examples of the modules go on with these variables:

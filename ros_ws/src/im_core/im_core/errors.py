@@ -146,17 +146,20 @@ class NotFoundError(ImError):
         kind: Kind of thing, e.g. ``camera``.
         name: The name that was given.
         known: The names that exist, of which the first are listed.
+        waited_s: How long the name was waited for [s]; 0: not at all.
     """
 
     default_code = "not_found"
 
-    def __init__(self, *, kind: str, name: str, known: Iterable[str] = ()) -> None:
+    def __init__(self, *, kind: str, name: str, known: Iterable[str] = (), waited_s: float = 0.0) -> None:
         names = sorted(known)
         near = _closest(name, names)
         hint = f"; did you mean '{near}'?" if near else ""
         listed = _listed(names)
         shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
-        super().__init__(f"there is no {kind} {shown!r}{hint}{listed}", kind=kind, name=name, known=names[:_MOST_NAMES])
+        waited = f" after {waited_s:g} s" if waited_s else ""
+        sentence = f"there is no {kind} {shown!r}{waited}{hint}{listed}"
+        super().__init__(sentence, kind=kind, name=name, known=names[:_MOST_NAMES])
 
 
 def printable(text: str) -> str:

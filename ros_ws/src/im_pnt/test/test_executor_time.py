@@ -5,6 +5,7 @@ import pytest
 from im_pnt.errors import NetError
 from im_pnt.execution.events import GuardsChanged, ObjectInvalidated, TokenArrived
 from im_pnt.execution.functions import ActionContext, Functions, woken_by
+from im_pnt.model.net import Guard
 from im_pnt.netfile import parse_net
 from support.process import Clock, Process, hold
 
@@ -185,4 +186,4 @@ def test_a_source_that_is_none_is_refused(source):
 
 
 def test_guards_that_say_nothing_wake_to_nothing_in_particular():
-    assert Functions(guards={"g": lambda ctx: True}).sources("g") is None
+    assert Functions(guards={"g": lambda ctx: True}).sources(Guard("g")) is None

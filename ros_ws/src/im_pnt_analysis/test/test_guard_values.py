@@ -10,7 +10,8 @@ from im_pnt.expression.evaluation import evaluate
 from im_pnt.expression.syntax import parse
 from im_pnt.netfile import parse_net, yaml_text
 from im_pnt_analysis import verify_to_load
-from im_pnt_analysis.guards.coverage import decide_guards
+from im_pnt_analysis.composition.compose import compose
+from im_pnt_analysis.guards.coverage import GuardCoverage, decide_guards
 
 ANY_NUMBER = "{x: {type: number}}"
 
@@ -139,10 +140,31 @@ def test_a_token_that_leaves_with_its_object_may_wait_for_that():
     assert decide_guards(net) == frozenset()
 
 
+def test_the_guards_of_a_net_are_decided_once(monkeypatch):
+    checked, check = [], GuardCoverage.check
+    monkeypatch.setattr(GuardCoverage, "check", lambda coverage: checked.append(check(coverage)))
+    net, same = (net_with("${arguments.x < 3}", "otherwise") for _ in range(2))
+    for each in (net, net, same):
+        compose([each])
+    assert len(checked) == 2
+    for _ in range(2):
+        assert "with x = 4" in refusal("${arguments.x < 3}", "${arguments.x < 4}")
+
+
 def test_a_function_of_python_may_say_anything_and_its_negation_the_opposite():
     assert decide_guards(net_with("is_ready", "not is_ready")) == {"end_0", "end_1"}
     assert decide_guards(net_with("is_ready", "${arguments.x < 3}")) == frozenset()
     assert decide_guards(net_with("is_ready", "otherwise")) == {"end_0", "end_1"}
+
+
+def test_otherwise_against_a_function_of_python_says_nothing_of_later_places():
+    first = """  pick: {symbol: pick, in: idle, out: seen}
+  ready: {in: seen, out: idle, guard: is_ready, emit: pick_done}
+  small: {in: seen, out: idle, guard: '${arguments.x < 3}', emit: pick_done}
+  wait: {in: seen, out: chosen, guard: otherwise}"""
+    assert "end_0" not in decide_guards(net_with("not is_ready", before=first, places="seen: "))
+    small = first.replace("is_ready", "'${arguments.x > 5}'")
+    assert "end_0" in decide_guards(net_with("${arguments.x >= 3}", before=small, places="seen: "))
 
 
 def test_otherwise_needs_guards_to_stand_against():

@@ -9,10 +9,11 @@ from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 
 from im_bag.definitions import full_definition
-from im_bag.ros.recorder import delivery_of, to_profile
+from im_bag.ros.recorder import QUEUE_DEPTH
 from im_core.errors import ImError, LinkError
 from im_core.ros.interfaces import interface_class
 from im_core.ros.node import ManagedNode
+from im_core.ros.qos import offered
 from im_core.ros.run import main as run_main
 
 PORT = 8765
@@ -86,7 +87,7 @@ class FoxgloveBridge(ManagedNode):
             return
         found.viewers.add(viewer)
         self._unsubscribe(found)
-        profile = to_profile(delivery_of(self.get_publishers_info_by_topic(topic)))
+        profile = offered(self.get_publishers_info_by_topic(topic), QUEUE_DEPTH)
 
         def show(data: bytes) -> None:
             found.channel.log(data, log_time=self.get_clock().now().nanoseconds)

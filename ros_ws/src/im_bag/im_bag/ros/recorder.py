@@ -23,6 +23,7 @@ from im_core.output import complain, say
 from im_core.ros.graph import GraphWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.interfaces import interface_class
+from im_core.ros.qos import offered
 
 QUEUE_DEPTH = 5000
 #: How long messages wait in the queues of the middleware, which notes when they came, until they are on the disk [s].
@@ -244,12 +245,9 @@ def _never_called(data: bytes) -> None:
 
 def delivery_of(publishers: Any) -> Delivery:
     """Return the delivery offered by all publishers of a topic."""
-    profiles = [publisher.qos_profile for publisher in publishers]
-    return Delivery(
-        reliable=all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles),
-        latched=all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles),
-        depth=max(1, *(profile.depth for profile in profiles), 1),
-    )
+    profile = offered(publishers)
+    reliable = profile.reliability == ReliabilityPolicy.RELIABLE
+    return Delivery(reliable, profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, profile.depth)
 
 
 def weaker(one: Delivery, other: Delivery) -> Delivery:

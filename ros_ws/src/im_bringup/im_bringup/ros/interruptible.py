@@ -11,6 +11,7 @@ import rclpy
 from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
+from im import MachineError
 from im_bringup.machine import machine_state as machine
 from im_core import clock
 from im_core.end_signals import heed_end_signals
@@ -191,26 +192,40 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
             rclpy.try_shutdown()
 
 
-def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str, goes_on: str = "") -> int:
+def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str) -> int:
     """Run a client of the running machine; print the reason of a failure in one sentence; return the exit code.
 
     Args:
         make: Makes the client, once ROS is there.
         use: Does it, while the client spins; returns the exit code.
         who: Name of the program, for messages.
-        goes_on: What goes on where the user waits no longer, a sentence's second half.
     """
+
+    def spin() -> int:
+        with spun(make) as client:
+            return use(client)
+
     try:
         machine.read_running()
     except ImError as error:
         complain(f"{who}: {error.message}")
         return NOT_RUNNING
+    return exit_code(spin, who)
+
+
+def exit_code(do: Callable[[], int], who: str, goes_on: str = "") -> int:
+    """Do the work of a client; print the reason of a failure in one sentence; return the exit code.
+
+    Args:
+        do: Does it; returns the exit code.
+        who: Name of the program, for messages.
+        goes_on: What goes on after an interruption, a sentence's second half.
+    """
     try:
-        with spun(make) as client:
-            return use(client)
+        return do()
     except KeyboardInterrupt:
         complain(f"{who}: no longer waiting{goes_on}")
         return INTERRUPTED
-    except ImError as error:
+    except (ImError, MachineError) as error:
         complain(f"{who}: {error.message}")
         return NOT_RUNNING if isinstance(error, WaitTimeoutError) else FAILED

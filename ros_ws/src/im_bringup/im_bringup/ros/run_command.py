@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from im import Command, Machine, MachineError, UnreachableError
+from im import Command, Machine, UnreachableError
 from im_bringup.calibration.summary import summary
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, own_output
+from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
 from im_core.end_signals import heed_end_signals
 from im_core.errors import ArgumentError, ImError, NotFoundError, StoreError, require_text
 from im_core.files import FileError, read_text, write_whole
@@ -83,7 +83,8 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
         who: Name of the program, for messages.
         goes_on: What goes on after an interruption, a sentence's second half.
     """
-    try:
+
+    def connect() -> int:
         with own_output():
             heed_end_signals(signal.default_int_handler)
             record = machine_state.read()
@@ -95,12 +96,8 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
                 return NOT_RUNNING
             with contextlib.closing(machine):
                 return use(machine)
-    except KeyboardInterrupt:
-        complain(f"{who}: no longer waiting{goes_on}")
-        return INTERRUPTED
-    except (ImError, MachineError) as error:
-        complain(f"{who}: {error.message}")
-        return FAILED
+
+    return exit_code(connect, who, goes_on)
 
 
 def why_lost(silent_s: float) -> str:

@@ -17,9 +17,10 @@ from im_bringup.tasks.standstill import Standstill
 from im_core import agent_socket, names, scheduling
 from im_core import loop_heartbeat as pulse_memory
 from im_core.agent_socket import AgentOrder, AgentSocket, TaskReport
+from im_core.config import package_file
 from im_core.errors import LinkError
 from im_core.executables import path_of
-from im_core.files import make_folder, write_whole
+from im_core.files import make_folder, read_text, write_whole
 from im_core.loop_heartbeat import Pulse
 from im_core.patience import Patience
 from im_core.process import ChildProcess, await_ends, last_words, may_copy
@@ -374,20 +375,15 @@ def write_parameters(run_dir: Path, process: str, parameters: Mapping[str, Mappi
     return write_whole(path, write_yaml(content))
 
 
-DEFAULTS = {
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "PYTHONUNBUFFERED": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",
-    "MALLOC_ARENA_MAX": "2",
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-}
-"""What a sourced workspace does not say, as ``scripts/lib.sh``, which says why, does for tools."""
+def defaults() -> dict[str, str]:
+    """Return the variables that a sourced workspace does not set; ``scripts/lib.sh`` sets them for tools."""
+    lines = read_text(package_file("im_bringup", "config/environment.txt")).splitlines()
+    return dict(line.split("=", 1) for line in lines if not line.startswith("#"))
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
     """Return the environment of the machine's processes: mark, folder, DDS, servo core, proof of nets required."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
     dds, unproved = middleware(base, deployment), str(int(deployment.unproved))
-    defaults = {**DEFAULTS, "ROS_LOG_DIR": str(run_dir / "ros")}
-    return {**defaults, **base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}
+    given = {**defaults(), "ROS_LOG_DIR": str(run_dir / "ros")}
+    return {**given, **base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}

@@ -1,5 +1,7 @@
 """QoS profiles, in one place."""
 
+from collections.abc import Sequence
+
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -7,6 +9,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_profile_sensor_data,
 )
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
@@ -58,3 +61,21 @@ SERVICE_EVENTS = _reliable(50)
 
 #: Services that many ask at once: of more requests than the usual 10 that wait, those before are lost without a word.
 QUEUED_SERVICE = _reliable(500)
+
+
+def offered(publishers: Sequence[TopicEndpointInfo], least_depth: int = 1) -> QoSProfile:
+    """Return the profile offered by all publishers of a topic: as reliable and as durable as the least.
+
+    Args:
+        publishers: The publishers; of none, a reliable and volatile profile.
+        least_depth: Least depth of the queue; it is that of the deepest publisher if that is more.
+    """
+    profiles = [publisher.qos_profile for publisher in publishers]
+    reliable = all(profile.reliability == ReliabilityPolicy.RELIABLE for profile in profiles)
+    durable = bool(profiles) and all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in profiles)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=max(least_depth, *(profile.depth for profile in profiles), 1),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if durable else DurabilityPolicy.VOLATILE,
+    )

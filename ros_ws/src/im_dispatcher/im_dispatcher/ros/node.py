@@ -1,17 +1,18 @@
 """Node ``/dispatcher``."""
 
-import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 
+from im_cell.calibration_report import report_fields
 from im_cell.robot import load_cell
 from im_core.errors import ArgumentError, ImError, StateError
 from im_core.ros import qos, run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import OneAtATime
+from im_core.ros.message_fields import filled
 from im_dispatcher.cell import net as cell
 from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.queue import WaitingLine, reason
@@ -19,7 +20,7 @@ from im_dispatcher.command import joined
 from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
 from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.report import StepTimes
-from im_msgs.msg import CalibrationReport, Firing
+from im_msgs.msg import Firing
 from im_msgs.srv import CalibrateCamera, LoadNet, UnloadNet
 from im_pnt.errors import JournalError
 from im_pnt.execution.functions import Functions
@@ -245,8 +246,9 @@ class Dispatcher(PntNode):
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))
             if outcome.success:
-                response.report = await self.dom.get("calibration", CalibrationReport)
-                response.report.json = json.dumps(outcome.results["report"])
+                report = outcome.results["report"]
+                assert isinstance(report, Mapping)
+                filled(response.report, report_fields(report), "report")
                 response.report.directory = str(outcome.results["directory"])
                 left = str(outcome.results.get("message", ""))
                 response.message = "; but ".join(filter(None, (response.report.message, left)))

@@ -13,6 +13,7 @@ formulation [nats].
 import math
 import random
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from im_core.errors import FOREIGN, ImError
 from im_pnt.errors import NetError
@@ -69,7 +70,7 @@ class ConflictResolution:
         self.drawn: Callable[[Sequence[str]], int] | None = None
         self.dice = random.Random()
         self._random = self.dice.random
-        self._rule, self._guards, self._seed = rule, functions.guards_of(rule.net), seed
+        self._rule, self._seed = rule, seed
         self._enabling, self._transitions = rule.enabling, rule.transitions
         self.delayed = frozenset(i for i, t in enumerate(self._transitions) if t.delay is not None and t.action is None)
         self._rank = [(i not in self.delayed, t.priority) for i, t in enumerate(self._transitions)]
@@ -86,19 +87,21 @@ class ConflictResolution:
         self._tokens = rule.tokens
         self._conditions = any(t.guard is not None or t.symbol is not None for t in self._transitions)
         self._owners: dict[int, Job | None] = {}
-        guards = ((t.symbol, t.guard) for t in self._transitions)
-        self._conditions_of = [
-            (symbol, guard.name, guard.negated, (guard.name, id(None))) if guard else (symbol, None, False, ("", 0))
-            for symbol, guard in guards
-        ]
+        asked = dict.fromkeys(replace(t.guard, negated=False) for t in self._transitions if t.guard is not None)
+        numbers = {guard: number for number, guard in enumerate(asked)}
+        self._questions = [functions.question(guard) for guard in asked]
+        self._conditions_of: list[tuple[str | None, int | None, bool, tuple[int, int]]] = []
+        for symbol, guard in ((t.symbol, t.guard) for t in self._transitions):
+            number = None if guard is None else numbers[replace(guard, negated=False)]
+            self._conditions_of.append((symbol, number, guard is not None and guard.negated, (number or 0, id(None))))
         self._strategies = any(t.strategy is not None for t in self._transitions)
         self._even = all(t.weight == 1.0 and t.strategy is None for t in self._transitions)
-        self._verdicts: dict[tuple[str, int], bool | None] = {}
+        self._verdicts: dict[tuple[int, int], bool | None] = {}
         self._sources: dict[str, list[int]] = {}
         self._undeclared: set[int] = set()
         for index, transition in enumerate(self._transitions):
             if transition.guard is not None:
-                declared = functions.sources(transition.guard.name)
+                declared = functions.sources(transition.guard)
                 if declared is None:
                     self._undeclared.add(index)
                 for source in declared or ():
@@ -196,7 +199,7 @@ class ConflictResolution:
         self._enabling.stalled.add(index)
         return False
 
-    def _finds_owner(self, index: int, guard: str | None, negated: bool) -> bool:
+    def _finds_owner(self, index: int, guard: int | None, negated: bool) -> bool:
         """Return whether the guard of a transition admits a job; keep the job."""
         if guard is None and index not in self._rule.choosy and not self._rule.held:
             return True
@@ -211,16 +214,16 @@ class ConflictResolution:
             return True
         return False
 
-    def _passes(self, index: int, guard: str, negated: bool, lineage: Lineage, key: tuple[str, int]) -> bool:
+    def _passes(self, index: int, guard: int, negated: bool, lineage: Lineage, key: tuple[int, int]) -> bool:
         """Return whether a guard, asserted or negated, admits a job; an undecided guard admits neither."""
         if key not in self._verdicts:
             self._verdicts[key] = self._verdict(index, guard, lineage)
         return self._verdicts[key] is not None and self._verdicts[key] != negated
 
-    def _verdict(self, index: int, guard: str, lineage: Lineage) -> bool | None:
+    def _verdict(self, index: int, guard: int, lineage: Lineage) -> bool | None:
         """Return the verdict of a guard on a job; None: undecided."""
         try:
-            return bool(self._guards[guard](self._context(index, lineage)))
+            return bool(self._questions[guard](self._context(index, lineage)))
         except ObjectPendingError:
             return None
         except FOREIGN as error:  # a guard is foreign code: whatever it raises must not stop the net

@@ -270,7 +270,7 @@ def woken_by(*sources: str) -> Callable[[GuardFunction], GuardFunction]:
     >>> @woken_by("data:tray", "clock:0.5")
     ... def is_tray_empty(ctx):
     ...     return True
-    >>> sorted(Functions(guards={"is_tray_empty": is_tray_empty}).sources("is_tray_empty"))
+    >>> sorted(Functions(guards={"is_tray_empty": is_tray_empty}).sources(Guard("is_tray_empty")))
     ['clock:0.5', 'data:tray']
     """
     for source in sources:
@@ -358,30 +358,26 @@ class Functions:
             if name not in self.actions:
                 raise NetError(f"there is no action function '{name}' to ask about{nearest(name, self.actions)}")
 
-    def sources(self, guard: str) -> frozenset[str] | None:
+    def sources(self, guard: Guard) -> frozenset[str] | None:
         """Return the sources of a guard, None without a declaration."""
-        if unless := Guard(guard).unless:
-            known = [self.sources(each.name) for each in unless]
+        if guard.unless:
+            known = [self.sources(each) for each in guard.unless]
             return None if None in known else frozenset[str]().union(*(each for each in known if each is not None))
-        if OPENS in guard:
-            return frozenset(f"data:{name}" for name in read_objects(guard))
-        declared: frozenset[str] | None = getattr(self.guards[guard], _WOKEN_BY, None)
+        if OPENS in guard.name:
+            return frozenset(f"data:{name}" for name in read_objects(guard.name))
+        declared: frozenset[str] | None = getattr(self.guards[guard.name], _WOKEN_BY, None)
         return declared
 
     def wakes(self, net: Net) -> frozenset[str]:
         """Return the sources of the registered guards of a net."""
-        named = (guard for guard in net.guards() if OPENS not in guard or Guard(guard).unless)
+        named = (t.guard for t in net.transitions.values() if t.guard is not None and OPENS not in t.guard.name)
         return frozenset(source for guard in named for source in self.sources(guard) or ())
 
-    def guards_of(self, net: Net) -> dict[str, GuardFunction]:
-        """Return the guards of a net, registered or expressions."""
-        return {name: self._guard(name) for name in net.guards()}
-
-    def _guard(self, name: str) -> GuardFunction:
-        unless = Guard(name).unless
-        if not unless:
-            return self.guards.get(name) or _expression_guard(name)
-        others = [(self._guard(each.name), each.negated) for each in unless]
+    def question(self, guard: Guard) -> GuardFunction:
+        """Return what a guard asks, a registered function or an expression; a negation is left to the caller."""
+        if not guard.unless:
+            return self.guards.get(guard.name) or _expression_guard(guard.name)
+        others = [(self.question(each), each.negated) for each in guard.unless]
 
         def otherwise(context: ActionContext) -> bool:
             return not any(_answer(guard, context) is not negated for guard, negated in others)

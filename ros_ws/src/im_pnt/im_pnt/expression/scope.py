@@ -92,7 +92,7 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
             yield ("await", "until"), action.until, BOOLEAN
     elif isinstance(action, RequestAction):
         yield ("request", "arguments"), dict(action.fields), ANY
-    if transition.guard is not None and OPENS in transition.guard.name and not transition.guard.unless:
+    if transition.guard is not None and OPENS in transition.guard.name:
         yield ("guard",), transition.guard.name, BOOLEAN
     for name, value in transition.result.items():
         yield ("result", name), value, ANY

@@ -5,9 +5,8 @@ paper, section 6: tapes, enabling functions, actions, remote places, coordinatio
 """
 
 import enum
-import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -91,16 +90,16 @@ class Guard:
     """Enabling function by the registered name, or an expression ``${...}``; or the negation of either; or `otherwise`.
 
     Attributes:
-        name: What it asks; of `otherwise` also the guards that must not hold, so that the same name asks the same.
+        name: What it asks.
         negated: Whether it holds where the answer is false.
+        unless: Of `otherwise`: the guards that must not hold.
     """
 
     name: str
     negated: bool = False
+    unless: tuple["Guard", ...] = ()
 
     def __str__(self) -> str:
-        if self.unless:
-            return OTHERWISE
         return f"not {self.name}" if self.negated else self.name
 
     @classmethod
@@ -109,18 +108,6 @@ class Guard:
         name = text.strip()
         negated = _NOT.match(name)
         return cls(name[negated.end() :] if negated else name, negated is not None)
-
-    @classmethod
-    def otherwise(cls, others: Iterable["Guard"]) -> "Guard":
-        """Return the guard that holds where no other does."""
-        return cls(f"{OTHERWISE} {json.dumps(sorted(map(str, others)), ensure_ascii=False)}")
-
-    @property
-    def unless(self) -> tuple["Guard", ...]:
-        """Guards that must not hold; empty unless this is `otherwise`."""
-        if not self.name.startswith(f"{OTHERWISE} "):
-            return ()
-        return tuple(map(Guard.of, json.loads(self.name.removeprefix(OTHERWISE))))
 
 
 @dataclass(frozen=True, slots=True)

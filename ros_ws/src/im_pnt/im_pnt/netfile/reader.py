@@ -134,7 +134,7 @@ class _Reader:
             if len(others) != len(against) + 1 or not against:
                 sentence = "'otherwise' needs other guards at the same places, none of them 'otherwise'"
                 raise self._error(("transitions", name, "guard"), sentence)
-            yield name, replace(transition, guard=Guard.otherwise(against))
+            yield name, replace(transition, guard=Guard(OTHERWISE, unless=tuple(sorted(against, key=str))))
 
     def _add_tries(self, places: dict[str, Place], transitions: dict[str, Transition]) -> None:
         """Write out the tries of transitions with several ones, each behind the first one."""

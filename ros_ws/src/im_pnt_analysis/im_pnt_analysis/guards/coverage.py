@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import product
 from typing import Any
 
@@ -16,6 +17,9 @@ MOST_CHANGING = 6
 """Values that may change at any time, of one place; with more nothing is decided."""
 _EFFORT = 2_000_000
 """Resource units of z3 for each question: the same on every computer."""
+
+_NETS = 64
+"""Nets whose decisions are kept: each is composed alone, in its part, and with all others."""
 
 _one_at_a_time = threading.Lock()  # z3 has one context
 
@@ -32,6 +36,25 @@ def decide_guards(net: Net) -> frozenset[str]:
     Raises:
         NetError: For some value no guard of a place holds; names the value, the place, and the lines.
     """
+    return _decided(_SameNet(net))
+
+
+class _SameNet:
+    """Key of one net object: nets, which hold dictionaries, have no hash."""
+
+    def __init__(self, net: Net) -> None:
+        self.net = net
+
+    def __hash__(self) -> int:
+        return id(self.net)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _SameNet) and other.net is self.net
+
+
+@lru_cache(maxsize=_NETS)
+def _decided(key: _SameNet) -> frozenset[str]:
+    net = key.net
     written = all(transition.role is Role.PLAIN for transition in net.transitions.values())
     if not written or not net.guards():
         return frozenset()

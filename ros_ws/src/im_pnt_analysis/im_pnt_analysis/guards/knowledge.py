@@ -111,10 +111,12 @@ class Knowledge:
 
 def named(guard: Guard) -> frozenset[tuple[str, ...]]:
     """Return the names in the expressions of a guard: roots, and what follows."""
-    return frozenset(path for node in nodes(guard.name) for path in references(node))
+    return frozenset(path for each in (guard, *guard.unless) for node in nodes(each.name) for path in references(node))
 
 
 def _is_fact(guard: Guard) -> bool:
+    if guard.unless:
+        return all(map(_is_fact, guard.unless))
     return OPENS in guard.name and all(path[0] != "data" for path in named(guard))
 
 

@@ -69,8 +69,8 @@ class GraphClient(InterruptibleNode):
             self.wait(lambda: name in dict(NAMES[kind](self)), f"the {kind} {name}", timeout_s)
         found = dict(NAMES[kind](self))
         if name not in found:
-            sought = f"{kind} (looked for {timeout_s:g} s)"
-            raise NotFoundError(kind=sought, name=name, known=[each for each in found if "/_" not in each])
+            shown = [each for each in found if "/_" not in each]
+            raise NotFoundError(kind=kind, name=name, known=shown, waited_s=timeout_s)
         if len(found[name]) > 1:
             raise StateError(f"the {kind} {name} has several types: {', '.join(found[name])}")
         return "".join(found[name])

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
 from im_bringup.ros.interruptible import DONE
 from im_core import clock
 from im_core.errors import StateError
 from im_core.options import at_least, seconds
+from im_core.ros.qos import offered
 from im_core.ros.servers import node_of
 
 #: Messages that wait to be shown; more than that are left out.
@@ -81,18 +81,6 @@ def rate_text(stamps: Sequence[float]) -> str:
     )
 
 
-def matching_profile(publishers: Sequence[TopicEndpointInfo], latched: bool) -> QoSProfile:
-    """Return a profile that hears all publishers, as reliable as the least; with ``latched`` as durable, too."""
-    offered = [each.qos_profile for each in publishers]
-    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
-    durable = latched and bool(offered) and all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
-    return QoSProfile(
-        depth=_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if durable else DurabilityPolicy.VOLATILE,
-    )
-
-
 def _type(node: GraphClient, options: argparse.Namespace) -> int:
     return print_all([node.find("topic", options.topic_name, options.timeout)])
 
@@ -153,7 +141,9 @@ def _subscribed(node: GraphClient, name: str, kind: Any, timed: bool = False) ->
         if not messages.full():
             messages.put((clock.monotonic(), message))
 
-    profile = matching_profile(node.get_publishers_info_by_topic(name), latched=not timed)
+    profile = offered(node.get_publishers_info_by_topic(name), _DEPTH)
+    if timed:
+        profile.durability = DurabilityPolicy.VOLATILE
     node.create_subscription(kind, name, keep, profile, raw=timed)
     return messages
 

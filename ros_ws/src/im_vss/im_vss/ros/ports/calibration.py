@@ -1,20 +1,20 @@
 """Port of the Service ``calibrate``: observations and known lengths from messages, the calibration as a report."""
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration import Calibration
+from im_cell.calibration_report import report_fields
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
 from im_core.message_paths import message_folders, resolve_below
-from im_msgs.msg import CalibrationReport, CameraCalibration, KnownLength, Rejection, Spot
+from im_core.ros.message_fields import filled
+from im_msgs.msg import CalibrationReport, KnownLength, Spot
 from im_msgs.msg import Observation as ObservationMessage
 from im_msgs.srv import Calibrate
 from im_vss.ros.ports.port import Port
@@ -43,13 +43,9 @@ class CalibratePort(Port):
 
     def answer(self, result: CalibrateResult, response: Calibrate.Response) -> None:
         """The report."""
-        response.report = to_report(
-            result.calibration,
-            self.rig.cell.led.offset,
-            told(result),
-            directory=str(result.directory) if result.directory is not None else "",
-            json=json.dumps(result.report),
-        )
+        fields = report_fields({**result.report, "message": told(result)})
+        response.report = filled(CalibrationReport(), fields, "report")
+        response.report.directory = str(result.directory) if result.directory is not None else ""
 
 
 def told(result: CalibrateResult) -> str:
@@ -141,51 +137,3 @@ def is_covariance(matrix: Array) -> bool:
     if not np.all(np.isfinite(matrix)) or np.abs(matrix - matrix.T).max() > 1e-6 * np.abs(matrix).max():
         return False
     return bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
-
-
-def to_report(
-    calibration: Calibration, offset: tuple[float, float, float], message: str, **fields: Any
-) -> CalibrationReport:
-    """Convert a calibration to a message.
-
-    Args:
-        calibration: The estimate.
-        offset: Nominal offset of the light in the wrist frame [m].
-        message: The outcome in a sentence.
-        **fields: Further fields of the message.
-    """
-    scale = calibration.scale
-    return CalibrationReport(
-        success=calibration.success,
-        message=message,
-        cameras=[
-            CameraCalibration(
-                name=camera.name,
-                width=camera.model.width,
-                height=camera.model.height,
-                k=camera.model.K.ravel(),
-                d=camera.model.D,
-                r_cam_base=camera.model.R_cam_base.ravel(),
-                t_cam_base=camera.model.t_cam_base,
-                rms=camera.rms_px,
-                points=camera.spots_used,
-                covariance=_finite_or_empty(camera.covariance),
-            )
-            for camera in calibration.cameras
-        ],
-        points_used=calibration.points_used,
-        points_rejected=[Rejection(pose=r.pose, camera=r.camera, reason=r.reason) for r in calibration.rejections],
-        led_offset=np.array(offset) + calibration.led_offset_error,
-        chi2_per_dof=calibration.chi2_per_dof,
-        verdicts=[str(verdict) for verdict in calibration.verdicts],
-        expected_triangulation=calibration.expected.triangulation_rms_mm,
-        expected_reprojection=calibration.expected.reprojection_rms_px,
-        lengths_used=scale.lengths_used if scale else 0,
-        scale_error=scale.error if scale else math.nan,
-        scale_sd=scale.standard_deviation if scale else math.nan,
-        **fields,
-    )
-
-
-def _finite_or_empty(covariance: Array) -> list[float]:
-    return covariance.ravel().tolist() if np.all(np.isfinite(covariance)) else []
