@@ -264,10 +264,26 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
     written = read_calibration(tmp_path / "result", machine.vss._rig.cell).covariance
     assert np.array_equal(written.matrix, kept.covariance.matrix)
     answer = machine.call(
-        Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations_of(truth, 4), apply=True
+        Calibrate,
+        "/vss/calibrate",
+        cameras=CEILING,
+        observations=observations_of(truth, 4),
+        directory=str(tmp_path / "too_few"),
+        apply=True,
     )
     assert not answer.success
     assert "in 4 poses, at least 7 are needed" in answer.status.message
+    assert os.listdir(tmp_path / "too_few") == ["observations.json"]
+    observations = observations_of(truth, 20)
+    for observation in observations[3:]:
+        observation.spots = [spot for spot in observation.spots if spot.camera == "ceiling_left"]
+    answer = machine.call(Calibrate, "/vss/calibrate", cameras=CEILING, observations=observations, apply=True)
+    assert (answer.success, answer.report.success) == (True, False)
+    assert [camera.name for camera in answer.report.cameras] == ["ceiling_left"]
+    assert "Left out: Camera ceiling_right saw the LED in 3 poses" in answer.report.message
+    infos = machine.call(Snap, "/vss/snap", cameras=CEILING).camera_infos
+    assert np.array_equal(infos[0].k, answer.report.cameras[0].k)
+    assert np.array_equal(infos[1].k, report.cameras[1].k)
     answer = machine.call(Calibrate, "/vss/calibrate", cameras=["wrist_left"], observations=observations_of(truth, 9))
     assert "wrist_left saw the LED in 0 poses, at least 7 are needed" in answer.status.message
 

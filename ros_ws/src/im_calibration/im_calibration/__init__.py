@@ -29,7 +29,8 @@ from im_calibration.problem.dataset import dataset_of, load_problems
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
 from im_calibration.reporting.comparison import SAME, comparison, largest_difference
 from im_calibration.reporting.report import answer, report_of, summary
-from im_calibration.reporting.results import write_results
+from im_calibration.reporting.results import write_observations, write_results
+from im_calibration.selection import calibrate_possible
 
 __all__ = [
     "SAME",
@@ -45,6 +46,7 @@ __all__ = [
     "Verdict",
     "answer",
     "calibrate",
+    "calibrate_possible",
     "comparison",
     "dataset_of",
     "largest_difference",
@@ -53,5 +55,6 @@ __all__ = [
     "next_best_poses",
     "report_of",
     "summary",
+    "write_observations",
     "write_results",
 ]

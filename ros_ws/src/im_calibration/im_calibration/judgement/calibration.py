@@ -110,6 +110,7 @@ class Calibration:
         noise: What is known about the noise.
         neighbours: Whether the residuals are noise.
         cause: What data that fit no camera may be instead, a sentence; empty: nothing is known.
+        left_out: Reasons why cameras of the problem are not in `cameras`, one each.
 
     >>> [round(float(focal)) for focal in np.diag(calibration.cameras[0].model.K)[:2]], calibration.points_used
     ([600, 600], 40)
@@ -136,6 +137,7 @@ class Calibration:
     noise: Noise
     neighbours: Neighbours
     cause: str
+    left_out: tuple[Verdict, ...] = ()
 
     def moved(self, by: Array) -> "Calibration":
         """Return the same calibration in a world with another origin: all places have ``by`` added, shape (3,) [m].
@@ -162,7 +164,12 @@ class Calibration:
 
     @property
     def success(self) -> bool:
-        """Whether nothing speaks against using the result."""
+        """Whether there is each camera of the problem, and nothing speaks against using them."""
+        return self.usable and not self.left_out
+
+    @property
+    def usable(self) -> bool:
+        """Whether nothing speaks against using the cameras that there are."""
         return not self.verdicts
 
     @property
@@ -201,7 +208,8 @@ class Calibration:
         pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
         if any(self.neighbours.clause in verdict.reason for verdict in self.verdicts):
             pattern = ""  # said there, as one reason with the lens
-        return " ".join(text for text in (self._outcome, f"{condition}{self.noise.remark}", pattern) if text)
+        missing = " ".join(f"Left out: {each.reason} {each.advice}" for each in self.left_out)
+        return " ".join(text for text in (self._outcome, missing, f"{condition}{self.noise.remark}", pattern) if text)
 
     @property
     def _outcome(self) -> str:

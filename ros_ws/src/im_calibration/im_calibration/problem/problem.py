@@ -1,5 +1,6 @@
 """Input of a calibration: LED positions by the robot, spots in the cameras, and known lengths."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -247,6 +248,28 @@ class CalibrationProblem:
             spot_covariances=self.spot_covariances[:, poses],
             joint_jacobians=None if self.joint_jacobians is None else self.joint_jacobians[poses],
             pose_names=tuple(self.pose_names[i] for i in poses),
+        )
+
+    def of_cameras(self, names: Sequence[str]) -> "CalibrationProblem":
+        """Return the problem of some cameras, in the order given.
+
+        Args:
+            names: Some of `camera_names`.
+        """
+        chosen = [self.camera_names.index(name) for name in names]
+        lengths = self.lengths and replace(
+            self.lengths,
+            spots=self.lengths.spots[chosen],
+            spot_covariances=self.lengths.spot_covariances[chosen],
+        )
+        return replace(
+            self,
+            camera_names=tuple(names),
+            image_sizes=tuple(self.image_sizes[c] for c in chosen),
+            spots=self.spots[chosen],
+            spot_covariances=self.spot_covariances[chosen],
+            lengths=lengths,
+            lens_models=tuple(self.lens_models[c] for c in chosen),
         )
 
 

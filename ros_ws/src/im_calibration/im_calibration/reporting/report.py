@@ -27,6 +27,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         calibration: The result.
         problem: What it was made from.
     """
+    problem = problem.of_cameras([camera.name for camera in calibration.cameras])
     nominal = np.array(problem.led_offset_nominal)
     undetected = [
         {"pose": pose, "camera": camera, "reason": "The LED was not found."}
@@ -61,7 +62,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         "p_value": number(calibration.p_value),
         "verdicts": [
             {"kind": v.kind, "parameters": list(v.parameters), "reason": v.reason, "advice": v.advice}
-            for v in calibration.verdicts
+            for v in (*calibration.verdicts, *calibration.left_out)
         ],
         "scale": None if calibration.scale is None else _plain(calibration.scale),
         "noise": _noise(calibration.noise),

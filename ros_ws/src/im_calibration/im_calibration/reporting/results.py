@@ -36,9 +36,9 @@ def write_results(
 ) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
-    ``observations.json`` is the data set, for ``calibrate_dataset`` and ``next_best_pose``. Each file appears whole or
-    not at all. Camera files, poses and how well they are known, see :mod:`im_cell.calibration_files`, are written for a
-    successful calibration only; those that a former one left in the directory are taken away.
+    The observations are written, too, see :func:`write_observations`. Each file appears whole or not at all. Camera
+    files, poses and how well they are known, see :mod:`im_cell.calibration_files`, are written for cameras that can be
+    used only; those that a former calibration left in the directory are taken away.
 
     Args:
         directory: Where; made if missing.
@@ -58,24 +58,44 @@ def write_results(
     contents = {
         "report.json": (json.dumps(report, indent=2, allow_nan=False) + "\n").encode(),
         "summary.txt": summary(report).encode(),
-        "observations.json": (json.dumps(dataset_of(problem), allow_nan=False) + "\n").encode(),
     }
     cameras: dict[str, str] = {}
-    if calibration.success:
+    if calibration.usable:
         for camera in calibration.cameras:
             cameras[f"{camera.name}.yaml"] = _camera_file(camera, rectified)
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
         cameras[EXTRINSICS] = extrinsics_yaml(poses or in_world)
         cameras[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance)
-    contents |= _pictures(calibration, problem)
+    contents |= _pictures(calibration, problem.of_cameras([camera.name for camera in calibration.cameras]))
+    observations, target = write_observations(directory, problem), Path(directory)
+    try:
+        change_camera_files(target, {**dict.fromkeys(_former(target)), **cameras})
+        written = [write_whole(target / name, content) for name, content in contents.items()]
+        return (*written, observations, *(target / name for name in cameras))
+    except OSError as error:
+        raise _unwritten(target, error) from error
+
+
+def write_observations(directory: Path | str, problem: CalibrationProblem) -> Path:
+    """Write ``observations.json``, the data set for ``calibrate_dataset`` and ``next_best_pose``.
+
+    Args:
+        directory: Where; made if missing.
+        problem: The observations.
+
+    Raises:
+        DataError: The directory cannot be written.
+    """
     target = Path(directory)
     try:
         make_folder(target)
-        change_camera_files(target, {**dict.fromkeys(_former(target)), **cameras})
-        written = [write_whole(target / name, content) for name, content in contents.items()]
-        return (*written, *(target / name for name in cameras))
+        return write_whole(target / "observations.json", json.dumps(dataset_of(problem), allow_nan=False) + "\n")
     except OSError as error:
-        raise DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target)) from error
+        raise _unwritten(target, error) from error
+
+
+def _unwritten(target: Path, error: OSError) -> DataError:
+    return DataError(f"The results cannot be written to {target}: {error.strerror}.", file=str(target))
 
 
 def _camera_file(camera: CameraEstimate, rectified: Mapping[str, Rectified] | None) -> str:

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import ClassVar
 
-from im_calibration import Calibration, CalibrationProblem, calibrate
+from im_calibration import Calibration, CalibrationProblem, calibrate_possible
 from im_vss.managers.vmm import Lease
 from im_vss.modules.module import VisionModule
 
@@ -15,9 +15,9 @@ class VmSolver(VisionModule):
     computes: ClassVar[bool] = True
 
     def solve(self, lease: Lease, problem: CalibrationProblem) -> Calibration:
-        """The joint estimate of all cameras.
+        """The joint estimate of the cameras that can be estimated.
 
         Raises:
-            ImError: See :meth:`VisionModule.run`, or the observations do not determine the cameras.
+            ImError: See :meth:`VisionModule.run`, or the observations determine no camera.
         """
-        return self.run(lease, partial(calibrate, problem))
+        return self.run(lease, partial(calibrate_possible, problem))

@@ -16,7 +16,7 @@ from im_calibration import (
     CalibrationProblem,
     DegenerateDataError,
     InconsistentDataError,
-    calibrate,
+    calibrate_possible,
     comparison,
     largest_difference,
     report_of,
@@ -116,7 +116,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
         request, found = find_again(options.bag, call, request, settings, _progress())
         print(f"replay: {found}")
     problem = _problem(options, call, request, cell, settings)
-    calibration = calibrate(problem)
+    calibration = calibrate_possible(problem)
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)

@@ -8,7 +8,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration import Calibration, CalibrationProblem, KnownLengths, report_of, write_results
+from im_calibration import (
+    Calibration,
+    CalibrationProblem,
+    KnownLengths,
+    report_of,
+    write_observations,
+    write_results,
+)
 from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
@@ -77,7 +84,7 @@ class CalibrateRequest:
         observations: What they saw.
         lengths: Known lengths that judge the robot's scale.
         directory: Where plots and files go; None: nowhere.
-        apply: Whether a good result becomes the cameras' calibration.
+        apply: Whether a result that can be used becomes the cameras' calibration.
     """
 
     cameras: tuple[str, ...]
@@ -103,13 +110,14 @@ class SvcCalibrate(VisionService):
     name: ClassVar[str] = "calibrate"
 
     def serve(self, client: VisionClient, request: CalibrateRequest) -> CalibrateResult:
-        """Calibrate.
+        """Calibrate the cameras that the observations determine; name the others in the report.
+
+        The observations are written before anything is computed of them.
 
         Raises:
             ImError: A camera is unknown, it is not known where the arm that carries it was at the exposures, or it
-                moved in between, the observations do not determine the cameras, the solver did not become free in
-                time, the results cannot be written, or the client gave up; the cameras' calibration is as before
-                then.
+                moved in between, the observations determine no camera, the solver did not become free in time, the
+                results cannot be written, or the client gave up; the cameras' calibration is as before then.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
         models = {camera: self.rig.book[camera].model for camera in cameras}
@@ -120,13 +128,15 @@ class SvcCalibrate(VisionService):
             self.rig.settings.light.offset_prior_sd,
             self.rig.settings.cameras,
         )
+        if request.directory is not None:
+            write_observations(request.directory, problem)
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
-        for rank, camera in enumerate(cameras):
-            self.rig.screen.residuals(camera, problem.spots[rank], calibration.residuals[rank])
+        for camera, residuals in zip(calibration.cameras, calibration.residuals, strict=True):
+            self.rig.screen.residuals(camera.name, problem.spots[cameras.index(camera.name)], residuals)
         mounted, covariance = on_their_mounts(calibration, request, self.rig.book, self.rig.mounts.at)
         if request.directory is not None:
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)
-        applied = request.apply and calibration.success
+        applied = request.apply and calibration.usable
         if applied:
             client.commit()
             self.rig.book.set_cameras(mounted, covariance)
@@ -175,14 +185,14 @@ def problem_of(
 def on_their_mounts(
     calibration: Calibration, request: CalibrateRequest, book: CameraBook, mount: Mount
 ) -> tuple[dict[str, CameraModel], CameraCovariance]:
-    """Return the cameras of a good calibration, each relative to the parent frame, with the joint covariance.
+    """Return cameras that can be used, each relative to the parent frame, with the joint covariance.
 
     Raises:
         StateError: A camera is on an arm, and it is not known where that was when the camera was exposed, or it moved.
     """
     mounted: dict[str, CameraModel] = {}
     covariance = calibration.camera_covariance
-    for camera in calibration.cameras if calibration.success else ():
+    for camera in calibration.cameras if calibration.usable else ():
         model, parent = camera.model, book[camera.name].parent
         if parent != "world":
             seen = [seen.spots[camera.name] for seen in request.observations if camera.name in seen.spots]

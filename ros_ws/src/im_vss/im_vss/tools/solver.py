@@ -13,10 +13,10 @@ class ToolCalibrate(Tool):
     name: ClassVar[str] = "tool_calibrate"
 
     def __call__(self, client: VisionClient, problem: CalibrationProblem) -> Calibration:
-        """The joint estimate of all cameras.
+        """The joint estimate of the cameras that can be estimated.
 
         Raises:
-            ImError: The observations do not determine the cameras, or the solver did not become free in time.
+            ImError: The observations determine no camera, or the solver did not become free in time.
         """
         with self.modules.use("vm_solver", client) as (vm_solver, lease):
             calibration: Calibration = vm_solver.solve(lease, problem)
