@@ -3,9 +3,9 @@ from itertools import combinations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.nets.families import catching_philosophers, kanban
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
-from im_pnt.model.families import catching_philosophers, kanban
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.search.coverability import coverability
 from im_pnt_analysis.search.stubborn import find_deadlock, search
