@@ -87,7 +87,6 @@ def test_simulate_replays(queue, tmp_path, capsys):
     [
         (["time", "{queue}", "--command", "job"], "no transition of mm15 reads the symbol 'job'"),
         (["time", "{queue}", "--timeout", "nan"], "nan is not a time for the search"),
-        (["time", "{job}", "--command", "job", "--approximate"], "--approximate has no effect with --command"),
         (["time", "{job}", "--command", "job", "--timeout", "0"], "--timeout has no effect with --command"),
         (["time", "{queue}", "--runs", "10"], "--runs has no effect without --command"),
         (["time", "{queue}", "--seed", "0"], "--seed has no effect without --command"),

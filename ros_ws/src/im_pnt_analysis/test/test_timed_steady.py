@@ -185,10 +185,9 @@ def test_means_decide_where_one_thing_happens_at_a_time():
     state = steady_state([ring])
     assert state.throughput["t0"] == close(1 / 5)
     assert state.marked["p2"] == close(1 / 5)
-    assert not state.approximation
 
 
-def test_other_delays_beside_each_other_are_refused_or_approximated():
+def test_other_delays_beside_each_other_are_refused():
     queue = net(
         "md1",
         {"free": 5},
@@ -197,7 +196,6 @@ def test_other_delays_beside_each_other_are_refused_or_approximated():
     )
     with pytest.raises(NetError, match=r"serve \(constant\(value 0.5\)\) run beside others.*simulate --summary"):
         steady_state([queue])
-    assert steady_state([queue], approximate=True).approximation == ("serve",)
 
 
 @pytest.mark.parametrize(

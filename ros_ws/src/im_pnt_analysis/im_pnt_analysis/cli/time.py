@@ -19,7 +19,6 @@ nets have nothing else to do; guards are true as often as 'weight' says."""
 
 _MARKINGS_S, _RUNS = 60.0, 1000
 _MARKINGS_SHOWN = 1000
-_NAMES_SHOWN = 5
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +28,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("files", nargs="+", metavar="FILE", help="net files; several are composed")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--timeout", type=float, metavar="S", help=f"CPU time for the markings [s] ({_MARKINGS_S:g})")
-    parser.add_argument("--approximate", action="store_true", help="take all delays for exponential ones")
     parser.add_argument("--command", dest="symbol", metavar="SYMBOL", help="expected duration of this command")
     parser.add_argument("--runs", type=int, metavar="N", help=f"with --command: simulated runs ({_RUNS})")
     parser.add_argument("--seed", type=int, metavar="N", help="with --command: seed of the runs (0)")
@@ -42,14 +40,14 @@ def run(options: argparse.Namespace) -> int:
         refuse_without_effect(options, ("--runs", "--seed"), "without --command")
         _steady(nets, options)
     else:
-        refuse_without_effect(options, ("--timeout", "--approximate"), "with --command")
+        refuse_without_effect(options, ("--timeout",), "with --command")
         _command(nets, options)
     return OK
 
 
 def _steady(nets: list[Net], options: argparse.Namespace) -> None:
     seconds = _MARKINGS_S if options.timeout is None else options.timeout
-    state = steady_state(nets, approximate=options.approximate, seconds=seconds)
+    state = steady_state(nets, seconds=seconds)
     name = "+".join(net.name for net in nets)
     print(json.dumps(_plain(state), indent=1) if options.json else f"{name}: {_readable(state)}")
 
@@ -76,7 +74,6 @@ def _plain(state: SteadyState) -> dict[str, object]:
         "probability": None,
         "classes": [asdict(c) for c in state.classes],
         "method": state.method,
-        "approximation": list(state.approximation),
         "assumptions": list(state.assumptions),
         "time_s": round(state.time_s, 4),
     }
@@ -90,8 +87,6 @@ def _readable(state: SteadyState) -> str:
         f"steady state of {state.tangible} tangible and {state.vanishing} vanishing markings, {state.time_s:.3f} s",
         f"  method         {state.method}",
     ]
-    if state.approximation:
-        lines.append(f"  APPROXIMATION  taken for exponential, by their mean: {', '.join(state.approximation)}")
     for number, c in enumerate(state.classes, start=1):
         marking = ", ".join(f"{place}={count}" for place, count in c.marking.items())
         if c.dead:

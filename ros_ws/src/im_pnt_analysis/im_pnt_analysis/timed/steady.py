@@ -52,7 +52,6 @@ class SteadyState:
         tokens: For each place the share of the time of each number of tokens.
         classes: The recurrent classes that can be reached.
         method: How it was computed.
-        approximation: Transitions whose delay was replaced by an exponential one of the same mean; empty: exact.
         assumptions: What is taken for granted.
         time_s: How long it took [s].
     """
@@ -67,14 +66,11 @@ class SteadyState:
     tokens: Mapping[str, Mapping[int, float]]
     classes: Sequence[RecurrentClass]
     method: str
-    approximation: tuple[str, ...]
     assumptions: tuple[str, ...]
     time_s: float
 
 
-def steady_state(
-    nets: Sequence[Net], *, approximate: bool = False, seconds: float = 60.0, states: int = 1_000_000
-) -> SteadyState:
+def steady_state(nets: Sequence[Net], *, seconds: float = 60.0, states: int = 1_000_000) -> SteadyState:
     """Compute the steady state of nets composed with the environment.
 
     Exact for exponential delays, and for any others of transitions that never run beside another one: there the means
@@ -82,7 +78,6 @@ def steady_state(
 
     Args:
         nets: The nets.
-        approximate: Take other delays for exponential ones of the same mean.
         seconds: CPU time for the search of the markings [s].
         states: Markings at most.
 
@@ -101,7 +96,7 @@ def steady_state(
     if not net.timers:
         raise NetError(f"no transition of {net.compiled.net.name} has a delay, so that there is no time to divide by")
     found = reach(net, states=states, seconds=seconds)
-    if found.rivals and not approximate:
+    if found.rivals:
         raise _not_exponential(found)
     return _solve(found, begin)
 
@@ -111,8 +106,7 @@ def _not_exponential(found: Markings) -> NetError:
     names = ", ".join(f"{timer.name} ({timer.delay})" for timer in timers)
     return NetError(
         f"the steady state can be computed for exponential delays only, or where one thing happens at a time; {names} "
-        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation; with --approximate they "
-        "are taken for exponential delays of the same mean",
+        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation",
         transitions=[timer.name for timer in timers],
     )
 
@@ -178,7 +172,6 @@ def _solve(found: Markings, begin: float) -> SteadyState:
             for members, share in zip(classes, likely, strict=True)
         ],
         "; ".join(methods),
-        tuple(net.timers[timer].name for timer in sorted(found.rivals)),
         net.assumptions,
         monotonic() - begin,
     )
