@@ -8,7 +8,7 @@ from sensor_msgs.msg import BatteryState, CompressedImage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core.errors import ConfigError, DataError, ImError
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.values import ObjectPendingError
 from im_pnt_node.ros.messages import RosTypes, plain_fields
 from im_pnt_node.ros.objects.objects import DomObjects

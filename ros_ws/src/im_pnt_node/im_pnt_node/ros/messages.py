@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.serialization import serialize_message
 
 from im_core.errors import ConfigError, ImError, NotFoundError
-from im_core.ros.interfaces import interface_class, type_name
+from im_core.ros.messages.interfaces import interface_class, type_name
 from im_pnt.expression.types import ValueType, field_type
 from im_pnt_node.rerun.log import packed
 

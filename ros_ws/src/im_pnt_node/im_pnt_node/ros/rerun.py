@@ -14,8 +14,8 @@ from im_bag.reading import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.options import seconds
-from im_core.ros.interfaces import decoded, interface_class
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.interfaces import decoded, interface_class
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext, Functions

@@ -10,16 +10,16 @@ from rclpy.publisher import Publisher
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError
+from im_core.processes.startup import patience_s
 from im_core.ros import qos
 from im_core.ros.calls import pause, wait
 from im_core.ros.failures import few
 from im_core.ros.heartbeats import LEASE_S, Heartbeats
-from im_core.ros.interfaces import interface_class
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.messages.message_fields import filled
+from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.servers import doubted, servers_of
-from im_core.ros.status import status_to_error
-from im_core.startup import patience_s
+from im_core.ros.peers.servers import doubted, servers_of
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity

@@ -4,8 +4,8 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import ImError
-from im_core.ros.interfaces import interface_class
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.values import Done, ObjectPendingError
 from im_pnt.expression.template import Way
 from im_pnt_node.rerun.host import HostObjects

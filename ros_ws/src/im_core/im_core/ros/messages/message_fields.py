@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from im_core.errors import DataError, NotFoundError, shortened
-from im_core.ros.interfaces import message_class
+from im_core.ros.messages.interfaces import message_class
 
 #: Type of a field that is a sequence or an array, and that of its elements.
 _ELEMENTS = re.compile(r"sequence<(?P<sequence>.*?)(?:, \d+)?>|(?P<array>[^<\[]+)\[\d+\]")
