@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from im_core import clock
-from im_core.end_signals import heed_end_signals
+from im_core.processes.end_signals import heed_end_signals
 
 os.environ["IM_FOLDERS"] = tempfile.gettempdir()  # paths in messages may be of the folders of tests
 

@@ -18,7 +18,7 @@ import pytest
 from im_bringup.machine import leftovers
 from im_bringup.tasks.signed_link import VARIABLE as SECRET_FILE
 from im_core import clock, names
-from im_core.startup import START_TIMEOUT
+from im_core.processes.startup import START_TIMEOUT
 
 ROOT = Path(__file__).resolve().parent.parent
 

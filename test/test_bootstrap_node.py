@@ -15,8 +15,8 @@ from std_msgs.msg import Empty, UInt8
 
 from im_bringup.machine import leftovers
 from im_bringup.machine import machine_state as machine
-from im_core.end_signals import END_SIGNALS
 from im_core.names import instance, run_dir
+from im_core.processes.end_signals import END_SIGNALS
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_msgs.msg import TaskRegistry, TaskStatus

@@ -14,9 +14,9 @@ from rclpy.task import Future
 
 from im import CommandFailedError, Machine, MachineError, UnreachableError
 from im_core import clock
+from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer, GuardedNode
-from im_core.startup import STATUS_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, TaskStatus
 from im_msgs.srv import ListCommands

@@ -22,9 +22,7 @@ SUBCOMMANDS = set(re.findall(r"^  \[(\w+)\]=", (ROOT / "scripts" / "im").read_te
 #: The command line of ROS is not in the wheels; a page that names it says so, and names ours where there is one.
 ROS2 = re.compile(r"(?<![\w./-])ros2 (?:bag|launch|topic|service|action|param|lifecycle|node|run)\b")
 OURS = re.compile(r"(?<![\w./-])ros2 (?:topic|service|action|param|lifecycle|node)\b")
-PNT = re.compile(
-    r"(?<![\w./-])(?<!im )(?<!im_pnt_analysis )pnt (?:verify|simulate|time|convert|draw|schema|bench|journal)\b"
-)
+PNT = re.compile(r"(?<![\w./-])(?<!im )(?<!im_pnt_analysis )pnt (?:verify|simulate|time|convert|draw|schema|journal)\b")
 
 
 def executables(package):

@@ -12,8 +12,8 @@ from rclpy.task import Future
 
 from im_bringup.tasks.middleware import loopback_profile, open_profile
 from im_core import patience
-from im_core.agent_socket import TaskIncarnation
 from im_core.errors import LinkError, WaitTimeoutError
+from im_core.processes.agent_socket import TaskIncarnation
 from im_core.ros import heartbeats
 from im_core.ros.heartbeats import CHECK_PERIOD_S, LEASE_S, SILENCE_S, Heartbeats
 from im_core.ros.node import ManagedNode

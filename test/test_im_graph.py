@@ -170,7 +170,7 @@ def test_an_echo_ends_with_an_interruption(im):
 def test_what_is_not_there_is_said_with_the_time_that_was_waited(im):
     code, out, err = im("topic", "echo", "/oven/joint", "--once", "--timeout", 1)
     assert (code, out) == (3, "")
-    assert "im topic: there is no topic '/oven/joint' after 1 s; did you mean '/oven/joints'" in err
+    assert "im topic: there is no topic '/oven/joint' (waited 1 s); did you mean '/oven/joints'" in err
     code, _, err = im("topic", "echo", "/oven/heat", "--once", "--timeout", 1)
     assert (code, err) == (3, "im topic: waited 1 s for a message on /oven/heat, in vain\n")
 

@@ -8,7 +8,7 @@ import pytest
 from im_bringup.ros import run_command
 from im_bringup.ros.run_command import show
 from im_core.errors import DataError
-from im_core.ros.status import to_status
+from im_core.ros.messages.status import to_status
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType

@@ -167,8 +167,8 @@ def test_truth_is_for_who_simulates_and_who_judges(package):
 #: Who opens files beside the readers of im_core, and which; all others are files from elsewhere.
 OPEN_FILES = {
     "im_core/files.py": "the reader",
-    "im_core/jsontext.py": "the reader of JSON",
-    "im_core/yamltext.py": "the reader of YAML",
+    "im_core/text/jsontext.py": "the reader of JSON",
+    "im_core/text/yamltext.py": "the reader of YAML",
     "im_bag/reading.py": "the reader of bags",
     "im_bag/storage.py": "a private copy of a file of a bag, for SQLite to take up its log",
     "im_bag/files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
@@ -177,8 +177,8 @@ OPEN_FILES = {
     "im_pnt_node/journal/ended.py": "what it writes itself",
     "im_pnt_node/journal/strategies.py": "a folder, to lock what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
-    "im_core/process.py": "logs and standard input of children",
-    "im_core/procfs.py": "/proc",
+    "im_core/processes/process.py": "logs and standard input of children",
+    "im_core/processes/procfs.py": "/proc",
     "im_bringup/machine/members.py": "/proc",
     "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
@@ -226,7 +226,11 @@ def test_files_from_elsewhere_pass_the_readers(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_signals_that_ask_to_end_are_heeded_in_one_way(package):
     """A handler of its own would forget SIGHUP, or heed it under ``nohup``."""
-    allowed = {"im_core/end_signals.py", "im_bringup/machine/interrupts.py", "im_pnt_analysis/cli/terminal.py"}
+    allowed = {
+        "im_core/processes/end_signals.py",
+        "im_bringup/machine/interrupts.py",
+        "im_pnt_analysis/cli/terminal.py",
+    }
     found = {relative(path) for path in files(package) if "signal.signal(" in path.read_text(encoding="utf-8")}
     assert found <= allowed
 
@@ -234,7 +238,7 @@ def test_signals_that_ask_to_end_are_heeded_in_one_way(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_only_members_of_the_machine_and_children_are_signalled(package):
     """A number in a record may be a stranger's: ``signal_member`` looks, and a child's is its parent's to know."""
-    allowed = {"im_bringup/machine/members.py": "pidfd_send_signal", "im_core/process.py": "os.kill"}
+    allowed = {"im_bringup/machine/members.py": "pidfd_send_signal", "im_core/processes/process.py": "os.kill"}
     wrong = []
     for path in files(package):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):

@@ -4,9 +4,9 @@ import pytest
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 
-from im_core.agent_socket import AgentOrder
+from im_core.processes.agent_socket import AgentOrder
+from im_core.processes.startup import StartupPhase
 from im_core.ros.node import ManagedNode
-from im_core.startup import StartupPhase
 
 
 class Oven(ManagedNode):

@@ -8,9 +8,9 @@ from sensor_msgs.msg import BatteryState, CompressedImage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core.errors import ConfigError, DataError, ImError
-from im_pnt.errors import NetError
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.values import ObjectPendingError
-from im_pnt_node.ros.messages import RosTypes, fill, plain_fields
+from im_pnt_node.ros.messages import RosTypes, plain_fields
 from im_pnt_node.ros.objects.objects import DomObjects
 
 
@@ -36,7 +36,8 @@ def test_what_is_kept_is_what_was_asked_for_and_makes_the_same_message_again():
         "points": [{"positions": [0.5, 1.0]}, {"positions": [2.0]}],
     }
     whole = plain_fields(message, [()], "m")
-    assert fill(JointTrajectory(), whole, "m") == message
+    assert filled(JointTrajectory(), whole, "m") == message
+    assert filled(JointTrajectory(), {"joint_names": ("a", "b"), "points": points}, "m") == message
     pose = PoseWithCovariance(covariance=[float(number) for number in range(36)])
     assert plain_fields(pose, [("covariance",)], "m") == {"covariance": [float(number) for number in range(36)]}
     image = CompressedImage(data=[1, 2, 255])
@@ -50,8 +51,8 @@ def test_a_number_that_is_not_finite_is_kept_by_nobody():
     assert plain_fields(message, [("voltage",)], "the answer") == {"voltage": 12.0}
     with pytest.raises(ImError, match=r"^the answer.percentage is nan, which is no finite number and cannot be kept$"):
         plain_fields(message, [("percentage",)], "the answer")
-    with pytest.raises(NetError, match=r"^m.percentage "):
-        fill(BatteryState(), {"percentage": "low"}, "m")
+    with pytest.raises(DataError, match=r"^m.percentage "):
+        filled(BatteryState(), {"percentage": "low"}, "m")
 
 
 class Dom:

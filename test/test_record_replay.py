@@ -30,12 +30,12 @@ from im_bag.reading import messages_of, topics_of
 from im_bag.ros.recorder import BagRecorder, RecordedTopic
 from im_core import clock
 from im_core.errors import DataError, NotFoundError
+from im_core.processes.startup import PHASE_TOPIC
 from im_core.ros import qos
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedNode
-from im_core.ros.interfaces import interface_class, message_class
+from im_core.ros.messages.interfaces import interface_class, message_class
 from im_core.ros.node import ManagedNode
-from im_core.startup import PHASE_TOPIC
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import Firing
 

@@ -11,10 +11,10 @@ from rosgraph_msgs.msg import Clock
 from tf2_msgs.msg import TFMessage
 
 from im_cell.robot import load_cell, robot_description
+from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import HEARTBEAT_PERIOD_S, STARTING_PERIOD_S, ManagedNode
 from im_core.ros.rclpy_fixes.one_reader import shared_readers
-from im_core.startup import STATUS_TOPIC
 from im_mcs.model import CellModel
 from im_mcs.ros.topics.publishers import Frames, JawSpeeds
 from im_msgs.msg import TaskStatus

@@ -14,10 +14,10 @@ from im_bringup.ros import agent
 from im_bringup.tasks.deployment import options_text
 from im_bringup.tasks.signed_link import HostOrder, SignedLink, orders_topic, reports_topic
 from im_cell.robot import load_cell
-from im_core.agent_socket import AgentOrder
 from im_core.errors import LinkError, WaitTimeoutError
+from im_core.processes.agent_socket import AgentOrder
+from im_core.processes.startup import START_TIMEOUT, UNPROVED, StartupPhase, patience_s
 from im_core.ros import qos
-from im_core.startup import START_TIMEOUT, UNPROVED, StartupPhase, patience_s
 from im_mcs.limits.configuration import load_config
 from im_mcs.testbed import TestbedInterface
 from im_sim.cameras import process as cameras

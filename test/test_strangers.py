@@ -15,9 +15,9 @@ from im_core import clock
 from im_core.errors import StateError
 from im_core.names import run_dir
 from im_core.ros import qos
+from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.servers import doubt, doubted, reason
-from im_core.ros.status import status_to_error
+from im_core.ros.peers.servers import doubt, doubted, reason
 from im_msgs.msg import Status, TaskRegistry
 
 #: Publishes what would end the tasks, fail them, or have them count as begun anew: of all that are told of.

@@ -26,7 +26,6 @@ from im_dispatcher.poses_file import load_poses
 from im_mcs.limits.configuration import load_config
 from im_pnt.netfile import load_net
 from im_pnt_analysis.simulation.replay import read_firing_sequence
-from im_pnt_analysis.timed.measurement import read_measurement
 from im_pnt_node.journal.strategies import StrategyStore
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
@@ -48,7 +47,6 @@ REPORT = {
 }
 RECORD = {"pid": 77, "start": 5, "state": "ready", "phase": "START", "tasks": 3, "run_dir": "/run", "deployment": "d"}
 RECORD |= {"clock_factor": 1.0, "seed": 1, "port": 8080, "missing": ["a"]}
-FIRING = {"net": "n", "transition": "t", "phase": 1, "duration": 0.5, "stamp": {"sec": 1, "nanosec": 2}}
 INTRINSICS = {
     "image_width": 640,
     "image_height": 480,
@@ -104,8 +102,6 @@ FILES = {
     "record": (RECORD, machine_record),
     "intrinsics": (INTRINSICS, lambda path: read_calibration(path.parent, CELL)),
     "data set": (DATA_SET, load_problems),
-    "measurement": ([FIRING, FIRING], lambda path: read_measurement(str(path))),
-    "durations": ({"n.t": [0.5, 1.0]}, lambda path: read_measurement(str(path))),
     "firing sequence": ({"sequence": ["a", "b"], "repeat_from": 1, "nets": ["n"], "marking": {"p": 1}},
                         lambda path: read_firing_sequence(str(path))),
     "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyStore),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from im_core import clock
 from im_core.errors import WaitTimeoutError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 
 _BAG_S = 60.0
 

@@ -22,7 +22,7 @@ from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_core import clock
 from im_core.errors import StateError
-from im_core.ros.graph import GraphWatch
+from im_core.ros.peers.graph import GraphWatch
 from im_core.ros.run import Spinner
 
 #: Poses of the command that goes on meanwhile, again and again; fewer do not calibrate the cameras.

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from im_bringup.machine import leftovers
 from im_core import clock, names
-from im_core.end_signals import END_SIGNALS
 from im_core.errors import WaitTimeoutError
+from im_core.processes.end_signals import END_SIGNALS
 from im_core.shm_names import left
 
 _ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from im_bringup.machine.start import start
 from im_bringup.tasks import deployment as deployments
 from im_core import clock, names
 from im_core.errors import StateError
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 START_S = 400.0
 APPEARANCE_S = 60.0

@@ -20,10 +20,10 @@ from bench.chaos import machine
 from im_bringup.machine import leftovers
 from im_core import clock
 from im_core.errors import StateError
+from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import Spinner
-from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import Firing, NetDescription, TaskStatus, TokenPacket
 
 #: Messages of right type and wrong content: topic, quality of service, and what is published.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from im_core.errors import DataError
 from im_core.files import FileError, read_text, write_whole
-from im_core.jsontext import JsonError, decode_json
+from im_core.text.jsontext import JsonError, decode_json
 
 #: A command should succeed again within this [s], in this share of the injections.
 SOON_S, SHARE = 15.0, 0.95

@@ -7,8 +7,8 @@ import sys
 from array import array
 
 from im_core.ros import qos, run
+from im_core.ros.messages.status import OK
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import OK
 from im_msgs.srv import GetObject, PutObject
 
 PUT, GET = "/bare/put", "/bare/get"

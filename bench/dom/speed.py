@@ -19,7 +19,7 @@ from bench.figures import Line
 from bench.usage import cpu_s
 from im_core import clock
 from im_core.errors import WaitTimeoutError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_core.ros import qos
 from im_core.ros.calls import ask_again, call
 from im_core.ros.dom import DomClient

@@ -8,7 +8,7 @@ from rclpy.action import get_action_server_names_and_types_by_node
 from rclpy.node import Node
 
 from im_core.errors import ImError
-from im_core.ros.interfaces import interface_class, type_name
+from im_core.ros.messages.interfaces import interface_class, type_name
 
 #: Testbed time is whatever is said there; another clock is no malformed message, but another time.
 NOT_TOPICS = {"/clock"}

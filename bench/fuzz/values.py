@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.serialization import serialize_message
 
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
 
 #: No value is one that a joint, a pose, a time or a gripper could be sent to.
 FLOATS = (math.nan, math.inf, -math.inf, -1e300, 1e300, 5e-324, -7.0)

@@ -14,7 +14,7 @@ from im_cell.link import ClockEnd, HostEnd
 from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_mcs.client.servo_client import ServoClient, ask
 from im_mcs.client.time_source import TestbedTime
 from im_mcs.limits.configuration import McsConfig

@@ -10,7 +10,7 @@ from im_cell.link import HostEnd
 from im_cell.robot import Cell
 from im_core import names
 from im_core.errors import LinkError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_core.shm_names import remove_all
 
 _ATTACH_S = 20.0

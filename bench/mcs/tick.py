@@ -9,7 +9,8 @@ import numpy as np
 
 from bench.figures import Line
 from bench.mcs.rig import START, WAY, Rig, rig
-from im_core import clock, scheduling
+from im_core import clock
+from im_core.processes import scheduling
 from im_mcs.limits.configuration import McsConfig
 
 _BAR_MS = 1.0

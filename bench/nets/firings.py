@@ -6,11 +6,11 @@ from pathlib import Path
 from statistics import median
 
 from bench.figures import Line
+from bench.nets.families import philosophers, ring
 from bench.nets.peers import Peers, plain
 from bench.nets.player import Work
 from bench.nets.workers import Worker, number, own
 from im_core.errors import ImError
-from im_pnt.model.families import philosophers, ring
 
 SIZES = (10, 100, 1000)
 COMPARED = 100

@@ -5,6 +5,7 @@ from collections.abc import Coroutine, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bench.nets.families import ACTION, philosophers, ring
 from bench.nets.serving import serve
 from im_core.clock import cpu
 from im_core.errors import StateError
@@ -13,7 +14,6 @@ from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Command
 from im_pnt.execution.notification import Firing, Observer
-from im_pnt.model.families import ACTION, philosophers, ring
 from im_pnt.model.net import Guard, Net, Place, Transition
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.distributed.link import Link

@@ -9,11 +9,11 @@ from pathlib import Path
 from statistics import median
 
 from bench.figures import Line
+from bench.nets.families import by_name
 from bench.nets.serving import serve
 from bench.nets.workers import number, own, own_path
 from im_core.clock import cpu, monotonic
 from im_core.errors import ImError, StateError
-from im_pnt.model.families import by_name
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.reachability import Search

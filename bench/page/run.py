@@ -14,7 +14,7 @@ from bench.figures import Line, readable
 from im_core.config import Model, faults
 from im_core.errors import ImError
 from im_core.files import FileError, write_whole
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 LOOP = "Python loop of 10^7 additions"
 ModelT = TypeVar("ModelT", bound=Model)

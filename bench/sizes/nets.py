@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from functools import partial
 
 from bench.figures import Line
+from bench.nets.families import ring
 from bench.nets.player import Work
 from bench.nets.workers import number, own
 from bench.sizes.growth import growth
 from bench.yardstick import cpu_of
-from im_pnt.model.families import ring
 from im_pnt_analysis.verify.verdict import verify
 
 

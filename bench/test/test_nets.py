@@ -1,4 +1,3 @@
-import json
 import sys
 from pathlib import Path
 
@@ -6,17 +5,15 @@ import pytest
 
 from bench.figures import measure
 from bench.nets import firings, searches
+from bench.nets.families import by_name, catching_philosophers, kanban, philosophers, ring
 from bench.nets.peers import Peers, installed_peers, plain
 from bench.nets.player import SYMBOL, Player, Work, working
 from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
 from im_pnt.errors import NetError
 from im_pnt.model.compiled import compile_net
-from im_pnt.model.families import by_name, catching_philosophers, kanban, philosophers, ring
 from im_pnt_analysis import verify_to_load
-from im_pnt_analysis.cli import main
 from im_pnt_node.journal.journal import Journal
-from support.fixtures import NETS
 
 NO_PEERS = Peers(None, Path(), "the peers could not be installed")
 
@@ -209,17 +206,9 @@ def test_a_group_that_fails_is_told_and_does_not_end_the_others(tmp_path):
     assert "broken.yaml" in next(line.against for line in measured.lines if line.name == "verify")
 
 
-def test_pnt_bench_measures_families_and_files(capsys):
-    files = [str(path) for path in sorted(NETS.glob("*.yaml"))]
-    assert main(["bench", "--firings", "50", "--states", "5000", "--json", "ring:4", "kanban:1", *files]) == 0
-    speeds = json.loads(capsys.readouterr().out)
-    assert [speed["states"] for speed in speeds[:2]] == [4, 160]
-    assert all(speed["firings"] >= 50 for speed in speeds[:2])
-    assert main(["bench", "--firings", "50", "ring:4"]) == 0
-    assert "ring_4" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("arguments", [["--firings", "0"], ["--timeout", "-1"], ["nothing.yaml"], ["ring:x"]])
-def test_pnt_bench_refuses_what_it_cannot_measure(arguments, capsys):
-    assert main(["bench", *arguments]) == 2
-    assert capsys.readouterr().err.startswith("pnt: ")
+@pytest.mark.parametrize(
+    ("name", "said"), [("rings:3", "did you mean 'ring'"), ("ring:x", "needs a size"), ("ring:1", "2 to")]
+)
+def test_a_family_that_cannot_be_made_is_refused(name, said):
+    with pytest.raises(NetError, match=said):
+        by_name(name)

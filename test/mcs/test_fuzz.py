@@ -9,7 +9,7 @@ import pytest
 from control_msgs.action import FollowJointTrajectory, GripperCommand
 from trajectory_msgs.msg import JointTrajectory
 
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
 from im_msgs.action import Move
 from im_msgs.msg import SetpointCommand, TorqueCommand
 from im_msgs.srv import (

@@ -11,8 +11,8 @@ from rclpy.context import Context
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
-from im_core.ros import client_identity
 from im_core.ros.guard import GuardedNode
+from im_core.ros.peers import client_identity
 from im_core.ros.run import spin_in_thread
 from im_msgs.srv import GroupCommand, ReserveGroup, SetController, SetGripper, SetPayload, SetSpeed
 

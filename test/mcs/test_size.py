@@ -9,7 +9,7 @@ from lifecycle_msgs.srv import ChangeState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_core.errors import DataError
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
 from im_mcs.limits.configuration import load_config
 from im_mcs.ros.bounds import check_bounds
 from im_msgs.action import Move

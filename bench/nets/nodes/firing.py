@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from bench.nets.families import ACTION
 from bench.nets.nodes.loop import PATIENCE_S, alone, run, wait_until
 from bench.nets.player import GUARD, OVER, SYMBOL, Work, working
 from bench.nets.serving import Handler
@@ -18,7 +19,6 @@ from im_msgs.msg import Firing
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Command
-from im_pnt.model.families import ACTION
 from im_pnt.netfile import yaml_text
 from im_pnt_analysis import verify_to_load
 from im_pnt_node.ros.node import PntNode

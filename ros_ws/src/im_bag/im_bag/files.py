@@ -17,7 +17,7 @@ from im_bag.contents import MAGIC, Contents, end_of, last_index, scan
 from im_core import clock
 from im_core.errors import StoreError
 from im_core.files import MEBIBYTE, FileError, check_regular, read_text, write_whole
-from im_core.yamltext import YamlError, as_data, read_yaml, write_yaml
+from im_core.text.yamltext import YamlError, as_data, read_yaml, write_yaml
 
 METADATA = "metadata.yaml"
 LARGEST_METADATA = 16 * MEBIBYTE

@@ -14,7 +14,7 @@ from im_bag.definitions import Definition, full_definition
 from im_bag.delivery import Delivery
 from im_bag.files import complete_file, write_metadata
 from im_core.errors import DataError, StoreError
-from im_core.yamltext import write_yaml
+from im_core.text.yamltext import write_yaml
 
 #: Size of messages after which a chunk is written although nobody asked [bytes].
 _CHUNK = 2**20

@@ -11,7 +11,7 @@ from im_bringup.tasks.agent import RESPAWN_LIMIT, Agent, Died, ProcessCommand, S
 from im_bringup.tasks.deployment import Deployment
 from im_core import clock
 from im_core.config import parse_model
-from im_core.process import last_words
+from im_core.processes.process import last_words
 
 OBEDIENT = "import signal; print('up', flush=True); signal.sigwait({signal.SIGINT}); print('{name} ends', flush=True)"
 LATE = """\

@@ -10,7 +10,7 @@ from im_bringup.machine import start
 from im_bringup.machine.machine_state import MachineRecord
 from im_core import names
 from im_core.errors import DataError, LinkError, StateError
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,10 @@ from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.registry import Progress
 from im_core import clock
-from im_core.agent_socket import TaskReport
 from im_core.errors import DataError
-from im_core.process import ChildProcess
-from im_core.startup import StartupPhase, net_digest, nets_sentence, nets_told
+from im_core.processes.agent_socket import TaskReport
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import StartupPhase, net_digest, nets_sentence, nets_told
 from support.tasks import NAMES, bootstrap
 
 

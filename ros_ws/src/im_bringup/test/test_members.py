@@ -11,7 +11,7 @@ from im_bringup.machine import machine_state as machine
 from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.members import is_member, signal_member
 from im_bringup.tasks.agent import MARKER
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from im_bringup.tasks.agent import Agent, Died, ProcessCommand
 from im_bringup.tasks.memory_limit import excess, limit_memory, refused
 from im_bringup.tasks.receivers import STUCK_S, Receivers
 from im_core import clock
-from im_core.procfs import private_bytes, thread_name, threads_of, waits_of
+from im_core.processes.procfs import private_bytes, thread_name, threads_of, waits_of
 
 LIMIT_MIB = 128
 

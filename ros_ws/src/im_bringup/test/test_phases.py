@@ -6,7 +6,7 @@ from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.machine.start import print_parts
 from im_bringup.tasks.registry import Progress, Registry
-from im_core.startup import StartupPhase
+from im_core.processes.startup import StartupPhase
 from support.tasks import NAMES, bootstrap, placed
 
 ORDER = [Progress.LOADED, Progress.CONFIGURED, Progress.READY]

@@ -16,8 +16,8 @@ from im_bringup.tasks.registry import Progress
 from im_core import clock
 from im_core import patience as silence_module
 from im_core.errors import StoreError
-from im_core.loop_heartbeat import Beat, Pulse
-from im_core.procfs import Scheduled
+from im_core.processes.loop_heartbeat import Beat, Pulse
+from im_core.processes.procfs import Scheduled
 
 #: Writes the record of a machine, tells its life, and does what it is told for that life.
 BOOTSTRAP = textwrap.dedent(
@@ -25,8 +25,8 @@ BOOTSTRAP = textwrap.dedent(
     import os, signal, sys, time
     from pathlib import Path
     from im_bringup.machine import machine_state as machine
-    from im_core.loop_heartbeat import Beat, Pulse
-    from im_core.procfs import ProcessId
+    from im_core.processes.loop_heartbeat import Beat, Pulse
+    from im_core.processes.procfs import ProcessId
 
     lives, state, *deeds = Path(sys.argv[1]), *sys.argv[2:]
     signal.signal(signal.SIGINT, lambda *_: os._exit(0))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_bringup.tasks.upkeep import Keep, Upkeep, prune, prune_tool_logs, rotate, surplus
-from im_core.process import last_words
+from im_core.processes.process import last_words
 
 DAY = 86_400.0
 NOW = 1_800_000_000.0

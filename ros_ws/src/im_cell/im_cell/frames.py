@@ -113,7 +113,7 @@ class FrameSource(ABC):
 
     @classmethod  # noqa: B027  # most have no processes
     def prepare(cls) -> None:
-        """Prepare modules for the child processes (:func:`im_core.process.prepare`), before ROS is loaded."""
+        """Prepare modules for the child processes (:func:`im_core.processes.process.prepare`), before ROS is loaded."""
 
     @abstractmethod
     def __init__(self, setup: FrameSourceSetup) -> None: ...

@@ -1,8 +1,8 @@
 """State of the wrist lights, as reported by the testbed."""
 
 from im_cell.robot import Cell
-from im_core.bounded_json import read_json
 from im_core.errors import DataError
+from im_core.text.bounded_json import read_json
 
 
 def lights_told(text: str, cell: Cell) -> dict[str, bool]:

@@ -16,7 +16,7 @@ import pydantic
 
 from im_core.errors import ConfigError, nearest, quoted_text, shortened
 from im_core.files import MEBIBYTE, FileError, read_text
-from im_core.yamltext import (
+from im_core.text.yamltext import (
     Location,
     Quotation,
     RepeatedKeyError,

@@ -157,7 +157,7 @@ class NotFoundError(ImError):
         hint = f"; did you mean '{near}'?" if near else ""
         listed = _listed(names)
         shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
-        waited = f" after {waited_s:g} s" if waited_s else ""
+        waited = f" (waited {waited_s:g} s)" if waited_s else ""
         sentence = f"there is no {kind} {shown!r}{waited}{hint}{listed}"
         super().__init__(sentence, kind=kind, name=name, known=names[:_MOST_NAMES])
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from im_core import clock
-from im_core.procfs import Scheduled, scheduled, stat_fields
+from im_core.processes.procfs import Scheduled, scheduled, stat_fields
 
 #: Most that counts between two looks of the patient [s].
 _LONGEST_LOOK_S = 0.1

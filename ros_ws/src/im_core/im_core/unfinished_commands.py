@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, make_folder, read_text, write_whole
+from im_core.text.bounded_json import read_json
 
 MISSIONS = "missions"
 """Folder in that of a machine's run: what former missions have left, each in a folder of its own."""

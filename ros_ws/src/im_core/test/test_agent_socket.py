@@ -2,11 +2,11 @@ import os
 import subprocess
 import sys
 
-from im_core import agent_socket
-from im_core.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
+from im_core.processes import agent_socket
+from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 
 CHILD = """
-from im_core.agent_socket import AgentSocket, TaskReport
+from im_core.processes.agent_socket import AgentSocket, TaskReport
 agent = AgentSocket.inherited()
 assert AgentSocket.inherited() is None
 agent.report(TaskReport("oven", 2**63 - 1, 4, "it is cold: \u00e9" + "x" * 30_000))

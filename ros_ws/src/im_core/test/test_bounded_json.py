@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from im_core.bounded_json import LARGEST, member, read_json
 from im_core.errors import DataError
+from im_core.text.bounded_json import LARGEST, member, read_json
 
 
 class Colour(IntEnum):

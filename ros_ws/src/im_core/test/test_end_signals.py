@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
-from im_core.end_signals import END_SIGNALS
+from im_core.processes.end_signals import END_SIGNALS
 
 HEEDS = """
 import signal
 import time
-from im_core.end_signals import heed_end_signals
+from im_core.processes.end_signals import heed_end_signals
 
 came = []
 heed_end_signals(lambda number, _: came.append(number))

@@ -11,7 +11,7 @@ from im_bag.reading import open_bag
 from im_core.config import Model, load_model
 from im_core.errors import ConfigError
 from im_core.files import FileError, read_bytes, read_text
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 
 def folder(path):

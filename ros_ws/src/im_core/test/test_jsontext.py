@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from im_core.errors import ImError
 from im_core.files import FileError
-from im_core.jsontext import MAX_DEPTH, JsonError, decode_json, load_json
+from im_core.text.jsontext import MAX_DEPTH, JsonError, decode_json, load_json
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**19), 10**19) | st.floats(allow_nan=False, allow_infinity=False)

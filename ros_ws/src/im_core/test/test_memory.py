@@ -5,7 +5,7 @@ import sys
 
 PROGRAM = """
 import mmap, re
-from im_core.memory import give_back_zeros
+from im_core.processes.memory import give_back_zeros
 def resident():
     return int(re.search(r"VmRSS:\\s+(\\d+)", open("/proc/self/status").read())[1]) << 10
 LARGE, WRITTEN = 96 << 20, 40 << 20

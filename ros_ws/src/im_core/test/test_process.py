@@ -12,7 +12,7 @@ import pytest
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.process import ChildProcess, last_words, may_copy
+from im_core.processes.process import ChildProcess, last_words, may_copy
 
 DEAF = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('up', flush=True); signal.pause()"
 
@@ -80,7 +80,7 @@ def test_who_was_killed_had_no_time_for_last_words(tmp_path):
 COPIES = """\
 import fractions, sys
 from pathlib import Path
-from im_core.process import ChildProcess, may_copy
+from im_core.processes.process import ChildProcess, may_copy
 script, log = sys.argv[1:]
 assert may_copy(script)
 child = ChildProcess([script, "a"], log=Path(log), stdin="given", environment={"COLOUR": "red"}, copied=True)
@@ -116,7 +116,7 @@ def test_a_copy_is_the_program_that_it_runs_and_finds_loaded_what_was_loaded(tmp
 
 def test_only_a_program_of_this_python_begins_as_a_copy_and_only_of_one_thread(tmp_path):
     ours, other = (program(tmp_path, python, "") for python in (sys.executable, "/usr/bin/python3"))
-    code = "import sys, threading; from im_core.process import may_copy; print(*map(may_copy, sys.argv[1:]))"
+    code = "import sys, threading; from im_core.processes.process import may_copy; print(*map(may_copy, sys.argv[1:]))"
     told = [sys.executable, "-c", code, ours, other, sys.executable]
     assert subprocess.run(told, capture_output=True, text=True, check=True).stdout.split() == ["True", "False", "False"]
     with threaded():
@@ -145,7 +145,7 @@ def threaded():
 PREPARES = """\
 import fractions, sys
 from pathlib import Path
-from im_core.process import ChildProcess, dismiss_prepared, prepare
+from im_core.processes.process import ChildProcess, dismiss_prepared, prepare
 folder, told = Path(sys.argv[1]), sys.argv[2]
 if told == "ros":
     sys.modules["rclpy"] = sys
@@ -191,7 +191,7 @@ def test_a_module_is_run_by_the_copy_that_was_prepared_for_it_if_there_is_one(tm
 
 
 def test_what_waits_to_run_a_module_ends_with_who_prepared_it(tmp_path):
-    code = "import os; from im_core import process; process.prepare('json'); print(process._prepared['json'].pid)"
+    code = "from im_core.processes import process; process.prepare('json'); print(process._prepared['json'].pid)"
     pid = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
     deadline = clock.monotonic() + 60.0
     while Path(f"/proc/{pid}").exists() and clock.monotonic() < deadline:

@@ -16,7 +16,7 @@ if not {fifo}:
     os.sched_setscheduler = refuse
 else:
     os.sched_setscheduler = lambda *_: None
-from im_core import scheduling
+from im_core.processes import scheduling
 cores = sorted(os.sched_getaffinity(0))
 reserved = scheduling.reserve()
 os.environ.update(reserved)
@@ -71,7 +71,7 @@ def test_memory_that_is_locked_is_what_was_touched_and_not_all_that_libraries_re
     """A copy of OpenBLAS reserves 32 MiB, and its code is as large again."""
     program = (
         "import mmap, re\n"
-        "from im_core import scheduling\n"
+        "from im_core.processes import scheduling\n"
         "def kib(key): return int(re.search(key + r':\\s+(\\d+)', open('/proc/self/status').read())[1])\n"
         "reserved = mmap.mmap(-1, 256 << 20, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)\n"
         "before = kib('VmRSS')\n"

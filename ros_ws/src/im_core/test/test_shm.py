@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from im_core import clock
 from im_core.errors import DataError, LinkError
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 from im_core.shm import MessageRing, Semaphore, SharedBlock, SharedRecord, Snapshot, dead_owner
 from im_core.shm_names import remove_all
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from im_core.config import Model, fault_in, parse_model
 from im_core.errors import ConfigError
-from im_core.yamltext import Kind, RepeatedKeyError, YamlError, as_data, find, read_yaml, write_yaml
+from im_core.text.yamltext import Kind, RepeatedKeyError, YamlError, as_data, find, read_yaml, write_yaml
 
 BOMB = "b0: &b0 [1]\n" + "".join(f"b{i + 1}: &b{i + 1} [{f'*b{i}, ' * 9}]\n" for i in range(9))
 

@@ -39,11 +39,10 @@ def beside(expected: CommandDuration, steps: Mapping[str, StepTime], duration_s:
         duration_s: Measured testbed time of the command [s].
     """
     measured = {name: [step.simulated_s / step.count] * step.count for name, step in steps.items()}
-    compared = compare(expected, measured, duration_s)
     return {
-        "expected_s": round(compared.expected, 3),
+        "expected_s": round(expected.mean, 3),
         "measured_s": round(duration_s, 3),
-        "bottleneck": compared.bottleneck,
+        "bottleneck": expected.bottleneck.transition,
         "bottleneck_s": round(expected.bottleneck.critical, 3),
         "method": expected.method,
         "steps": {
@@ -53,7 +52,7 @@ def beside(expected: CommandDuration, steps: Mapping[str, StepTime], duration_s:
                 "expected_s": round(row.expected_mean, 4),
                 "measured_s": None if row.measured_mean is None else round(row.measured_mean, 4),
             }
-            for row in compared.actions
+            for row in compare(expected, measured)
             if row.expected_mean > 0.0
         },
     }

@@ -8,7 +8,7 @@ import pydantic
 
 from im_core.config import Model, load_model, package_file
 from im_core.message_paths import message_folders, resolve_below
-from im_core.yamltext import control_character
+from im_core.text.yamltext import control_character
 
 #: The cell's own poses, for the two ceiling cameras.
 OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")

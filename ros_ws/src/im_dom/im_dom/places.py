@@ -4,8 +4,8 @@ import re
 
 import pydantic
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError, NotFoundError, StateError
+from im_core.text.bounded_json import read_json
 
 _PLACE = re.compile(r"[A-Za-z][A-Za-z0-9_]*\.[A-Za-z][A-Za-z0-9_.]*")
 

@@ -13,7 +13,7 @@ import pytest
 from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import ConfigError
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 from im_mcs.control import ControlInput, ControllerSetup, LawSource, load_controller
 from im_mcs.control.guard import ControlLawError
 from im_mcs.limits.configuration import LawProcesses, load_config

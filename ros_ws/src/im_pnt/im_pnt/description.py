@@ -2,8 +2,8 @@
 
 import pydantic
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError
+from im_core.text.bounded_json import read_json
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
 

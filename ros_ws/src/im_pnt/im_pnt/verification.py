@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from im_core.startup import unproved_allowed
+from im_core.processes.startup import unproved_allowed
 from im_pnt.model.net import Net
 
 KINDS = ("growth", "overflow", "deadlock", "lost_command", "held_resource", "assumption", "unheld")

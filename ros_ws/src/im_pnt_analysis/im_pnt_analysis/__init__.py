@@ -37,10 +37,9 @@ if TYPE_CHECKING:
     from im_pnt_analysis.timed.steady import steady_state
     from im_pnt_analysis.verify.load import verify_to_load
     from im_pnt_analysis.verify.report import Report
-    from im_pnt_analysis.verify.search_speed import search_speed
 
 __all__ = ["CommandDuration", "FiringSequence", "Report", "SearchLimits", "compare", "compose", "expected_command"]
-__all__ += ["replay", "search_speed", "simulate", "steady_state", "summarise", "verify_to_load"]
+__all__ += ["replay", "simulate", "steady_state", "summarise", "verify_to_load"]
 
 __getattr__ = import_at_use(
     __name__,
@@ -54,6 +53,5 @@ __getattr__ = import_at_use(
         "timed.steady": ("steady_state",),
         "verify.report": ("Report",),
         "verify.load": ("verify_to_load",),
-        "verify.search_speed": ("search_speed",),
     },
 )

@@ -1,8 +1,8 @@
 import pytest
 
+from bench.nets.families import catching_philosophers, kanban, ring
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
-from im_pnt.model.families import catching_philosophers, kanban, ring
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.search.stubborn import find_deadlock, search
 from im_pnt_analysis.structure.reduction import reduce_for_deadlock

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bench.nets.families import catching_philosophers, kanban
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
-from im_pnt.model.families import catching_philosophers, kanban
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.structure.semiflows import p_semiflows, t_semiflows
 

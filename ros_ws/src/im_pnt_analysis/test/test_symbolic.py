@@ -2,9 +2,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from bench.nets.families import catching_philosophers, kanban, ring
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled, compile_net
-from im_pnt.model.families import catching_philosophers, kanban, ring
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_analysis.symbolic.exploration import explore
 from im_pnt_analysis.symbolic.mdd import Diagram, deep_recursion

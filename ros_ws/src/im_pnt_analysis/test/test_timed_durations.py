@@ -11,7 +11,7 @@ from im_pnt.model.net import Guard, Net, Place, Service, Transition
 from im_pnt.netfile import parse_net
 from im_pnt_analysis.simulation.simulate import simulate
 from im_pnt_analysis.timed.durations import expected_command
-from im_pnt_analysis.timed.measurement import MeasuredFiring, compare, fit_delays
+from im_pnt_analysis.timed.measurement import MeasuredFiring, compare, estimate, with_estimates
 
 
 def constant(value):
@@ -223,7 +223,7 @@ def test_measured_run_fits_and_compares():
     seen = [MeasuredFiring("net.init", 1.5), MeasuredFiring("net.retry", 2.0)]
     seen += [MeasuredFiring("net.move", time, failed=time == 5.0) for time in moves]
     seen += [MeasuredFiring("net.again", 0.0)] * 3 + [MeasuredFiring("net.enough", 0.0)]
-    (fitted,) = fit_delays([model], seen)
+    fitted = with_estimates(model, estimate([model], seen)["net"])
     assert fitted.transitions["init"].delay == constant(1.5)
     assert fitted.transitions["move"].delay.mean == pytest.approx(4.0)
     assert fitted.transitions["move"].success == 0.75
@@ -232,9 +232,7 @@ def test_measured_run_fits_and_compares():
     measured = 1.5 + sum(moves) + 2.0
     assert expected.mean == pytest.approx(measured)
     by_name = {"net.init": [1.5], "net.move": moves, "net.retry": [2.0], "net.other": [7.0]}
-    comparison = compare(expected, by_name, measured)
-    assert comparison.plausible
-    rows = {row.transition: row for row in comparison.actions}
+    rows = {row.transition: row for row in compare(expected, by_name)}
     assert rows["net.move"].expected_firings == pytest.approx(4.0)
     assert rows["net.move"].measured_mean == rows["net.move"].expected_mean == pytest.approx(4.0)
     assert (rows["net.other"].expected_firings, rows["net.other"].measured_firings) == (0.0, 1)

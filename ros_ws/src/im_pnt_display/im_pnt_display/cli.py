@@ -7,11 +7,11 @@ import threading
 import webbrowser
 from pathlib import Path
 
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.files import read_text
 from im_core.names import display_file
 from im_core.output import complain
+from im_core.processes.end_signals import heed_end_signals
 from im_pnt.netfile import load_net
 from im_pnt_analysis.cli.terminal import OK, write_output
 from im_pnt_display.drawing.draw import dot, draw, svg

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from im_cell.link import HostEnd
 from im_cell.robot import load_cell
-from im_core import scheduling
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
 from im_core.options import NumberParser
+from im_core.processes import scheduling
+from im_core.processes.end_signals import heed_end_signals
 from im_sim.laser import Laser
 from im_sim.loop import TickLoop
 from im_sim.plant import Plant

@@ -15,7 +15,7 @@ from im_cell.link import Exposure
 from im_cell.robot import load_cell
 from im_core import names
 from im_core.errors import ConfigError, LinkError, WaitTimeoutError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_core.shm import Semaphore
 from im_core.shm_names import remove_all
 from im_sim.cameras.bank import CameraBank

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from im_cell.robot import load_cell
 from im_core.errors import ImError
-from im_core.yamltext import write_yaml
+from im_core.text.yamltext import write_yaml
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
 

@@ -11,7 +11,7 @@ from rclpy.subscription import Subscription
 from im_bag.definitions import full_definition
 from im_bag.ros.recorder import QUEUE_DEPTH
 from im_core.errors import ImError, LinkError
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
 from im_core.ros.node import ManagedNode
 from im_core.ros.qos import offered
 from im_core.ros.run import main as run_main

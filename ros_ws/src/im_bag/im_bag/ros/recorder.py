@@ -17,12 +17,12 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from im_bag import BagWriter, Delivery, default_folder
 from im_core import clock
-from im_core.end_signals import heed_end_signals
 from im_core.errors import DataError, ImError, StoreError
 from im_core.output import complain, say
-from im_core.ros.graph import GraphWatch
+from im_core.processes.end_signals import heed_end_signals
 from im_core.ros.guard import GuardedNode
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.peers.graph import GraphWatch
 from im_core.ros.qos import offered
 
 QUEUE_DEPTH = 5000

@@ -30,15 +30,15 @@ from im_bag.playback import KEYS, Controls, Playback
 from im_bag.raw import changed_type
 from im_bag.ros.recorder import check_topic_name, to_profile
 from im_core import clock
-from im_core.end_signals import heed_end_signals
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.options import NumberParser
 from im_core.output import complain, say
+from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.startup import PHASE_TOPIC
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
-from im_core.ros.interfaces import message_class
-from im_core.ros.servers import node_of
-from im_core.startup import PHASE_TOPIC
+from im_core.ros.messages.interfaces import message_class
+from im_core.ros.peers.servers import node_of
 
 #: Time for subscribers to find the publishers before the first message: at least, and while none has [s].
 DISCOVERY_S = 1.0

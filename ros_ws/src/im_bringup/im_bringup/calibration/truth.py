@@ -17,7 +17,7 @@ from im_cell.workspace import Workspace
 from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.files import FileError, write_whole
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 
 class _Section(Model):

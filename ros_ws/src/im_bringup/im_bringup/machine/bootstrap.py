@@ -12,11 +12,11 @@ from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
-from im_core.agent_socket import AgentOrder, TaskReport
-from im_core.bounded_json import member
 from im_core.errors import NotFoundError
 from im_core.patience import Silence
-from im_core.startup import StartupPhase
+from im_core.processes.agent_socket import AgentOrder, TaskReport
+from im_core.processes.startup import StartupPhase
+from im_core.text.bounded_json import member
 
 #: A task of this host that was ready and is silent for longer is started again [s].
 SILENCE_S = 30.0

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from im_core.end_signals import END_SIGNALS, heed_end_signals
+from im_core.processes.end_signals import END_SIGNALS, heed_end_signals
 
 
 def interrupt_once() -> None:

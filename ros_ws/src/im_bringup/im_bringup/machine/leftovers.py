@@ -13,7 +13,7 @@ from im_core import clock, names
 from im_core.errors import LinkError
 from im_core.ownership import is_own, require_own
 from im_core.patience import Patience
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 from im_core.shm_names import SHM, left, remove_all
 
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")

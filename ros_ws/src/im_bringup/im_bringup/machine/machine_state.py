@@ -14,7 +14,7 @@ from im_core.config import field_name
 from im_core.errors import DataError, LinkError, StateError
 from im_core.files import MEBIBYTE, FileError, read_bytes, write_whole
 from im_core.ownership import is_own, require_own
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 from im_core.shm_names import SHM
 
 #: How long a supervisor may take to notice that its bootstrap was killed [s].

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from im_bringup.tasks.agent import MARKER
 from im_core import names
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 
 def is_member(process: ProcessId) -> bool:

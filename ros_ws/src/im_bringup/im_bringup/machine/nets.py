@@ -11,11 +11,11 @@ from pathlib import Path
 import pydantic
 
 from im_bringup.tasks.registry import TaskRecord
-from im_core.bounded_json import read_json
 from im_core.errors import ImError
 from im_core.files import make_folder, read_text, write_whole
-from im_core.process import ChildProcess
-from im_core.startup import net_digest, nets_told
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import net_digest, nets_told
+from im_core.text.bounded_json import read_json
 
 #: What is ``pnt`` on the command line.
 PROVER = "im_pnt_analysis.cli"

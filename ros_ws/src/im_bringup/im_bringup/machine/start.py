@@ -25,8 +25,8 @@ from im_core.executables import path_of
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds, whole
 from im_core.output import complain, say
-from im_core.process import ChildProcess
-from im_core.startup import START_TIMEOUT, START_TIMEOUT_S
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import START_TIMEOUT, START_TIMEOUT_S
 
 #: Of ``--foxglove`` without a port, the usual one.
 FOXGLOVE_PORT = 8765

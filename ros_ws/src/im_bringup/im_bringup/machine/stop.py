@@ -13,7 +13,7 @@ from im_bringup.machine.members import is_member, signal_member
 from im_bringup.machine.start_mark import end_start
 from im_core import clock, names, output, unfinished_commands
 from im_core.errors import DataError, LinkError
-from im_core.process import last_words
+from im_core.processes.process import last_words
 
 #: The bootstrap's own ordered shutdown takes less than this, and its supervisor notices its end [s].
 _ORDERLY_S = 4.8

@@ -20,13 +20,13 @@ from im_bringup.tasks.memory_limit import refused
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names
-from im_core import loop_heartbeat as pulse_memory
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
-from im_core.loop_heartbeat import Pulse
 from im_core.patience import Silence
-from im_core.process import ChildProcess
-from im_core.startup import start_timeout_s
+from im_core.processes import loop_heartbeat as pulse_memory
+from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.loop_heartbeat import Pulse
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import start_timeout_s
 
 if TYPE_CHECKING:
     from im_bringup.machine.machine_state import MachineRecord
@@ -143,7 +143,7 @@ class BootstrapKeeper:
         # loaded when they are used: they are most of a process that else waits, with the machine, all its life
         from im_bringup.machine import leftovers
         from im_bringup.machine import machine_state as machine
-        from im_core.procfs import ProcessId
+        from im_core.processes.procfs import ProcessId
 
         record = _record()
         if record is not None and record.state == machine.READY:

@@ -21,12 +21,12 @@ from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.signed_link import HostOrder, SignedLink, agent_name, orders_topic, read_secret, reports_topic
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
-from im_core.agent_socket import TaskReport
-from im_core.bounded_json import member, read_json
+from im_core.processes.agent_socket import TaskReport
+from im_core.processes.startup import START_TIMEOUT, StartupPhase
 from im_core.ros import qos, run
 from im_core.ros.guard import GuardedNode
 from im_core.ros.parameters import describe_sim_time
-from im_core.startup import START_TIMEOUT, StartupPhase
+from im_core.text.bounded_json import member, read_json
 from im_msgs.msg import TaskStatus
 
 #: How often the agent looks at its processes while they start, and from then on [s].

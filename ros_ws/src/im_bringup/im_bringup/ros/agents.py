@@ -11,10 +11,10 @@ from std_msgs.msg import String
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.tasks.signed_link import HostOrder, HostReports, SignedLink, orders_topic, reports_topic
 from im_core import clock
-from im_core.bounded_json import read_json
+from im_core.processes.startup import start_timeout_s
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
-from im_core.startup import start_timeout_s
+from im_core.text.bounded_json import read_json
 
 ACKNOWLEDGED_S = 2.0
 

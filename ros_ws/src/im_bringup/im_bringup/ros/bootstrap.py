@@ -23,15 +23,15 @@ from im_bringup.tasks.registry import TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.errors import ImError, StoreError
-from im_core.process import dismiss_prepared
-from im_core.procfs import ProcessId
+from im_core.processes.process import dismiss_prepared
+from im_core.processes.procfs import ProcessId
+from im_core.processes.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
+from im_core.ros.messages.stamps import wall_stamp
 from im_core.ros.parameters import describe_sim_time
 from im_core.ros.repeated_warnings import Reminders
 from im_core.ros.run import main as spin
-from im_core.ros.stamps import wall_stamp
-from im_core.startup import PHASE_TOPIC, STATUS_TOPIC, StartupPhase
 from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.srv import QueryTask

@@ -8,7 +8,7 @@ from typing import Any
 
 from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_core.ros import qos
-from im_core.ros.status import status_to_error
+from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject
 

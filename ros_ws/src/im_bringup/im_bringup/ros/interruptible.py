@@ -14,9 +14,9 @@ from rclpy.signals import SignalHandlerOptions
 from im import MachineError
 from im_bringup.machine import machine_state as machine
 from im_core import clock
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError, StoreError, WaitTimeoutError
 from im_core.output import complain
+from im_core.processes.end_signals import heed_end_signals
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import Spinner
 

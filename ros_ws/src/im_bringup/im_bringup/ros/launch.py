@@ -20,11 +20,12 @@ from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.signed_link import read_secret
 from im_cell.robot import load_cell
-from im_core import clock, names, scheduling
+from im_core import clock, names
 from im_core.errors import ConfigError, ImError
 from im_core.options import NumberParser
-from im_core.process import prepare
-from im_core.procfs import ProcessId
+from im_core.processes import scheduling
+from im_core.processes.process import prepare
+from im_core.processes.procfs import ProcessId
 
 #: What several processes load, beside what this one needs itself; of ROS its messages, which are plain Python.
 COMMON = (

@@ -19,13 +19,13 @@ from im_bringup.calibration.summary import summary
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ArgumentError, ImError, NotFoundError, StoreError, require_text
 from im_core.files import FileError, read_text, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
-from im_core.ros.servers import reason
+from im_core.processes.end_signals import heed_end_signals
+from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 

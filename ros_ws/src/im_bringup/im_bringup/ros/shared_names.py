@@ -9,8 +9,8 @@ from im_core.ros import qos
 from im_core.ros.failures import few
 from im_core.ros.guard import GuardedNode
 from im_core.ros.heartbeats import LEASE_S
-from im_core.ros.servers import servers_of
-from im_core.ros.stamps import wall_stamp
+from im_core.ros.messages.stamps import wall_stamp
+from im_core.ros.peers.servers import servers_of
 
 #: How often the graph is looked at [s].
 LOOK_S = 5.0

@@ -8,9 +8,9 @@ from im_bringup.calibration.summary import error_lines
 from im_bringup.calibration.truth import add_to_report
 from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_cell.robot.truth import CellTruth
-from im_core.bounded_json import read_json
 from im_core.errors import StateError
 from im_core.names import results_dir
+from im_core.text.bounded_json import read_json
 from im_msgs.srv import GetTruth
 
 SERVICE, TIMEOUT_S = "/testbed/get_truth", 10.0

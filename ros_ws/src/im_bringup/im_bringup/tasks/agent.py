@@ -14,18 +14,19 @@ from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, ref
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
-from im_core import agent_socket, names, scheduling
-from im_core import loop_heartbeat as pulse_memory
-from im_core.agent_socket import AgentOrder, AgentSocket, TaskReport
+from im_core import names
 from im_core.config import package_file
 from im_core.errors import LinkError
 from im_core.executables import path_of
 from im_core.files import make_folder, read_text, write_whole
-from im_core.loop_heartbeat import Pulse
 from im_core.patience import Patience
-from im_core.process import ChildProcess, await_ends, last_words, may_copy
-from im_core.startup import UNPROVED
-from im_core.yamltext import write_yaml
+from im_core.processes import agent_socket, scheduling
+from im_core.processes import loop_heartbeat as pulse_memory
+from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskReport
+from im_core.processes.loop_heartbeat import Pulse
+from im_core.processes.process import ChildProcess, await_ends, last_words, may_copy
+from im_core.processes.startup import UNPROVED
+from im_core.text.yamltext import write_yaml
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
 MARKER = "IM_MACHINE"

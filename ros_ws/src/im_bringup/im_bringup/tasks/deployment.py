@@ -14,9 +14,9 @@ import pydantic
 from im_bringup.tasks.memory_limit import DEFAULT_MIB
 from im_bringup.tasks.upkeep import Keep
 from im_core import config
-from im_core.bounded_json import read_json
 from im_core.config import FieldError, Model
 from im_core.errors import ConfigError, DataError, NotFoundError
+from im_core.text.bounded_json import read_json
 
 Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]

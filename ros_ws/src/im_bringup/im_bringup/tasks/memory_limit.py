@@ -9,8 +9,8 @@ import signal
 from contextlib import suppress
 from pathlib import Path
 
-from im_core.process import end_of_log
-from im_core.procfs import private_bytes
+from im_core.processes.process import end_of_log
+from im_core.processes.procfs import private_bytes
 
 DEFAULT_MIB = 2048
 """Four times the most that a process of the default deployment was seen to have."""

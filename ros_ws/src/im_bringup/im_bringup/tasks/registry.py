@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from im_bringup.tasks.deployment import PlacedTask
-from im_core.agent_socket import TaskIncarnation
 from im_core.errors import NotFoundError
+from im_core.processes.agent_socket import TaskIncarnation
 
 #: A task of another host of which nothing is reported for longer is taken for dead [s].
 SILENCE_S = 6.0

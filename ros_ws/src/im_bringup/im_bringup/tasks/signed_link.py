@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from im_core.agent_socket import AgentOrder, TaskReport
-from im_core.bounded_json import read_json
 from im_core.errors import ConfigError, DataError
 from im_core.files import FileError, read_bytes
+from im_core.processes.agent_socket import AgentOrder, TaskReport
+from im_core.text.bounded_json import read_json
 
 #: Names the file of the secret; the default is the second, in the user's folder of configurations.
 VARIABLE, _DEFAULT = "IM_SECRET_FILE", "im/secret"

@@ -2,8 +2,8 @@
 
 import os
 
-from im_core.loop_heartbeat import Pulse
-from im_core.procfs import stat_fields
+from im_core.processes.loop_heartbeat import Pulse
+from im_core.processes.procfs import stat_fields
 
 #: How often the CPU time of a process that does not tick is looked at [s].
 _LOOK_S = 1.0

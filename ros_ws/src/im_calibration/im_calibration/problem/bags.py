@@ -13,7 +13,7 @@ from im_calibration.problem.convert import dataset_head
 from im_cell.lens import LENSES, PLUMB_BOB
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
-from im_core.jsontext import JsonError, decode_json
+from im_core.text.jsontext import JsonError, decode_json
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]

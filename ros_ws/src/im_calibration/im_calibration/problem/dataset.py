@@ -28,7 +28,7 @@ from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
 from im_core.files import MEBIBYTE
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 Array = NDArray[np.float64]
 

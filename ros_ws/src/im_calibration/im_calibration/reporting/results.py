@@ -23,7 +23,7 @@ from im_cell.calibration_files import (
 from im_cell.camera_covariance import CameraCovariance
 from im_core.errors import DataError
 from im_core.files import FileError, make_folder, write_whole
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 
 def write_results(

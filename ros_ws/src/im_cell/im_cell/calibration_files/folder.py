@@ -15,7 +15,7 @@ from im_cell.robot import Camera, Cell
 from im_core.config import fault_in
 from im_core.errors import ConfigError, NotFoundError
 from im_core.files import FileError
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from im_cell.link.values import (
 from im_core import clock
 from im_core.errors import DataError
 from im_core.patience import Silence
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 DEFAULT_LIGHTS = ("left_led", "right_led")
 #: How long time waits for an image that is due, at clock factor 0 [s]: less than a servo waits for a tick.

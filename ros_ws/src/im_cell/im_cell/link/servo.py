@@ -3,7 +3,7 @@
 from im_cell.link.end import LinkEnd
 from im_cell.link.values import Faults, TickCommand, TickState
 from im_core.errors import LinkError
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 
 
 class ServoEnd(LinkEnd):

@@ -28,7 +28,7 @@ from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import CART_LINKS, Joint, LinkInertia, joints_of, links_of
 from im_core.config import FieldError, Model, load_model, package_file
 from im_core.errors import ConfigError
-from im_core.yamltext import Location
+from im_core.text.yamltext import Location
 
 SIDES = ("left", "right")
 _WORLD = "world"

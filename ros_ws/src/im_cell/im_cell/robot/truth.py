@@ -14,7 +14,7 @@ from im_cell.laser_model import LaserModel
 from im_cell.robot.parameters import Positive, Vector
 from im_core.config import Model, faults
 from im_core.errors import DataError
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 
 FILE_NAME = "truth.json"
 Matrix = tuple[Vector, Vector, Vector]

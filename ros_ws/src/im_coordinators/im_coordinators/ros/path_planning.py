@@ -22,7 +22,7 @@ from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.errors import ImError, StateError
 from im_core.ros import run
-from im_core.ros.status import status_to_error
+from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import GroupState
 from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by

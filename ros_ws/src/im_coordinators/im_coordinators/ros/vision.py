@@ -13,9 +13,9 @@ from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
-from im_core.bounded_json import read_data
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run
+from im_core.text.bounded_json import read_data
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
 from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by

@@ -4,10 +4,9 @@
 - :mod:`im_core.ros.guard`: ``GuardedNode``, base of every node, its action server and client: callbacks may raise;
   :mod:`im_core.ros.failures` counts what they raised;
 - :mod:`im_core.ros.coroutines`, :mod:`im_core.ros.calls`: what a node's loop runs, and waiting with a time-out in it;
-- :mod:`im_core.ros.heartbeats`, :mod:`im_core.ros.servers`: which task is alive, and which nodes serve a name;
+- :mod:`im_core.ros.heartbeats`, :mod:`im_core.ros.peers`: which task is alive, which nodes serve a name, and who asks;
 - :mod:`im_core.ros.dom`: client of the Data Object Manager;
-- :mod:`im_core.ros.status`, :mod:`im_core.ros.interfaces`, :mod:`im_core.ros.qos`: errors as messages, types by name,
-  qualities of service.
+- :mod:`im_core.ros.messages`, :mod:`im_core.ros.qos`: types by name, plain data, errors; qualities of service.
 """
 
 import sys

@@ -15,10 +15,10 @@ from im_core.errors import DataError, ImError, WaitTimeoutError
 from im_core.files import LARGEST, MEBIBYTE
 from im_core.ros import qos
 from im_core.ros.calls import ask_again, call
-from im_core.ros.interfaces import decoded, type_name
+from im_core.ros.messages.interfaces import decoded, type_name
+from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.servers import doubted
-from im_core.ros.status import status_to_error
+from im_core.ros.peers.servers import doubted
 from im_core.store_mark import SeenStore, StoreMark
 from im_msgs.msg import ObjectInfo
 from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, PutObject

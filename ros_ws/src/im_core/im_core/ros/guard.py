@@ -28,16 +28,16 @@ from rclpy.timer import Timer
 
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
-from im_core.ros.client_identity import client_of, nodes_of, process_of, sender_of
 from im_core.ros.failures import Failures, few, sentence
-from im_core.ros.interfaces import type_name
 from im_core.ros.logger import Logger
+from im_core.ros.messages.interfaces import type_name
+from im_core.ros.messages.status import to_status
+from im_core.ros.peers.client_identity import client_of, nodes_of, process_of, sender_of
+from im_core.ros.peers.servers import node_of
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.rclpy_fixes.timers import punctual_timer
-from im_core.ros.servers import node_of
-from im_core.ros.status import to_status
 
 INTERNAL = "internal"
 
@@ -64,8 +64,8 @@ class GuardedNode(Node):
         failures: What they raised.
         late_answers: Answers whose clients are not reached yet.
         turns: How many callbacks have begun; it stands still with the loop.
-        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.loop_watch.LoopWatch`. Whoever
-            lowers it counts a turn first.
+        standstill_s: How long the loop may stand still now [s]; see :class:`im_core.processes.loop_watch.LoopWatch`.
+            Whoever lowers it counts a turn first.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -141,7 +141,7 @@ class GuardedNode(Node):
         self.note_failure(f"{what} (its answer)", error, lambda: f"called by {self.callers(sender)}")
 
     def callers(self, sender: str) -> str:
-        """Name the possible senders of a request (:func:`im_core.ros.client_identity.sender_of`), as a text."""
+        """Name the possible senders of a request (:func:`im_core.ros.peers.client_identity.sender_of`), as a text."""
         client = process_of(sender)
         return few(nodes_of(self, client)) or client or "nobody known"
 
@@ -191,7 +191,7 @@ class GuardedNode(Node):
         """Create a service as in rclpy, with queues for many clients; an answer is sent in any case.
 
         The callback may be a coroutine. It may also return a function: that is given who called, as
-        :func:`im_core.ros.client_identity.client_of` says, and returns what the callback would have returned.
+        :func:`im_core.ros.peers.client_identity.client_of` says, and returns what the callback would have returned.
         """
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from im_core import clock
-from im_core.agent_socket import TaskIncarnation
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.patience import Silence
-from im_core.procfs import stat_fields
+from im_core.processes.agent_socket import TaskIncarnation
+from im_core.processes.procfs import stat_fields
+from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
-from im_core.startup import STATUS_TOPIC
 from im_msgs.msg import TaskStatus
 
 #: A task that has not been heard for this long is missing [s], as :class:`im_core.patience.Silence` counts.

@@ -14,17 +14,17 @@ from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
-from im_core.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
-from im_core.bounded_json import member
 from im_core.errors import ImError
-from im_core.process import dismiss_prepared
+from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
+from im_core.processes.process import dismiss_prepared
+from im_core.processes.startup import STATUS_TOPIC, StartupPhase
 from im_core.ros import qos
 from im_core.ros.coroutines import SOON_S, Alarms, Coroutines, Promise, Work
 from im_core.ros.failures import sentence
 from im_core.ros.guard import INTERNAL, GuardedNode
+from im_core.ros.messages.stamps import wall_stamp
 from im_core.ros.parameters import DeclaredParameters
-from im_core.ros.stamps import wall_stamp
-from im_core.startup import STATUS_TOPIC, StartupPhase
+from im_core.text.bounded_json import member
 from im_msgs.msg import TaskStatus
 
 #: A task says often where it is until it is ready: who came late to listen shall not hold up the start [s].
@@ -47,9 +47,9 @@ class ManagedNode(GuardedNode):
     """A task of the machine (paper, section 3): loaded, configured and started in step with all others.
 
     The agent that started the process orders the phases LOAD, CONFIGURE and START through a socket
-    (:mod:`im_core.agent_socket`); the node follows, and reports there how far it is. On ``/im/task_status`` it gives
-    heartbeats to the other nodes. With the parameter ``standalone:=true`` it passes through the phases alone; with
-    ``introspection:=metadata`` or ``contents`` all its services publish what they are asked and answer on
+    (:mod:`im_core.processes.agent_socket`); the node follows, and reports there how far it is. On ``/im/task_status``
+    it gives heartbeats to the other nodes. With the parameter ``standalone:=true`` it passes through the phases alone;
+    with ``introspection:=metadata`` or ``contents`` all its services publish what they are asked and answer on
     ``<service>/_service_event``, and with ``contents`` its actions goals, results and cancellations.
     Subclasses override :meth:`phase_configure`, :meth:`phase_start` and :meth:`phase_shutdown`.
 
@@ -57,7 +57,7 @@ class ManagedNode(GuardedNode):
         declared: Declares parameters; with a wrong one the node fails to be configured.
         detail: What is told of the task with the phases that it has passed.
         introspection: What its services publish of what they are asked and answer.
-        nets: The digests of the nets that the node runs, by name; see :func:`im_core.startup.net_digest`.
+        nets: The digests of the nets that the node runs, by name; see :func:`im_core.processes.startup.net_digest`.
         incarnations: The present one of each task, as the agent tells; None where no agent has started this process.
     """
 

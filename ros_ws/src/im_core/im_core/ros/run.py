@@ -21,12 +21,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future, Task
 from rclpy.utilities import remove_ros_args
 
-from im_core import scheduling
-from im_core.agent_socket import AgentOrder, AgentSocket
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ImError
-from im_core.loop_heartbeat import Pulse
-from im_core.loop_watch import LoopWatch
+from im_core.processes import scheduling
+from im_core.processes.agent_socket import AgentOrder, AgentSocket
+from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.loop_heartbeat import Pulse
+from im_core.processes.loop_watch import LoopWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 from im_core.ros.rclpy_fixes.backlog import new_readers, take_backlog

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from im_core import clock
 from im_core.errors import LinkError
 from im_core.ownership import check_owner, require_own
-from im_core.procfs import ProcessId
+from im_core.processes.procfs import ProcessId
 from im_core.shm_names import SHM
 
 _MAGIC = 0x696D5F73686D3032

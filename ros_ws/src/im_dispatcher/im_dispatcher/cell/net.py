@@ -1,6 +1,6 @@
 """The net ``cell``: a place for each resource, and a transition for each command, taking all the needs at once."""
 
-from im_core.yamltext import write_yaml
+from im_core.text.yamltext import write_yaml
 from im_dispatcher.cell.needs import Needs, Variant
 from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net

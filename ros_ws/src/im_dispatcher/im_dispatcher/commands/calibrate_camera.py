@@ -10,9 +10,9 @@ from pathlib import Path
 
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.bounded_json import read_json
 from im_core.errors import BEGUN_ANEW, ImError, StateError, StoreError
 from im_core.names import results_dir
+from im_core.text.bounded_json import read_json
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of

@@ -12,7 +12,7 @@ from im_core.errors import ArgumentError, ImError, StateError
 from im_core.ros import qos, run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import OneAtATime
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.message_fields import filled
 from im_dispatcher.cell import net as cell
 from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.queue import WaitingLine, reason

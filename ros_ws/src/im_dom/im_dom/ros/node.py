@@ -16,9 +16,9 @@ from im_core.ros import qos, run
 from im_core.ros.calls import pause, wait
 from im_core.ros.coroutines import Promise
 from im_core.ros.dom import DAMAGED, NOT_VALID, STORE_MARK
+from im_core.ros.messages.status import OK, ok_status, to_status
 from im_core.ros.node import ManagedNode
 from im_core.ros.repeated_warnings import Reminders
-from im_core.ros.status import OK, ok_status, to_status
 from im_core.ros.worker import Worker
 from im_dom.object_record import ObjectRecord
 from im_dom.places import Places

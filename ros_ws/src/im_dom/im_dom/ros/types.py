@@ -9,11 +9,11 @@ from typing import Any
 from ament_index_python import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import serialize_message
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError, NotFoundError
 from im_core.files import MEBIBYTE, read_text
-from im_core.ros.interfaces import decoded, message_class
-from im_core.ros.message_fields import fields_of, filled
+from im_core.ros.messages.interfaces import decoded, message_class
+from im_core.ros.messages.message_fields import fields_of, filled
+from im_core.text.bounded_json import read_json
 
 #: CDR ends with at most so many bytes that mean nothing.
 PADDING = 3

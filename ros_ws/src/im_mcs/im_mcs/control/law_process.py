@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from im_cell.robot import Cell
 from im_core import clock, names
 from im_core.errors import ConfigError, LinkError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_mcs.control.controller import ControlInput
 from im_mcs.control.guard import ControlLawError
 from im_mcs.control.link import LawLink

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from im_cell.robot import Cell
-from im_core import scheduling
 from im_core.errors import ImError
+from im_core.processes import scheduling
 from im_mcs.control.controller import Controller, ControllerSetup
 from im_mcs.control.guard import ControlLawError, load_controller
 from im_mcs.control.link import LawLink

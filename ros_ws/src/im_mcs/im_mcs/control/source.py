@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_core.startup import patience_s
+from im_core.processes.startup import patience_s
 from im_mcs.control.controller import Controller, ControllerSetup
 from im_mcs.control.guard import load_controller
 from im_mcs.control.law_process import LawProcess, RemoteLaw

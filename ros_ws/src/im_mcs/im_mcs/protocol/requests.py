@@ -27,7 +27,7 @@ from pydantic_core import core_schema
 
 from im_core.config import Fault, Model, faults
 from im_core.errors import DataError, NotFoundError
-from im_core.yamltext import Location
+from im_core.text.yamltext import Location
 from im_mcs.protocol.points import TimedPoints, unpack_points
 
 SLOWEST = 0.01
@@ -194,7 +194,7 @@ class Sender(ServoRequest):
     """Sender of a request: decides on the ownership of a group.
 
     Attributes:
-        client: The process that asks, as :mod:`im_core.ros.client_identity` knows it; empty: not known.
+        client: The process that asks, as :mod:`im_core.ros.peers.client_identity` knows it; empty: not known.
         names: What it goes by: its nodes, and an owner that the request names.
     """
 

@@ -15,9 +15,9 @@ from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import pause, run_in_thread
-from im_core.ros.client_identity import nodes_of
 from im_core.ros.coroutines import Promise
 from im_core.ros.node import ManagedNode
+from im_core.ros.peers.client_identity import nodes_of
 from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
@@ -188,7 +188,7 @@ class McsAccess:
         A process that has just begun is given a moment to be known by name.
 
         Args:
-            client: As :func:`im_core.ros.client_identity.client_of` says; empty: not known.
+            client: As :func:`im_core.ros.peers.client_identity.client_of` says; empty: not known.
             *names: Owners that the request names; empty ones do not count.
         """
         nodes = nodes_of(self.node, client) if client else ()

@@ -4,7 +4,7 @@ import sys
 from contextlib import suppress
 
 from im_core.errors import ConfigError
-from im_core.process import prepare
+from im_core.processes.process import prepare
 from im_mcs.limits.configuration import load_config
 
 

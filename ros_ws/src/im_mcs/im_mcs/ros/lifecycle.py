@@ -14,7 +14,7 @@ from im_core.ros.node import ManagedNode
 from im_mcs.ros.bounds import check_bounds
 
 Work = Callable[[str], Awaitable[None]]
-"""Work of a transition, for a client (:func:`im_core.ros.client_identity.client_of`); empty: for the node itself."""
+"""Work of a transition, for a client (:func:`.client_of`); empty: for the node itself."""
 
 
 class Lifecycle:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_mcs.client.groups import GroupState
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.saturation import KINDS

@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import run_in_thread
-from im_core.ros.status import ok_status, to_status
+from im_core.ros.messages.status import ok_status, to_status
 from im_mcs.client.groups import best_positions, group_state
 from im_mcs.client.points import ordered_points
 from im_mcs.ros import messages

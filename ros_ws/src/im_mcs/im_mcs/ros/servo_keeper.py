@@ -8,12 +8,12 @@ from typing import Any
 from im_cell.link import ClockEnd
 from im_core import clock, names
 from im_core.errors import ImError, LinkError, StateError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import patience_s
 from im_core.ros.calls import run_in_thread
 from im_core.ros.coroutines import Promise, calling
 from im_core.ros.node import ManagedNode
 from im_core.shm import dead_owner
-from im_core.startup import patience_s
 from im_mcs.client.emergency_stop import EmergencyStop
 from im_mcs.client.servo_client import OnState, ServoClient
 from im_mcs.client.time_source import FlowingTime, TestbedTime

@@ -12,10 +12,10 @@ from sensor_msgs.msg import JointState
 
 from im_core import clock
 from im_core.errors import LinkError
+from im_core.processes.startup import patience_s
 from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.guard import GuardedNode
-from im_core.startup import patience_s
 from im_mcs.testbed.joint_state import TopicLink
 
 _BELL_S = 0.1

@@ -24,12 +24,12 @@ from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.control_loop import ControlLoop
 from im_mcs.servo.dispatch import Dispatch
 from im_mcs.servo.gripper import Grippers
-from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.partition import Partitions
 from im_mcs.servo.torque_stream import Ended
 from im_mcs.state import POWERED, Event, State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, TestbedInterface
+from im_mcs.testbed.hardware import GuardedTestbed
 
 
 class Mcs:

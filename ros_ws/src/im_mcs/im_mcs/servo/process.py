@@ -5,11 +5,12 @@ import signal
 from typing import Any
 
 from im_cell.robot import load_cell
-from im_core import clock, scheduling
-from im_core.end_signals import END_SIGNALS, heed_end_signals
+from im_core import clock
 from im_core.errors import LinkError
 from im_core.patience import Silence
-from im_core.startup import patience_s
+from im_core.processes import scheduling
+from im_core.processes.end_signals import END_SIGNALS, heed_end_signals
+from im_core.processes.startup import patience_s
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel, channel_name
@@ -18,11 +19,11 @@ from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.safety.stop_mark import StopLatch, StopMark
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.hardware import GuardedTestbed
 from im_mcs.servo.realtime import Pacer
 from im_mcs.servo.report import Reporter
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface
+from im_mcs.testbed.hardware import GuardedTestbed
 
 _WAIT_S = 0.05
 _LOOK_S = 0.02

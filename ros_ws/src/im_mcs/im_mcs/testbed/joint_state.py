@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import ConfigError, LinkError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
 from im_core.shm import Semaphore, SharedBlock, SharedRecord, Snapshot
 from im_mcs.testbed.driver import Drive, Measured
 

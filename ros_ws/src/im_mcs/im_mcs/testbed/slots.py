@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ConfigError
-from im_core.startup import patience_s
+from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import ChannelDriver, Drive, HostedHardware, Measured, SelfReporting, TimeKeeper, load_driver
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 
 from im_core.errors import ImError, nearest, quoted_text
-from im_core.yamltext import Location
+from im_core.text.yamltext import Location
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text

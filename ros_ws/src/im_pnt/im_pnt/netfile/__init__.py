@@ -1,6 +1,6 @@
 """Net files: YAML or PNML to nets, with file, line, column and the nearest right name in complaints.
 
-A file is read to values with positions (:mod:`im_core.yamltext`), put together (:mod:`~im_pnt.netfile.templates`),
+A file is read to values with positions (:mod:`im_core.text.yamltext`), put together (:mod:`~im_pnt.netfile.templates`),
 checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`~im_pnt.netfile.reader`;
 :mod:`~im_pnt.netfile.writer` writes one.
 """

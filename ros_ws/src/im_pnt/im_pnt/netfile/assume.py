@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from im_core.errors import nearest
-from im_core.yamltext import Location
+from im_core.text.yamltext import Location
 from im_pnt.model.net import Assumption, Net
 from im_pnt.netfile.schema.names import shown_name
 

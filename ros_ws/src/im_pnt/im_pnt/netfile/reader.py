@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from im_core.errors import DataError, nearest
-from im_core.yamltext import Kind, Location, Value, find
+from im_core.text.yamltext import Kind, Location, Value, find
 from im_pnt.errors import NetError, NetFileError
 from im_pnt.expression.scope import check_net
 from im_pnt.expression.types import NoTypes

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from im_core.errors import DataError, nearest, quoted_text
 from im_core.message_paths import resolve_below
-from im_core.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
+from im_core.text.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text, evaluate

@@ -9,7 +9,7 @@ import pydantic
 from im_core import files
 from im_core.config import Fault, faults, field_name
 from im_core.errors import nearest
-from im_core.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
+from im_core.text.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
 from im_pnt.errors import NetFileError
 from im_pnt.netfile.schema.names import shown_name
 from im_pnt.netfile.schema.scalars import WrongKeyError, written

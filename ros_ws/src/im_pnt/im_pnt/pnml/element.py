@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from xml.parsers import expat
 
 from im_core.errors import shortened
-from im_core.yamltext import Kind, Value
+from im_core.text.yamltext import Kind, Value
 from im_pnt.errors import NetFileError
 
 MAX_DEPTH = 100

@@ -4,8 +4,8 @@ import json
 import re
 from collections.abc import Mapping
 
-from im_core.jsontext import decode_json
-from im_core.yamltext import MAX_DEPTH, Kind, Value, mapping, scalar, sequence
+from im_core.text.jsontext import decode_json
+from im_core.text.yamltext import MAX_DEPTH, Kind, Value, mapping, scalar, sequence
 from im_pnt.pnml.element import Element
 
 TOOL = "im"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from im_core.errors import nearest, quoted_text, shortened
-from im_core.yamltext import Value
+from im_core.text.yamltext import Value
 from im_pnt.model.net import LARGEST
 from im_pnt.pnml.check import ARCS, NODES, Known, check
 from im_pnt.pnml.element import Element

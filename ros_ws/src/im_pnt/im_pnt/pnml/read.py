@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from im_core.errors import nearest, quoted_text, shortened
-from im_core.yamltext import Value, as_data, mapping, scalar
+from im_core.text.yamltext import Value, as_data, mapping, scalar
 from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
 from im_pnt.netfile.schema.names import MAX_NAME, as_name

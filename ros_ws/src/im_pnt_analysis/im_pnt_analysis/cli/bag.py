@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
     for what, (heading, rows) in tables.items():
         print("\n".join([*heading, *(rows if options.all else _shortened(rows, what))]), end="\n\n")
     if options.picture is not None:
-        from im_pnt_analysis.timed.plot import plot_mission  # Matplotlib takes a second to come
+        from im_pnt_analysis.recorded.plot import plot_mission  # Matplotlib takes a second to come
 
         plot_mission(mission, options.picture)
         print(f"picture {options.picture}")

@@ -21,7 +21,6 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
   scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
   scripts/im pnt schema > net.schema.json                         what editors complete and explain net files with
-  scripts/im pnt bench dispatcher.yaml                            how fast it fires and is searched
   scripts/im pnt journal show dispatcher                          what a node would remember if it came back
   scripts/im pnt bag bags/demo --picture mission.svg              what a recording tells: time line, gaps, durations
   scripts/im pnt fit bags/demo --nets pick.yaml --write           delays and probabilities of nets out of recordings
@@ -45,7 +44,6 @@ _COMMANDS = {
 """Modules of this folder; only the one that is called is imported, which no other has to wait for."""
 
 _ELSEWHERE = {
-    "bench": "im_pnt_node",
     "display": "im_pnt_display",
     "draw": "im_pnt_display",
     "journal": "im_pnt_node",

@@ -81,7 +81,6 @@ class Coverability:
         sequence: Where the net is unbounded: transitions to fire first,
         repeat: and those that can then be repeated for ever, each time with more tokens.
         growing: Places that gain tokens with each repetition.
-        dead_sequence: Firings to a marking without an enabled transition, if one was met.
         labels: Number of markings with omegas that were made.
         reason: Why the search is not complete, empty if it is.
     """
@@ -95,7 +94,6 @@ class Coverability:
     sequence: tuple[str, ...] = ()
     repeat: tuple[str, ...] = ()
     growing: tuple[str, ...] = ()
-    dead_sequence: tuple[str, ...] | None = None
     labels: int = 0
     reason: str = ""
 
@@ -133,7 +131,6 @@ class _Tree:
         self.seen: set[Label] = set()
         self.largest: dict[Label, Antichain] = {}
         self.growth: tuple[_Node, _Node, Label] | None = None
-        self.dead: _Node | None = None
         self.fired: set[int] = set()
         self._add(_Node(initial, None, -1, sum(initial)))
 
@@ -158,8 +155,6 @@ class _Tree:
     def _following(self, node: _Node) -> list[_Node]:
         compiled = self.compiled
         enabled = [number for number in range(len(compiled.transitions)) if _enabled(compiled, node.label, number)]
-        if not enabled and self.dead is None and OMEGA not in node.label:
-            self.dead = node
         self.fired.update(enabled)
         kept = []
         for transition in enabled:
@@ -230,7 +225,6 @@ class _Tree:
             sequence,
             repeat,
             growing,
-            None if self.dead is None else tuple(self._path(self.dead)),
             len(self.nodes),
             reason,
         )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from im_core.errors import ImError, nearest
 from im_core.files import MEBIBYTE, FileError, read_text
-from im_core.jsontext import JsonError, decode_json
+from im_core.text.jsontext import JsonError, decode_json
 from im_pnt.errors import NetError
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net

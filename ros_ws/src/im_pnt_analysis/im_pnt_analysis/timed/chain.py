@@ -4,13 +4,12 @@ Time passes in tangible markings; vanishing ones are left at once, by weights in
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, cast
 
 from im_core.clock import thread_cpu
 from im_pnt.errors import NetError
-from im_pnt_analysis.timed.elimination import Eliminated, N, eliminate, stationary
+from im_pnt_analysis.timed.elimination import Eliminated, eliminate, stationary
 from im_pnt_analysis.timed.model import TimedNet
 
 Vector = tuple[int, ...]
@@ -149,51 +148,46 @@ _SMALL = 2000
 
 
 @dataclass(frozen=True, slots=True)
-class Chain(Generic[N]):
+class Chain:
     """Chain with a state for every marking.
 
     Attributes:
         found: The markings.
         firings: For each marking its firings: transition, marking reached, rate [1/s] or weight.
         rows: For each marking the rates or weights to other markings.
-        one: The number 1 in its arithmetic.
     """
 
     found: Markings
-    firings: list[list[tuple[int, int, N]]]
-    rows: list[dict[int, N]]
-    one: N
+    firings: list[list[tuple[int, int, float]]]
+    rows: list[dict[int, float]]
 
 
-def chain(found: Markings, number: Callable[[float], N]) -> Chain[N]:
+def chain(found: Markings) -> Chain:
     """Give the firings the rates and weights.
 
     Args:
         found: The markings.
-        number: Makes the numbers to count with.
     """
     net = found.net
-    speed: dict[int, N] = {}
+    speed: dict[int, float] = {}
     for timer in net.timers:
         delay = timer.delay
-        rate = number(delay.values[0]) if delay.kind == "exponential" else number(1.0) / number(delay.mean)
-        speed.update((way, rate * number(probability)) for ways, probability in timer.outcomes for way in ways)
-    weight = [number(value) for value in net.weight]
-    one = number(1.0)
-    firings: list[list[tuple[int, int, N]]] = []
-    rows: list[dict[int, N]] = []
+        rate = delay.values[0] if delay.kind == "exponential" else 1.0 / delay.mean
+        speed.update((way, rate * probability) for ways, probability in timer.outcomes for way in ways)
+    firings: list[list[tuple[int, int, float]]] = []
+    rows: list[dict[int, float]] = []
     for state, arcs in enumerate(found.arcs):
         if found.tangible[state]:
             rated = [(transition, target, speed[transition] * servers) for transition, target, servers in arcs]
         else:
-            rated = [(t, target, one if t == RENEWAL else weight[t] or one) for t, target, _ in arcs]
-        row: dict[int, N] = {}
+            rated = [(t, target, 1.0 if t == RENEWAL else net.weight[t] or 1.0) for t, target, _ in arcs]
+        row: dict[int, float] = {}
         for _, target, rate in rated:
             if target != state:
                 row[target] = row[target] + rate if target in row else rate
         firings.append(rated)
         rows.append(row)
-    return Chain(found, firings, rows, one)
+    return Chain(found, firings, rows)
 
 
 def recurrent_classes(found: Markings) -> list[list[int]]:
@@ -239,35 +233,31 @@ def _loop(found: Markings, members: Sequence[int]) -> list[str]:
     return names[::-1]
 
 
-def class_probabilities(links: Chain[N], classes: Sequence[Sequence[int]], deadline: float | None) -> list[N]:
+def class_probabilities(links: Chain, classes: Sequence[Sequence[int]]) -> list[float]:
     """Compute the probability of each recurrent class of the chain.
 
     Args:
         links: The chain; it begins in its first marking.
         classes: All its recurrent classes.
-        deadline: When to give up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
-
-    Raises:
-        TookTooLongError: The deadline has passed.
     """
     home = {state: members[0] for members in classes for state in members}
     if len(classes) == 1 or 0 in home:
-        return [links.one if len(classes) == 1 or home[0] == members[0] else links.one * 0 for members in classes]
-    rows: list[dict[int, N]] = []
+        return [float(len(classes) == 1 or home[0] == members[0]) for members in classes]
+    rows: list[dict[int, float]] = []
     for state, row in enumerate(links.rows):
-        merged: dict[int, N] = {}
+        merged: dict[int, float] = {}
         if state not in home:
             for target, rate in row.items():
                 target = home.get(target, target)
                 merged[target] = merged[target] + rate if target in merged else rate
         rows.append(merged)
     passing = [state for state in range(1, len(rows)) if state not in home]
-    last = eliminate(rows, passing, deadline).rows[0]
+    last = eliminate(rows, passing).rows[0]
     whole = sum(last.values())
-    return [last.get(members[0], links.one * 0) / whole for members in classes]
+    return [last.get(members[0], 0.0) / whole for members in classes]
 
 
-def class_measure(links: Chain[N], members: Sequence[int], deadline: float | None) -> tuple[dict[int, N], str]:
+def class_measure(links: Chain, members: Sequence[int]) -> tuple[dict[int, float], str]:
     """Compute the stationary measure of a recurrent class, and name the method.
 
     Time shares of tangible markings add up to 1; of a vanishing marking the measure times a weight is a rate of firing.
@@ -275,23 +265,20 @@ def class_measure(links: Chain[N], members: Sequence[int], deadline: float | Non
     Args:
         links: The chain.
         members: States of the class, a tangible one first.
-        deadline: When elimination gives up, in :func:`im_core.clock.thread_cpu` [s]; None: never.
 
     Raises:
-        TookTooLongError: The deadline has passed.
         NetError: The equations of a large class could not be solved well enough.
     """
     tangible = [state for state in members if links.found.tangible[state]]
     if len(tangible) <= _SMALL:
-        measure = stationary(links.rows, members, links.one, deadline)
+        measure = stationary(links.rows, members)
         method = "elimination without subtraction"
     else:
         from im_pnt_analysis.timed.sparse import stationary_sparse
 
         vanishing = [state for state in members if not links.found.tangible[state]]
         without = eliminate(links.rows, vanishing) if vanishing else Eliminated(links.rows, [], {})
-        time, method = stationary_sparse(cast("Any", without.rows), tangible)
-        measure = {state: cast("Any", share) for state, share in time.items()}
+        measure, method = stationary_sparse(without.rows, tangible)
         without.extend(measure)
     whole = sum(measure[state] for state in tangible)
     return {state: value / whole for state, value in measure.items()}, method

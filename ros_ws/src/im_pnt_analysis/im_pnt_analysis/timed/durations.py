@@ -124,9 +124,9 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     if not any(found.tangible):
         raise NetError(f"command {symbol} fires no transition with a delay; its duration needs one")
     _require_answer(found, symbol)
-    links = chain(found, float)
+    links = chain(found)
     classes = recurrent_classes(found)
-    measure, method = class_measure(links, classes[0], None)
+    measure, method = class_measure(links, classes[0])
     done_place = net.ends[0]
     answered = {s: value for s, value in measure.items() if _is_end(found, s)}
     rate = sum(answered.values())  # answers a second, each begins the next command: one takes 1 / rate
@@ -167,7 +167,7 @@ def _require_answer(found: Markings, symbol: str) -> None:
             raise NetError(f"command {symbol} {what} without an answer after {way}, with {marking}")
 
 
-def _remaining(links: Chain[float]) -> Sequence[float]:
+def _remaining(links: Chain) -> Sequence[float]:
     """Solve for the remaining time of each marking until the answer [s]."""
     from im_pnt_analysis.timed.sparse import remaining_time
 

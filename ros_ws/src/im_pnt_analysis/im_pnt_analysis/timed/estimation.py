@@ -91,15 +91,22 @@ class _Family:
 
     Attributes:
         fit: The parameters of the greatest likelihood.
-        log_likelihood: Of parameters.
-        profile: The greatest likelihood with one parameter, by its number, at a value.
+        scipy: Name of the distribution in scipy.stats, its shapes, and its scale, from parameters.
+        profile: The parameters of the greatest likelihood with one of them, by its number, at a value.
         positive: Whether each parameter is above 0, so that intervals are searched by factors.
     """
 
     fit: Callable[[Array], tuple[float, ...]]
-    log_likelihood: Callable[[Array, tuple[float, ...]], float]
-    profile: Callable[[Array, int, float], float]
+    scipy: Callable[[tuple[float, ...]], tuple[str, tuple[float, ...], float]]
+    profile: Callable[[Array, int, float], tuple[float, ...]]
     positive: tuple[bool, ...]
+
+    def log_likelihood(self, sample: Array, values: tuple[float, ...]) -> float:
+        """Return the logarithm of the likelihood of parameters."""
+        from scipy import stats
+
+        name, shapes, scale = self.scipy(values)
+        return float(getattr(stats, name).logpdf(sample, *shapes, scale=scale).sum())
 
 
 def _criterion(family: _Family, sample: Array) -> float:
@@ -118,7 +125,7 @@ def _intervals(family: _Family, delay: Delay, sample: Array) -> dict[str, Interv
 
         def height(way: float, number: int = number, value: float = value, step: float = step) -> float:
             at = value * math.exp(way) if family.positive[number] else value + way * step
-            return family.profile(sample, number, at) - bound
+            return family.log_likelihood(sample, family.profile(sample, number, at)) - bound
 
         ends = (_crossing(height, -1.0), _crossing(height, 1.0))
         low, high = (value * math.exp(e) if family.positive[number] else value + e * step for e in ends)
@@ -148,20 +155,6 @@ def _newton(function: Callable[[float], float], guess: float) -> float:
     return float(brentq(function, low, high, rtol=1e-10)) if function(low) * function(high) <= 0.0 else guess
 
 
-def _exponential_likelihood(sample: Array, values: tuple[float, ...]) -> float:
-    return len(sample) * math.log(values[0]) - values[0] * float(sample.sum())
-
-
-def _gamma_likelihood(sample: Array, values: tuple[float, ...]) -> float:
-    shape, scale = values
-    logs = float(np.log(sample).sum())
-    return (
-        (shape - 1.0) * logs
-        - float(sample.sum()) / scale
-        - len(sample) * (math.lgamma(shape) + shape * math.log(scale))
-    )
-
-
 def _gamma_shape(sample: Array, scale: float | None) -> float:
     """The best shape, with the best scale or a given one."""
     from scipy.special import digamma
@@ -179,31 +172,13 @@ def _fit_gamma(sample: Array) -> tuple[float, ...]:
     return shape, float(sample.mean()) / shape
 
 
-def _profile_gamma(sample: Array, number: int, value: float) -> float:
-    values = (value, float(sample.mean()) / value) if number == 0 else (_gamma_shape(sample, value), value)
-    return _gamma_likelihood(sample, values)
+def _profile_gamma(sample: Array, number: int, value: float) -> tuple[float, ...]:
+    return (value, float(sample.mean()) / value) if number == 0 else (_gamma_shape(sample, value), value)
 
 
-def _lognormal_likelihood(sample: Array, values: tuple[float, ...]) -> float:
-    mu, sigma = values
+def _profile_lognormal(sample: Array, number: int, value: float) -> tuple[float, ...]:
     logs = np.log(sample)
-    spread = float(((logs - mu) ** 2).sum()) / (2.0 * sigma**2)
-    return -spread - float(logs.sum()) - len(sample) * math.log(sigma * math.sqrt(2.0 * math.pi))
-
-
-def _profile_lognormal(sample: Array, number: int, value: float) -> float:
-    logs = np.log(sample)
-    if number == 0:
-        return _lognormal_likelihood(sample, (value, math.sqrt(float(((logs - value) ** 2).mean()))))
-    return _lognormal_likelihood(sample, (float(logs.mean()), value))
-
-
-def _weibull_likelihood(sample: Array, values: tuple[float, ...]) -> float:
-    scale, shape = values
-    ratio = np.log(sample / scale)
-    return (
-        len(sample) * math.log(shape / scale) + (shape - 1.0) * float(ratio.sum()) - float(np.exp(shape * ratio).sum())
-    )
+    return (value, math.sqrt(float(((logs - value) ** 2).mean()))) if number == 0 else (float(logs.mean()), value)
 
 
 def _weibull_shape(sample: Array, scale: float | None) -> float:
@@ -228,24 +203,25 @@ def _fit_weibull(sample: Array) -> tuple[float, ...]:
     return _weibull_scale(sample, shape), shape
 
 
-def _profile_weibull(sample: Array, number: int, value: float) -> float:
-    values = (value, _weibull_shape(sample, value)) if number == 0 else (_weibull_scale(sample, value), value)
-    return _weibull_likelihood(sample, values)
+def _profile_weibull(sample: Array, number: int, value: float) -> tuple[float, ...]:
+    return (value, _weibull_shape(sample, value)) if number == 0 else (_weibull_scale(sample, value), value)
 
 
 _FAMILIES: Mapping[str, _Family] = {
     "exponential": _Family(
         lambda sample: (1.0 / float(sample.mean()),),
-        _exponential_likelihood,
-        lambda sample, _, value: _exponential_likelihood(sample, (value,)),
+        lambda values: ("expon", (), 1.0 / values[0]),
+        lambda sample, _, value: (value,),
         (True,),
     ),
-    "gamma": _Family(_fit_gamma, _gamma_likelihood, _profile_gamma, (True, True)),
+    "gamma": _Family(_fit_gamma, lambda values: ("gamma", (values[0],), values[1]), _profile_gamma, (True, True)),
     "lognormal": _Family(
         lambda sample: (float(np.log(sample).mean()), float(np.log(sample).std())),
-        _lognormal_likelihood,
+        lambda values: ("lognorm", (values[1],), math.exp(values[0])),
         _profile_lognormal,
         (False, True),
     ),
-    "weibull": _Family(_fit_weibull, _weibull_likelihood, _profile_weibull, (True, True)),
+    "weibull": _Family(
+        _fit_weibull, lambda values: ("weibull_min", (values[1],), values[0]), _profile_weibull, (True, True)
+    ),
 }

@@ -26,7 +26,7 @@ _BETWEEN_CHECKS = 20
 Vector = NDArray[np.float64]
 
 
-def stationary_sparse(rows: Rows[float], states: Sequence[int]) -> tuple[dict[int, float], str]:
+def stationary_sparse(rows: Rows, states: Sequence[int]) -> tuple[dict[int, float], str]:
     """Compute the stationary measure of a large irreducible chain.
 
     Gauss-Seidel sweeps while they converge well, a sparse LU factorisation where they do not (Stewart, Introduction to
@@ -103,14 +103,14 @@ def _factorise(balance: Any, reference: int) -> Vector:
     return np.insert(flow, reference, 1.0)
 
 
-def _matrix(rows: Rows[float], states: Sequence[int]) -> Any:
+def _matrix(rows: Rows, states: Sequence[int]) -> Any:
     number = {state: i for i, state in enumerate(states)}
     entries = [(i, number[j], float(rate)) for i, state in enumerate(states) for j, rate in rows[state].items()]
     source, target, rate = (np.array(column) for column in zip(*entries, strict=True))
     return sparse.csr_matrix((rate, (source, target)), shape=(len(states), len(states)))
 
 
-def remaining_time(rows: Rows[float], tangible: Sequence[bool], ends: Sequence[int]) -> list[float]:
+def remaining_time(rows: Rows, tangible: Sequence[bool], ends: Sequence[int]) -> list[float]:
     """Compute the expected time until one of the ends, from each state.
 
     Args:

@@ -5,22 +5,18 @@ eliminated from the chain like any other state, loops among them included. Sourc
 with Generalized Stochastic Petri Nets", 1995, chapter 6; Molloy, IEEE Trans. Computers C-31(9), 1982.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 
-from im_core.clock import monotonic, thread_cpu
+from im_core.clock import monotonic
 from im_pnt.errors import NetError
 from im_pnt.model.net import Net
 from im_pnt_analysis.timed.chain import Markings, chain, class_measure, class_probabilities, reach, recurrent_classes
-from im_pnt_analysis.timed.elimination import N, TookTooLongError, fraction
 from im_pnt_analysis.timed.model import timed_net
 
-_EXACT_STATES = 400
-_EXACT_SECONDS = 5.0
 _MARKINGS_KEPT = 10_000
-
-Number = Fraction | float
+_EMPTY = 1e-12
+"""Shares of the time below this are errors of rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +30,7 @@ class RecurrentClass:
         marking: One of its tangible markings.
     """
 
-    probability: Number
+    probability: float
     markings: int
     dead: bool
     marking: dict[str, int]
@@ -42,11 +38,11 @@ class RecurrentClass:
 
 @dataclass(frozen=True, slots=True)
 class SteadyState:
-    """Long averages; exact ones as fractions.
+    """Long averages.
 
     Attributes:
-        tangible: Number of markings in which time passes.
-        vanishing: Number of markings that are left at once.
+        tangible: float of markings in which time passes.
+        vanishing: float of markings that are left at once.
         probability: Tangible markings and their share of the time, those of no share left out; empty where there are
             more than 10,000.
         throughput: Firings of each transition a second [1/s].
@@ -56,29 +52,25 @@ class SteadyState:
         tokens: For each place the share of the time of each number of tokens.
         classes: The recurrent classes that can be reached.
         method: How it was computed.
-        approximation: Transitions whose delay was replaced by an exponential one of the same mean; empty: exact.
         assumptions: What is taken for granted.
         time_s: How long it took [s].
     """
 
     tangible: int
     vanishing: int
-    probability: Sequence[tuple[dict[str, int], Number]]
-    throughput: Mapping[str, Number]
-    mean_tokens: Mapping[str, Number]
-    marked: Mapping[str, Number]
-    busy: Mapping[str, Number]
-    tokens: Mapping[str, Mapping[int, Number]]
+    probability: Sequence[tuple[dict[str, int], float]]
+    throughput: Mapping[str, float]
+    mean_tokens: Mapping[str, float]
+    marked: Mapping[str, float]
+    busy: Mapping[str, float]
+    tokens: Mapping[str, Mapping[int, float]]
     classes: Sequence[RecurrentClass]
     method: str
-    approximation: tuple[str, ...]
     assumptions: tuple[str, ...]
     time_s: float
 
 
-def steady_state(
-    nets: Sequence[Net], *, approximate: bool = False, seconds: float = 60.0, states: int = 1_000_000
-) -> SteadyState:
+def steady_state(nets: Sequence[Net], *, seconds: float = 60.0, states: int = 1_000_000) -> SteadyState:
     """Compute the steady state of nets composed with the environment.
 
     Exact for exponential delays, and for any others of transitions that never run beside another one: there the means
@@ -86,7 +78,6 @@ def steady_state(
 
     Args:
         nets: The nets.
-        approximate: Take other delays for exponential ones of the same mean.
         seconds: CPU time for the search of the markings [s].
         states: Markings at most.
 
@@ -95,8 +86,8 @@ def steady_state(
             go round for ever, or there are too many markings.
 
     >>> averages = steady_state([oven])
-    >>> averages.throughput["bake"], averages.marked["full"]
-    (Fraction(1, 5), Fraction(4, 5))
+    >>> round(averages.throughput["bake"], 12), round(averages.marked["full"], 12)
+    (0.2, 0.8)
     """
     begin = monotonic()
     if not seconds > 0.0:
@@ -105,14 +96,9 @@ def steady_state(
     if not net.timers:
         raise NetError(f"no transition of {net.compiled.net.name} has a delay, so that there is no time to divide by")
     found = reach(net, states=states, seconds=seconds)
-    if found.rivals and not approximate:
+    if found.rivals:
         raise _not_exponential(found)
-    try:
-        if len(found.vectors) <= _EXACT_STATES:
-            return _solve(found, fraction, begin, deadline=thread_cpu() + _EXACT_SECONDS)
-    except TookTooLongError:
-        pass
-    return _solve(found, float, begin, deadline=None)
+    return _solve(found, begin)
 
 
 def _not_exponential(found: Markings) -> NetError:
@@ -120,30 +106,28 @@ def _not_exponential(found: Markings) -> NetError:
     names = ", ".join(f"{timer.name} ({timer.delay})" for timer in timers)
     return NetError(
         f"the steady state can be computed for exponential delays only, or where one thing happens at a time; {names} "
-        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation; with --approximate they "
-        "are taken for exponential delays of the same mean",
+        "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation",
         transitions=[timer.name for timer in timers],
     )
 
 
-def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline: float | None) -> SteadyState:
+def _solve(found: Markings, begin: float) -> SteadyState:
     net = found.net
-    links = chain(found, number)
+    links = chain(found)
     classes = recurrent_classes(found)
-    likely = class_probabilities(links, classes, deadline)
-    measure: dict[int, N] = {}
+    likely = class_probabilities(links, classes)
+    measure: dict[int, float] = {}
     methods: dict[str, None] = {}
     for members, share in zip(classes, likely, strict=True):
         if share:  # a class that is never reached adds nothing, and its equations may be the longest
-            part, method = class_measure(links, members, deadline)
+            part, method = class_measure(links, members)
             measure.update((state, value * share) for state, value in part.items())
             methods[method] = None
-    zero = links.one * 0
-    throughput = dict.fromkeys(net.shown, zero)
-    mean = dict.fromkeys(net.shown_places, zero)
-    tokens: dict[str, dict[int, N]] = {name: {} for name in net.shown_places}
-    busy = {timer.name: zero for timer in net.timers}
-    probability: list[tuple[dict[str, int], Number]] = []
+    throughput = dict.fromkeys(net.shown, 0.0)
+    mean = dict.fromkeys(net.shown_places, 0.0)
+    tokens: dict[str, dict[int, float]] = {name: {} for name in net.shown_places}
+    busy = {timer.name: 0.0 for timer in net.timers}
+    probability: list[tuple[dict[str, int], float]] = []
     plain = [(timer.name, timer.outcomes[0][0][0]) for timer in net.timers if timer.active is None]
     actions = [(timer.name, timer.active) for timer in net.timers if timer.active is not None]
     for state, share in measure.items():
@@ -156,7 +140,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
             probability.append((marking, share))
         for place, count in marking.items():
             mean[place] += share * count
-            tokens[place][count] = tokens[place].get(count, zero) + share
+            tokens[place][count] = tokens[place].get(count, 0.0) + share
         firing = {transition for transition, _, _ in links.firings[state]}
         for name, transition in plain:
             if transition in firing:
@@ -164,12 +148,11 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
         for name, active in actions:
             if found.vectors[state][active]:
                 busy[name] += share
-    marked = {place: sum(shares.values(), start=zero) for place, shares in tokens.items()}
+    marked = {place: sum(shares.values(), start=0.0) for place, shares in tokens.items()}
     for place, shares in tokens.items():
-        if links.one - marked[place] > 0:  # markings name marked places only: the rest of the time the place is empty
-            shares[0] = links.one - marked[place]
+        if 1.0 - marked[place] > _EMPTY:  # markings name marked places only: the rest of the time the place is empty
+            shares[0] = 1.0 - marked[place]
     tangible = sum(found.tangible)
-    exact = "fractions, " if number is fraction else ""
     return SteadyState(
         tangible,
         len(found.vectors) - tangible,
@@ -188,8 +171,7 @@ def _solve(found: Markings, number: Callable[[float], N], begin: float, deadline
             )
             for members, share in zip(classes, likely, strict=True)
         ],
-        exact + "; ".join(methods),
-        tuple(net.timers[timer].name for timer in sorted(found.rivals)),
+        "; ".join(methods),
         net.assumptions,
         monotonic() - begin,
     )

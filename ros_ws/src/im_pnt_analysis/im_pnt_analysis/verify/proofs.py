@@ -17,8 +17,8 @@ import pydantic
 from im_core import files
 from im_core.errors import DataError, StoreError
 from im_core.files import make_folder, read_bytes, write_whole
-from im_core.jsontext import load_json
 from im_core.names import cache_dir
+from im_core.text.jsontext import load_json
 from im_pnt.model.net import Net
 from im_pnt.netfile import yaml_text
 from im_pnt_analysis.verify.report import Report

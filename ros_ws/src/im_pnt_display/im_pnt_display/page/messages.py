@@ -6,8 +6,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from im_core.bounded_json import read_json
 from im_core.errors import ImError
+from im_core.text.bounded_json import read_json
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Phase
 from im_pnt.model.net import Net

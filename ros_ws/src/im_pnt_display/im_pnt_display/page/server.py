@@ -11,9 +11,9 @@ import threading
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
-from im_core.bounded_json import read_json
 from im_core.errors import LinkError
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
+from im_core.text.bounded_json import read_json
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
 from im_pnt_display.page.viewers import Audience, Operate, Viewers

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from aiohttp import WSMsgType, web
 
-from im_core.bounded_json import read_json
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
+from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
 from im_pnt_display.page.viewers import Operate, Viewers
 

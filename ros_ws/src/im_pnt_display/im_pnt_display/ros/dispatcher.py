@@ -12,12 +12,12 @@ from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError, ImError, StateError
 from im_core.ros import qos
 from im_core.ros.calls import call, wait
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
+from im_core.text.bounded_json import read_json
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import ControlCommand, GroupCommand, ListCommands
 

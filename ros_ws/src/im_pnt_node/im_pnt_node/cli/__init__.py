@@ -1,1 +1,1 @@
-"""Commands of ``pnt`` with journals or an exchange: ``journal`` and ``bench``."""
+"""Command ``journal`` of ``pnt``."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from im_core.errors import ConfigError, NotFoundError
-from im_core.jsontext import JsonError, decode_json
+from im_core.text.jsontext import JsonError, decode_json
 from im_pnt.model.arguments import ArgumentSchema, ArgumentType
 from im_pnt.model.net import Net
 

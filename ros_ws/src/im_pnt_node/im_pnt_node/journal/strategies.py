@@ -10,7 +10,7 @@ from pathlib import Path
 
 from im_core.errors import StoreError
 from im_core.files import FileError, write_whole
-from im_core.jsontext import load_json
+from im_core.text.jsontext import load_json
 from im_pnt.errors import NetError
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.model.net import Strategy

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from im_core.bounded_json import read_json
 from im_core.errors import DataError
+from im_core.text.bounded_json import read_json
 from im_pnt_node.rerun.log import Key
 
 Item = list[object]

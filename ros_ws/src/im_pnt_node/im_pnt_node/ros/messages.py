@@ -1,20 +1,17 @@
-"""Messages and plain data: the types of fields, messages from data, and data from messages."""
+"""Messages as plain data: the types of fields, and the fields that expressions of nets need."""
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
 
 from rclpy.serialization import serialize_message
 
-from im_core.errors import ConfigError, ImError, NotFoundError, nearest
-from im_core.ros.interfaces import interface_class, type_name
-from im_pnt.errors import NetError
+from im_core.errors import ConfigError, ImError, NotFoundError
+from im_core.ros.messages.interfaces import interface_class, type_name
 from im_pnt.expression.types import ValueType, field_type
 from im_pnt_node.rerun.log import packed
 
-_SEQUENCE = re.compile(r"(?:sequence<(?P<bounded>[^,>]+)(?:, *\d+)?>|(?P<array>[^\[]+)\[\d*\])")
 _PARTS = ("_Request", "_Response", "_Goal", "_Result")
 
 
@@ -95,48 +92,3 @@ def _plain(value: Any, where: str) -> object:
     if hasattr(value, "tolist"):
         return _plain(value.tolist(), where)
     return [_plain(each, f"{where}[{rank}]") for rank, each in enumerate(value)]
-
-
-def fill(message: Any, fields: Mapping[str, object], where: str) -> Any:
-    """Set fields of a message from plain data or from messages; return the message.
-
-    Args:
-        message: A message, request or goal.
-        fields: Values by name; a mapping fills a nested message.
-        where: What is filled, for messages.
-
-    Raises:
-        NetError: No such field, or a value that does not fit.
-    """
-    types = message.get_fields_and_field_types()
-    message._check_fields = True  # otherwise a wrong type is met first by the serialiser, which aborts the process
-    for name, value in fields.items():
-        if name not in types:
-            raise NetError(f"{where} has no field '{name}'{nearest(name, types)}", field=name)
-        try:
-            setattr(message, name, _fitted(getattr(message, name), types[name], value, f"{where}.{name}"))
-        except (AssertionError, TypeError, ValueError) as error:
-            raise NetError(f"{where}.{name} ({types[name]}) cannot be {value!r}: {error}", field=name) from error
-    return message
-
-
-def _fitted(present: Any, type_name: str, value: Any, where: str) -> Any:
-    if isinstance(value, Mapping) and hasattr(present, "get_fields_and_field_types"):
-        return fill(present, value, where)
-    match = _SEQUENCE.fullmatch(type_name)
-    if match and isinstance(value, list | tuple):
-        element = match.group("bounded") or match.group("array")
-        if "/" in element:
-            make = interface_class(element.replace("/", "/msg/"))
-            return [
-                fill(make(), entry, f"{where}[{index}]") if isinstance(entry, Mapping) else entry
-                for index, entry in enumerate(value)
-            ]
-        return [_number(entry, element) for entry in value]
-    return _number(value, type_name)
-
-
-def _number(value: Any, type_name: str) -> Any:
-    """Convert an integer of YAML for a field of type float."""
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return float(value) if whole and type_name in ("double", "float") else value

@@ -17,9 +17,9 @@ from rclpy.validate_node_name import validate_node_name
 
 from im_core import plugins
 from im_core.clock import monotonic
-from im_core.end_signals import heed_end_signals
 from im_core.errors import ConfigError, ImError, StateError
-from im_core.process import ChildProcess
+from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.process import ChildProcess
 from im_core.ros.calls import pause
 from im_core.ros.run import Spinner
 from im_pnt.model.net import Net

@@ -8,10 +8,10 @@ from pathlib import Path
 from rclpy.parameter import Parameter
 
 from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
+from im_core.processes.startup import net_digest, nets_sentence
 from im_core.ros.dom import DomClient
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
-from im_core.startup import net_digest, nets_sentence
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
 from im_pnt.execution.strategies import StrategyBook

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 from rclpy.client import Client
 
 from im_core.ros.calls import ask_again, pause, run_in_thread
-from im_core.ros.servers import reason
+from im_core.ros.peers.servers import reason
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.values import Objects
 from im_pnt.model.net import Net

@@ -14,7 +14,8 @@ from im_bag.reading import messages_of, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.options import seconds
-from im_core.ros.interfaces import decoded, interface_class
+from im_core.ros.messages.interfaces import decoded, interface_class
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext, Functions
@@ -31,7 +32,7 @@ from im_pnt_node.rerun.script import Script, ScriptHost
 from im_pnt_node.rerun.stream import NodeStream, streams_of
 from im_pnt_node.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
 from im_pnt_node.ros.execution.goals import result_of
-from im_pnt_node.ros.messages import fill, packed_message
+from im_pnt_node.ros.messages import packed_message
 from im_pnt_node.ros.objects.objects import DomObjects
 from im_pnt_node.ros.reporting.mission import TOPIC
 
@@ -102,9 +103,9 @@ class RosWorld:
         """Return the performer of each kind of action, and the question after a doubt."""
 
         async def sent(activity: Activity, action: Any, context: ActionContext, message: Any) -> None:
-            filled = fill(message, await fields_of(functions, action, context), str(action))
+            filled(message, await fields_of(functions, action, context), str(action))
             keep(activity)
-            script.sent(sent_key(activity), packed_message(filled))
+            script.sent(sent_key(activity), packed_message(message))
 
         async def service(activity: Activity, context: ActionContext) -> dict[str, object]:
             action = activity.action

@@ -12,7 +12,7 @@ from im_cell.sensor import SensorControls
 from im_core import clock, names
 from im_core.config import faults
 from im_core.errors import ConfigError, ImError, LinkError, WaitTimeoutError
-from im_core.process import ChildProcess, prepare
+from im_core.processes.process import ChildProcess, prepare
 from im_sim.cameras.protocol import CameraChannel, CameraReply, CameraRequest, CameraSettings, channel_name
 
 _CAMERAS = "im_sim.cameras"

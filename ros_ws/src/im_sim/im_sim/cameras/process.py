@@ -8,8 +8,8 @@ from im_cell.robot import Cell, load_cell
 from im_cell.robot.truth import CellTruth, load_truth
 from im_core import clock
 from im_core.errors import ImError, LinkError, WaitTimeoutError
-from im_core.memory import give_back_zeros
-from im_core.startup import patience_s
+from im_core.processes.memory import give_back_zeros
+from im_core.processes.startup import patience_s
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.protocol import CameraChannel, CameraReply, CameraRequest, CameraSettings, channel_name
 from im_sim.cameras.scene import SceneMirror

@@ -2,7 +2,7 @@
 
 import sys
 
-from im_core.process import prepare
+from im_core.processes.process import prepare
 
 
 def main() -> int:

@@ -16,14 +16,14 @@ from im_cell.robot.truth import FILE_NAME, CellTruth
 from im_core import clock, names
 from im_core.errors import ConfigError, DataError, ImError, LinkError, StateError
 from im_core.files import write_whole
-from im_core.process import ChildProcess
+from im_core.processes.process import ChildProcess
+from im_core.processes.startup import patience_s
 from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
+from im_core.ros.messages.stamps import to_stamp
 from im_core.ros.node import ManagedNode
-from im_core.ros.stamps import to_stamp
 from im_core.shm_names import remove_all
-from im_core.startup import patience_s
 from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
 from im_sim.panel import FaultPanel, Lights
 from im_sim.truth import draw_truth

@@ -8,7 +8,7 @@ from typing import ClassVar, TypeVar
 
 from im_core import clock
 from im_core.errors import WaitTimeoutError
-from im_core.procfs import scheduled, threads_queued_s
+from im_core.processes.procfs import scheduled, threads_queued_s
 from im_vss.managers.vmm import Lease
 from im_vss.rig import Rig
 

@@ -14,7 +14,7 @@ from im_cell.robot import Cell, far_end
 from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy
 from im_core.errors import DataError
 from im_core.ros import qos
-from im_core.ros.interfaces import decoded
+from im_core.ros.messages.interfaces import decoded
 from im_vss.camera_poses import Pose
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB, lens_of
 from im_cell.rotations import quaternion_of_matrix
 from im_core.errors import DataError
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_msgs.msg import Spot, SpotCandidates
 from im_vss.camera_book import CameraEntry
 from im_vss.services.spot import CameraSpot

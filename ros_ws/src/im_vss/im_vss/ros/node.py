@@ -16,10 +16,10 @@ from im_cell.robot import Cell, load_cell
 from im_core import clock, names, plugins
 from im_core.errors import ImError, StoreError
 from im_core.files import read_text, write_whole
+from im_core.processes.startup import patience_s
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
 from im_core.ros.node import ManagedNode
-from im_core.startup import patience_s
 from im_vss.camera_book import CameraBook
 from im_vss.camera_poses import Mounts
 from im_vss.catalogue import load_catalogue

@@ -4,9 +4,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from im_core.errors import ImError
 from im_core.ros import qos
+from im_core.ros.messages.stamps import wall_stamp
+from im_core.ros.messages.status import ok_status, to_status
 from im_core.ros.node import ManagedNode
-from im_core.ros.stamps import wall_stamp
-from im_core.ros.status import ok_status, to_status
 from im_msgs.msg import VisionModuleState
 from im_msgs.msg import VisionState as VisionStateMessage
 from im_msgs.srv import VisionCancel, VisionQuery

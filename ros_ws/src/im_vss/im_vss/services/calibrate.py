@@ -20,7 +20,7 @@ from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError, NotFoundError
-from im_core.memory import give_back_freed
+from im_core.processes.memory import give_back_freed
 from im_vss.camera_book import CameraBook
 from im_vss.camera_poses import Pose
 from im_vss.managers import VisionClient

@@ -10,7 +10,7 @@ from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, mess
 from im_bringup.ros.interruptible import DONE, FAILED
 from im_core.errors import StateError
 from im_core.ros.guard import GuardedActionClient
-from im_core.ros.servers import node_of
+from im_core.ros.peers.servers import node_of
 
 _STATES = {
     GoalStatus.STATUS_SUCCEEDED: "SUCCEEDED",

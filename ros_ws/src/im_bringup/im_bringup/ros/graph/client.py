@@ -15,9 +15,9 @@ from im_core.files import write_whole
 from im_core.names import run_dir
 from im_core.options import NumberParser, seconds
 from im_core.output import complain
-from im_core.ros.interfaces import interface_class
-from im_core.ros.message_fields import fields_of, filled
-from im_core.yamltext import YamlError, as_data, read_yaml, write_yaml
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.messages.message_fields import fields_of, filled
+from im_core.text.yamltext import YamlError, as_data, read_yaml, write_yaml
 
 #: Longest wait for a name, a message or an answer, where no other is given [s].
 TIMEOUT_S = 10.0

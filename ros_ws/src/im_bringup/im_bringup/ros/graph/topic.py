@@ -15,8 +15,8 @@ from im_bringup.ros.interruptible import DONE
 from im_core import clock
 from im_core.errors import StateError
 from im_core.options import at_least, seconds
+from im_core.ros.peers.servers import node_of
 from im_core.ros.qos import offered
-from im_core.ros.servers import node_of
 
 #: Messages that wait to be shown; more than that are left out.
 _DEPTH = 1000

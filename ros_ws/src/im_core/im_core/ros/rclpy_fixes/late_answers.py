@@ -22,7 +22,7 @@ from rclpy.timer import Timer
 
 from im_core import clock
 from im_core.errors import LinkError
-from im_core.ros.client_identity import sender_of
+from im_core.ros.peers.client_identity import sender_of
 
 #: How often it is looked whether an answer is due, and after how long the first is sent again, each next after twice
 #: the time [s].
@@ -55,7 +55,7 @@ class LateAnswers:
     Args:
         node: The node, which need not be made yet.
         lost: Is told of an answer that was given up: whose it was, what is wrong, and for whom, as
-            :func:`im_core.ros.client_identity.sender_of` says.
+            :func:`im_core.ros.peers.client_identity.sender_of` says.
     """
 
     def __init__(self, node: Node, lost: Callable[[str, LinkError, str], None]) -> None:

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from rclpy.subscription import Subscription
 
-from im_core.startup import STATUS_TOPIC
+from im_core.processes.startup import STATUS_TOPIC
 
 #: Topics that every node follows; a process of seven nodes read a hundred stamps a second seven times.
 TOPICS = frozenset({"/clock", STATUS_TOPIC})

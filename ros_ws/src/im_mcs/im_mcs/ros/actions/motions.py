@@ -12,8 +12,8 @@ from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import ImError
 from im_core.ros import qos
-from im_core.ros.client_identity import client_of
 from im_core.ros.guard import GuardedActionServer
+from im_core.ros.peers.client_identity import client_of
 from im_mcs.client.servo_client import OnProgress
 from im_mcs.protocol.requests import Policy
 from im_mcs.ros import messages
@@ -189,7 +189,7 @@ class Goals:
         self._servers.append(server)
 
     def client(self, handle: ServerGoalHandle) -> str:
-        """Return the sender of a goal, as :func:`im_core.ros.client_identity.client_of` says."""
+        """Return the sender of a goal, as :func:`im_core.ros.peers.client_identity.client_of` says."""
         goal = bytes(handle.goal_id.uuid)
         return next((server.clients[goal] for server in self._servers if goal in server.clients), "")
 

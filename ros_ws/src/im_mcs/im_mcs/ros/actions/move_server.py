@@ -7,8 +7,8 @@ from geometry_msgs.msg import Pose
 from rclpy.action.server import ServerGoalHandle
 
 from im_core.errors import DataError, ImError
-from im_core.ros.stamps import to_stamp
-from im_core.ros.status import ok_status, to_status
+from im_core.ros.messages.stamps import to_stamp
+from im_core.ros.messages.status import ok_status, to_status
 from im_mcs.client.groups import group_state
 from im_mcs.client.kinematics import wrist_pose
 from im_mcs.client.points import ordered_points

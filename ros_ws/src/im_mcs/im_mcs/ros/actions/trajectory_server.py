@@ -10,7 +10,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from im_core.errors import ImError
 from im_core.ros import qos
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_mcs.client.servo_client import MotionProgress
 from im_mcs.client.trajectory import Accepted, Present, joint_ranks, trajectory_path
 from im_mcs.ros import messages

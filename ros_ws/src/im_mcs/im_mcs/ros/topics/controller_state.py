@@ -7,7 +7,7 @@ from control_msgs.msg import JointTrajectoryControllerState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core.ros import qos
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.messages import duration
 

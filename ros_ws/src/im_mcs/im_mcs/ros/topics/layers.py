@@ -7,7 +7,7 @@ from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.publisher import Publisher
 
 from im_core.ros import qos
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
 from im_msgs.msg import GroupSetpoints, GroupTorques, SlotStates
 

@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 from im_cell.robot import Cell, robot_description
 from im_core.ros import qos
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.ros import messages

@@ -8,7 +8,7 @@ import math
 
 from im_core.config import FieldError
 from im_core.errors import quoted_text
-from im_core.yamltext import Value, control_character, plain_scalar
+from im_core.text.yamltext import Value, control_character, plain_scalar
 
 
 class WrongKeyError(FieldError):

@@ -11,8 +11,8 @@ from im_core.clock import stamp_name, wall
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
 from im_core.ros.coroutines import Promise
 from im_core.ros.dom import DomClient
+from im_core.ros.messages.status import ok_status, to_status
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import ok_status, to_status
 from im_core.unfinished_commands import OpenCommandNote, noted, set_aside
 from im_msgs.msg import Status
 from im_pnt.errors import JournalError, NetError

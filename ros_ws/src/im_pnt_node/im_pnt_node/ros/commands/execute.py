@@ -12,12 +12,12 @@ from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from std_msgs.msg import String
 
-from im_core.bounded_json import read_json
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer
+from im_core.ros.messages.status import to_status
 from im_core.ros.node import ManagedNode
-from im_core.ros.status import to_status
+from im_core.text.bounded_json import read_json
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, ListCommands

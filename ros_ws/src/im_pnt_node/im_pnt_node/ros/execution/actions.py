@@ -10,22 +10,23 @@ from rclpy.publisher import Publisher
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError
+from im_core.processes.startup import patience_s
 from im_core.ros import qos
 from im_core.ros.calls import pause, wait
 from im_core.ros.failures import few
 from im_core.ros.heartbeats import LEASE_S, Heartbeats
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.messages.message_fields import filled
+from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.servers import doubted, servers_of
-from im_core.ros.status import status_to_error
-from im_core.startup import patience_s
+from im_core.ros.peers.servers import doubted, servers_of
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.execution.endpoints import EndpointGoesError, RosAction
-from im_pnt_node.ros.messages import fill, packed_message, plain_fields
+from im_pnt_node.ros.messages import packed_message, plain_fields
 
 DISCOVERY_TIMEOUT_S = 20.0
 """Time in which a server that lives is discovered, also on a busy computer [s]."""
@@ -233,10 +234,10 @@ class Surroundings:
         Raises:
             ImError: As of :func:`fields_of`, a field does not fit, or what the builder has left cannot be kept.
         """
-        filled = fill(message, await fields_of(self.functions, action, context), str(action))
+        filled(message, await fields_of(self.functions, action, context), str(action))
         self._keep(activity)
-        self.log.sent(sent_key(activity), packed_message(filled))
-        return filled
+        self.log.sent(sent_key(activity), packed_message(message))
+        return message
 
 
 EndpointT = TypeVar("EndpointT")

@@ -15,7 +15,7 @@ from rclpy.subscription import Subscription
 from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_core.ros.coroutines import Promise
-from im_core.ros.interfaces import decoded, interface_class
+from im_core.ros.messages.interfaces import decoded, interface_class
 from im_core.ros.node import ManagedNode
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext

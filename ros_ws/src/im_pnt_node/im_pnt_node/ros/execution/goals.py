@@ -17,8 +17,8 @@ from unique_identifier_msgs.msg import UUID
 from im_core.errors import ImError, LinkError, StateError
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient
-from im_core.ros.interfaces import interface_class
-from im_core.ros.servers import doubted
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.peers.servers import doubted
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity

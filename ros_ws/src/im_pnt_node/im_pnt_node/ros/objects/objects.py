@@ -4,11 +4,12 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from im_core.errors import ImError
-from im_core.ros.interfaces import interface_class
+from im_core.ros.messages.interfaces import interface_class
+from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.values import Done, ObjectPendingError
 from im_pnt.expression.template import Way
 from im_pnt_node.rerun.host import HostObjects
-from im_pnt_node.ros.messages import fill, plain_fields
+from im_pnt_node.ros.messages import plain_fields
 
 Ways = tuple[Way, ...]
 
@@ -86,7 +87,7 @@ class DomObjects:
         Raises:
             ImError: A field does not fit, or it was refused.
         """
-        await self._dom.put(name, fill(interface_class(kind)(), fields, f"data object {name}"), place)
+        await self._dom.put(name, filled(interface_class(kind)(), fields, f"data object {name}"), place)
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
         """Run a coroutine; on failure, call back with the reason."""

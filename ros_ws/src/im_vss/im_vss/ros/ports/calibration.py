@@ -13,7 +13,7 @@ from im_cell.calibration_report import report_fields
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
 from im_core.message_paths import message_folders, resolve_below
-from im_core.ros.message_fields import filled
+from im_core.ros.messages.message_fields import filled
 from im_msgs.msg import CalibrationReport, KnownLength, Spot
 from im_msgs.msg import Observation as ObservationMessage
 from im_msgs.srv import Calibrate

@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 from typing import ClassVar
 
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_msgs.msg import Ellipse, Fiducial, LineSegment
 from im_msgs.srv import CircleFind, FiducialPose, LineFind, Snap, SpotFind, SpotFindStereo, SpotLook
 from im_vss.edges import EllipseFit, LineFit

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from im_core.ros.stamps import to_stamp
+from im_core.ros.messages.stamps import to_stamp
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
 from im_vss.ros.messages import to_header, to_pose, to_spot
 from im_vss.ros.ports.port import Port

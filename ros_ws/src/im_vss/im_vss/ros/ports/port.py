@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from std_srvs.srv import Trigger
 
 from im_core.errors import ImError
-from im_core.ros.status import ok_status, to_status
+from im_core.ros.messages.status import ok_status, to_status
 from im_vss.rig import Rig
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 
-from im_core.ros.servers import node_of
+from im_core.ros.peers.servers import node_of
 
 TOPICS_OF_ALL = ("/rosout", "/parameter_events")
 """Topics that a node publishes whatever else it does, unless it is told not to."""

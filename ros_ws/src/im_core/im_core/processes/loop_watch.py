@@ -5,8 +5,8 @@ import os
 import threading
 from collections.abc import Callable
 
-from im_core.loop_heartbeat import Beat, Pulse
-from im_core.procfs import scheduled
+from im_core.processes.loop_heartbeat import Beat, Pulse
+from im_core.processes.procfs import scheduled
 
 TICK_S = 0.5
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from im_core.errors import DataError, NotFoundError, shortened
-from im_core.ros.interfaces import message_class
+from im_core.ros.messages.interfaces import message_class
 
 #: Type of a field that is a sequence or an array, and that of its elements.
 _ELEMENTS = re.compile(r"sequence<(?P<sequence>.*?)(?:, \d+)?>|(?P<array>[^<\[]+)\[\d+\]")
@@ -37,7 +37,8 @@ def filled(message: Any, fields: Any, where: str) -> Any:
 
     Args:
         message: A message, request or goal; fields that are not given stay.
-        fields: Values by name; a mapping fills a nested message, texts such as ``inf`` a number.
+        fields: Values by name; a mapping fills a nested message, which may also be given as a message, and texts such
+            as ``inf`` a number.
         where: What is filled, for errors.
 
     Raises:
@@ -63,15 +64,18 @@ def _shown(value: object) -> str:
 
 
 def _fitting(present: Any, kind: str, value: Any, where: str) -> Any:
-    if isinstance(value, dict) and hasattr(present, "get_fields_and_field_types"):
+    if isinstance(value, Mapping) and hasattr(present, "get_fields_and_field_types"):
         return filled(type(present)(), value, where)
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         found = _ELEMENTS.fullmatch(kind)
         element = (found["sequence"] or found["array"]) if found else ""
         if "/" not in element:
             return [_number(element, each) for each in value]
         make = message_class(element.replace("/", "/msg/"))
-        return [filled(make(), each, f"{where}[{number}]") for number, each in enumerate(value)]
+        return [
+            each if hasattr(each, "get_fields_and_field_types") else filled(make(), each, f"{where}[{number}]")
+            for number, each in enumerate(value)
+        ]
     return _number(kind, value)
 
 

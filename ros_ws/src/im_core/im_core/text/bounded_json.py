@@ -12,7 +12,7 @@ import pydantic
 
 from im_core.config import field_name
 from im_core.errors import DataError
-from im_core.jsontext import JsonError, check_keys
+from im_core.text.jsontext import JsonError, check_keys
 
 #: Characters of a text that is read; a net of 1,000 places has 50,000.
 LARGEST = 2_000_000

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from typing import Self
 
-from im_core.bounded_json import read_json
+from im_core.text.bounded_json import read_json
 
 #: The environment variable that tells a process the file descriptor of its end.
 VARIABLE = "IM_AGENT_SOCKET"
@@ -40,7 +40,7 @@ class AgentOrder:
     """Order of an agent to the processes.
 
     Attributes:
-        phase: The last phase of the start-up that all tasks may enter, of :class:`im_core.startup.StartupPhase`.
+        phase: The last phase of the start-up that all tasks may enter, of :class:`.StartupPhase`.
         incarnations: The incarnations of all tasks of the machine, by name.
     """
 

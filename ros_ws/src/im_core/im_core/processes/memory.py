@@ -6,7 +6,7 @@ import mmap
 
 import numpy as np
 
-from im_core.procfs import mappings
+from im_core.processes.procfs import mappings
 
 #: Mappings that are looked at are at least so large; stacks of threads are smaller [bytes].
 _LARGE = 64 << 20

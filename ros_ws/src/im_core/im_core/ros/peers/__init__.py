@@ -1,0 +1,1 @@
+"""Other nodes of the graph: discovery, servers, and identities of clients."""
