@@ -148,6 +148,14 @@ class Actions:
             self._rule.move(activity, ActivityState.CANCELLING, error)
         self.call_off(activity)
 
+    def abandon(self, activity: Activity, error: ImError) -> None:
+        """Call off the action of an abandoned job; nothing awaits its end."""
+        self._timers.cancel(activity.timer)
+        self._deferred.pop(activity.number, None)
+        for tell in activity.on_abandon:
+            tell(error)
+        self.call_off(activity)
+
     def call_off(self, activity: Activity) -> None:
         """Ask an action to end early."""
         for error in activity.cancel():
