@@ -20,7 +20,7 @@ _im() {
   elif [[ "${COMP_WORDS[1]}" != run || ! -r "$list" ]]; then
     return
   elif ((COMP_CWORD == 2)); then
-    words="$(cut -d' ' -f1 "$list") --attach --cancel --pause --resume"
+    words="$(cut -d' ' -f1 "$list") --attach --cancel --pause --resume --abandon"
   else
     # Of `--group=left=right`: the option, or behind it its choices.
     words="$(awk -v name="${COMP_WORDS[2]}" -v before="$before" '$1 == name {

@@ -96,6 +96,8 @@ def test_long_results_are_cut_for_people_and_whole_as_json(capsys):
         (["--cancel", "3", "--pause", "4"], "--pause: not allowed with argument --cancel"),
         (["--attach", "3", "move"], "the command comes first: im run move ..."),
         (["--json"], "--json goes with --attach"),
+        (["--yes"], "--yes goes with --abandon"),
+        (["--abandon", "3"], "--abandon 3 needs a confirmation: a terminal to ask on, or --yes"),
     ],
 )
 def test_what_is_no_number_and_what_contradicts_itself_is_bad_usage(texts, sentence, monkeypatch, capsys):

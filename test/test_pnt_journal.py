@@ -608,6 +608,69 @@ def test_who_cancels_or_operates_while_the_journal_cannot_be_written_is_answered
     assert [answer.message for answer in asked()] == done
 
 
+HANG = """
+net: hang
+places: {idle: 1, tool: 1, chosen: , done: }
+transitions:
+  begin: {symbol: go, in: [idle, tool], out: chosen}
+  leave: {in: chosen, out: done, guard: may_leave}
+  finish: {in: done, out: [idle, tool], emit: go_done}
+"""
+
+
+class Hanging(PntNode):
+    """A node whose command no guard lets go on."""
+
+    def __init__(self, folder: Path, journal: str) -> None:
+        settings = {"standalone": True, "journal_dir": str(folder / journal)}
+        super().__init__(
+            "hang",
+            [folder / "hang.yaml"],
+            guards={"may_leave": lambda ctx: False},
+            verifier=verify_to_load,
+            parameter_overrides=[Parameter(name, value=value) for name, value in settings.items()],
+        )
+
+
+def test_a_command_that_nothing_ends_is_abandoned_stays_so_and_its_net_is_replaced(tmp_path, ros, wait_until):
+    (tmp_path / "hang.yaml").write_text(HANG)
+    node, client = (
+        Hanging(tmp_path, "journal"),
+        ManagedNode("client", parameter_overrides=[Parameter("standalone", value=True)]),
+    )
+    ros(node, client)
+    wait_until(lambda: node.ready, "the node")
+    in_loop(node, node.offer_commands)
+    control, outcomes = client.create_client(ControlCommand, "/hang/control_command"), []
+
+    async def run():
+        outcomes.append(await node.commands.run("go"))
+
+    node.spawn(run())
+    wait_until(lambda: node.exchange.nets["hang"].marking() == {"chosen": 1}, "the command to hang")
+
+    def ask(request: str) -> ControlCommand.Response:
+        return call_blocking(control, ControlCommand.Request(command_id=1, request=request), 60.0, request)
+
+    assert ask("cancel").success
+    answer = ask("abandon")
+    assert (answer.success, answer.message) == (
+        True,
+        "abandon go (number 1): abandoned by the operator; it held: hang.chosen; given back: hang.idle, hang.tool",
+    )
+    left = shutil.copytree(tmp_path / "journal" / "hang", tmp_path / "killed" / "hang")  # what kill -9 would leave
+    wait_until(lambda: outcomes, "the end of the command")
+    assert (outcomes[0].success, outcomes[0].status.code) == (False, "abandoned")
+    assert outcomes[0].status.message.startswith("abandoned by the operator; it held: hang.chosen")
+    assert "no command has the number 1" in ask("abandon").message
+    in_loop(node, lambda: node.spawn(node.load_net(parse_net(HANG.replace("guard: may_leave", "priority: 1")))))
+    wait_until(lambda: node.exchange.nets["hang"].written.guards() == frozenset(), "the net that took its place")
+    node.spawn(run())
+    wait_until(lambda: len(outcomes) == 2, "the next command")
+    assert outcomes[1].success
+    assert any("abandoned by the operator; it held: hang.chosen" in line for line in described(look(Folder(left)), 30))
+
+
 ASK = """
 net: ask
 places: {idle: {tokens: 1, resource: true}, told: , bad: }

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
 from im_core import clock, unfinished_commands
-from im_core.errors import LinkError
+from im_core.errors import ConfigError, LinkError
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
@@ -34,7 +34,7 @@ from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_node.ros.commands import notes
 from im_pnt_node.ros.execution.actions import SETTLING_S
-from im_pnt_node.ros.execution.goals import GoalActions
+from im_pnt_node.ros.execution.goals import GoalActions, read_remap
 from im_pnt_node.ros.messages import RosTypes
 from im_pnt_node.ros.node import PntNode
 from support.forgetful import forget
@@ -58,10 +58,13 @@ transitions:
   ended:
     {in: ready, out: idle,
      emit: [switch_done, slow_done, move_done, shout_done, follow_done, hear_done, sense_done, read_done, last_done,
-            until_done, elsewhere_done]}
+            until_done, elsewhere_done, mine_done]}
   move:
     {in: idle, out: ready, symbol: move, on_failure: trouble,
      goal: {name: /hardware/move, type: im_msgs/action/Move, build: path}}
+  mine:
+    {in: idle, out: ready, symbol: mine, on_failure: trouble,
+     goal: {name: /mine/move, type: im_msgs/action/Move, build: path}}
   plan: {in: idle, out: path_valid, symbol: plan, action: nothing, on_failure: trouble}
   planned: {in: path_valid, out: idle, guard: not keep, emit: plan_done}
   slow:
@@ -207,7 +210,8 @@ def machine(tmp_path_factory):
         "nothing": lambda ctx: None,
     }
     guards = {"keep": lambda ctx: keep[0]}
-    node = PntNode("worker", [file], functions, guards, verifier=verify_to_load, parameter_overrides=alone)
+    given = [*alone, Parameter("remap", value="/mine/move:=/hardware/move")]
+    node = PntNode("worker", [file], functions, guards, verifier=verify_to_load, parameter_overrides=given)
     with spin_in_thread(hardware, node):
         deadline = clock.monotonic() + 60.0
         while not node.ready and clock.monotonic() < deadline:
@@ -444,6 +448,27 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
     hardware.refusals = 3
     assert run(node, "move", cancel_after=0.2, speed=0.1).status.code == "cancelled"
     assert hardware.refusals == -1
+
+
+def test_an_action_is_reached_under_its_new_name_cancelled_there_and_named_so(machine):
+    node, hardware, _, _ = machine
+    begun = len(hardware.goals)
+    outcome = run(node, "mine", cancel_after=0.4, speed=0.1)
+    assert outcome.status.code == "cancelled"
+    assert "goal /hardware/move was cancelled" in outcome.status.message
+    assert len(hardware.goals) == begun + 1
+
+
+def test_new_names_of_actions_are_full_and_each_old_one_has_one():
+    assert read_remap("/arm/grip:=/x/grip, /arm/move:=/x/move") == {"/arm/grip": "/x/grip", "/arm/move": "/x/move"}
+    assert read_remap("") == {}
+    for text, sentence in (
+        ("/arm/grip=/x/grip", "remap /arm/grip=/x/grip is not of the form /old:=/new"),
+        ("arm/grip:=/x/grip", "is not of the form /old:=/new, full names of actions"),
+        ("/a:=/b,/a:=/c", "remap gives /a two names, /b and /c"),
+    ):
+        with pytest.raises(ConfigError, match=sentence):
+            read_remap(text)
 
 
 def test_an_action_that_nobody_offers_is_named_at_once(machine):

@@ -174,6 +174,16 @@ class Command:
         """
         return self._control("resume")
 
+    def abandon(self) -> str:
+        """End the command at once, though nothing fires; return what its tokens held, and what was in doubt.
+
+        The last resort, where a cancellation changes nothing: actions under way are cancelled and not awaited.
+
+        Raises:
+            MachineError: The request was refused.
+        """
+        return self._control("abandon")
+
     def cancel(self) -> None:
         """Ask for the end of the command, also through a death of the Dispatcher; closing steps of the net follow."""
         self._cancelling.set()
@@ -365,7 +375,7 @@ class Command:
 
 
 def control(connection: Connection, number: int, request: str) -> str:
-    """Cancel, pause or resume a command; return the change.
+    """Cancel, pause, resume or abandon a command; return the change.
 
     Raises:
         MachineError: The request was refused.

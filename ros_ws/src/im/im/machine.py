@@ -314,11 +314,11 @@ class Machine:
             raise MachineError(told.strip() or f"the recorder ended with {recorder.returncode}", "record")
 
     def control(self, number: int, request: str) -> str:
-        """Cancel, pause or resume a command by number; return the change.
+        """Cancel, pause, resume or abandon a command by number; return the change.
 
         Args:
             number: Number of the command.
-            request: ``cancel``, ``pause`` or ``resume``.
+            request: ``cancel``, ``pause``, ``resume`` or ``abandon``.
 
         Raises:
             MachineError: The request was refused.

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from im_core.errors import ImError
 from im_pnt.execution.events import Answer, CommandCancelled, ObjectInvalidated, Outcome
+from im_pnt.execution.firing.rule import ABANDONED_CODE
 from im_pnt.execution.functions import ActionContext
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import expand
@@ -31,7 +32,7 @@ transitions:
   found: {in: lost, out: bad}
   give_up: {in: bad, out: idle, emit: go_failed}
 """
-STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle", "wait", "done", "unknown")
+STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle", "wait", "done", "unknown", "abandon")
 
 
 @settings(max_examples=100, deadline=None)
@@ -73,6 +74,9 @@ def test_invariants_hold_at_every_instant(steps, seed):
                 process.end(process.held[-1][1].transition, ImError("no") if step == "fail" else None)
             case "cancel":
                 executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
+            case "abandon":
+                executor.post(CommandCancelled(numbers[-1], ImError("enough", code=ABANDONED_CODE)))
+                process.held = [held for held in process.held if held[1].lineage.job.command.id != numbers[-1]]
             case "invalid":
                 executor.post(ObjectInvalidated(f"node/{numbers[-1]}/path"))
             case "toggle":

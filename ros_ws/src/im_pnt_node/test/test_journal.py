@@ -11,6 +11,7 @@ from im_core import clock
 from im_core.errors import ImError, LinkError
 from im_core.store_mark import SeenStore, StoreMark
 from im_pnt.errors import JournalError
+from im_pnt.execution.abandonment import abandonment
 from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import CommandCancelled, JobUpdate, JobUpdateArrived, RequestArrived, TokenArrived
 from im_pnt.execution.executor import Executor
@@ -375,6 +376,35 @@ def test_a_cancellation_is_not_lost(dying):
     pair.run(5.0)
     assert pair.marking("back") == {"SI": 1, "SO": 1}
     assert pair.marking("front") == {"idle": 1}
+
+
+@pytest.mark.parametrize("dying", [[], ["back"], ["front"], ["back", "front"]])
+def test_an_abandoned_command_stays_so_in_both_processes_and_their_journals_say_what_it_held(dying):
+    pair = Pair(front=[FRONT], back=[BACK])
+    asked(pair)
+    pair.flying.clear()
+    front = pair.alive["front"]
+    (job,) = front.exchange.nets["front"].jobs()
+    error = abandonment(front.exchange.nets.values(), job.command, "abandoned by the operator")
+    front.exchange.nets["front"].post(CommandCancelled(1, error))
+    front.turn()
+    assert pair.marking("front") == {"idle": 1}
+    assert b"abandoned by the operator; under way" in b"".join(map(bytes, pair.files["front"].contents.values()))
+    pair.flying.clear()  # the message is lost too
+    for name in dying:
+        pair.kill(name)
+        pair.start(name)
+    pair.run(5.0)
+    assert b"it held: back.waiting" in b"".join(map(bytes, pair.files["back"].contents.values()))
+    for _ in range(2):
+        assert pair.marking("front") == {"idle": 1}
+        assert pair.marking("back") == {"SI": 1, "SO": 1}
+        assert not any(each.exchange.nets[name].jobs() for name, each in pair.alive.items())
+        assert not pair.alive["front"].exchange.book.items()
+        for name in ("front", "back"):  # once more, now from what the first death left
+            pair.kill(name)
+            pair.start(name)
+        pair.run()
 
 
 def test_a_token_that_nobody_wants_is_kept_counted_and_said():

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from im_core.errors import ImError
 from im_pnt.errors import NetFileError
+from im_pnt.execution.abandonment import abandonment
 from im_pnt.execution.actions import ActionOwner
 from im_pnt.execution.events import CommandCancelled, CommandHeld, GuardsChanged
 from im_pnt.execution.executor import Executor
@@ -502,6 +503,26 @@ def test_a_credit_that_comes_back_is_nobodys_and_what_is_emitted_abroad_ends_the
     assert (str(result.error), result.results) == ("stopped", {"found": 1})
     assert near.marking("n") == {"window": 1}
     assert not far.exchange.nets["m"].busy()
+
+
+def test_an_abandoned_command_ends_in_the_net_that_has_its_tokens():
+    run, near, far = two_nodes(NEAR, FAR, {"work": hold})
+    number = near.command("n", "go")
+    run.pump()
+    ((_, activity, _),) = run.held()
+    (job,) = near.exchange.nets["n"].jobs()
+    error = abandonment(near.exchange.nets.values(), job.command, "abandoned by the operator")
+    assert error.facts["held"] == ["tokens in net m"]
+    near.exchange.nets["n"].post(CommandCancelled(number, error))
+    run.pump()
+    assert [each.error for each in near.results] == [error]
+    assert activity.cancelled
+    assert not far.exchange.nets["m"].busy()
+    assert far.exchange.nets["m"].at_rest()
+    assert not near.exchange.partners()
+    (told,) = far.recorder.troubles
+    assert told.startswith("command go is abandoned by the operator; ")
+    assert "function work of m.work" in told
 
 
 def test_a_command_whose_tokens_are_lost_with_another_node_fails_and_says_why():

@@ -29,7 +29,12 @@ from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 
-CONTROLS = ("cancel", "pause", "resume")
+CONTROLS = {
+    "cancel": "have a command end early",
+    "pause": "let what runs of a command end, and begin nothing more",
+    "resume": "go on with a paused command",
+    "abandon": "last resort: end a command at once though a cancellation changes nothing; says what it held",
+}
 MOST_NUMBER = 2**32 - 1
 #: Of results that a person is shown: a report of a calibration has 280,000 characters.
 MOST_SHOWN = 1000
@@ -51,8 +56,9 @@ def main() -> int:
     parser.add_argument("name", nargs="?", metavar="NAME", help="command to run (default: list all)")
     one = parser.add_mutually_exclusive_group()
     one.add_argument("--attach", type=_command_number, metavar="NUMBER", help="wait for a command that is under way")
-    for request in CONTROLS:
-        one.add_argument(f"--{request}", type=_command_number, metavar="NUMBER", help=f"{request} a command")
+    for request, does in CONTROLS.items():
+        one.add_argument(f"--{request}", type=_command_number, metavar="NUMBER", help=does)
+    parser.add_argument("--yes", action="store_true", help="with --abandon: ask for no confirmation")
     parser.add_argument("--json", action="store_true", help="with --attach: print its results as JSON")
     texts = sys.argv[1:]
     named = bool(texts) and not texts[0].startswith("-")
@@ -61,6 +67,10 @@ def main() -> int:
         parser.error(f"the command comes first: im run {options.name} ...; a number stands for one that was begun")
     if options.json and options.attach is None:
         parser.error("--json goes with --attach, or behind the name of a command")
+    if options.yes and options.abandon is None:
+        parser.error("--yes goes with --abandon")
+    if options.abandon is not None and not options.yes and not sys.stdin.isatty():
+        parser.error(f"--abandon {options.abandon} needs a confirmation: a terminal to ask on, or --yes")
     if named and {"-h", "--help"} & set(texts[1:]) and (told := told_last(texts[0])):
         CommandParser(told).read(["--help"])
     return talk(lambda machine: _do(machine, options, texts[1:]), "im run", "; the machine goes on with the command")
@@ -117,6 +127,8 @@ def _command_number(text: str) -> int:
 def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> int:
     for request in CONTROLS:
         if (number := getattr(options, request)) is not None:
+            if request == "abandon" and not options.yes and not _confirmed(machine, number):
+                return FAILED
             print(machine.control(number, request))
             return DONE
     if options.attach is not None:
@@ -215,7 +227,18 @@ def offered(state: CommandState) -> bool:
     print(f"number {number} is {state.state}: im run --attach {number} waits for it{resume}", file=sys.stderr)
     if not sys.stdin.isatty():
         return False
-    print("attach to it? [y/N] ", end="", file=sys.stderr, flush=True)
+    return _agreed("attach to it?")
+
+
+def _confirmed(machine: Machine, number: int) -> bool:
+    """Print a command and the danger of an abandonment, and ask a person."""
+    print_list([], [state for state in machine.under_way if state.command_id == number])
+    print("its actions under way are cancelled and not awaited: something may still move", file=sys.stderr)
+    return _agreed(f"abandon number {number}?")
+
+
+def _agreed(question: str) -> bool:
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     select.select([sys.stdin], [], [])
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 

@@ -9,11 +9,12 @@ from im_core.errors import FOREIGN, ImError
 from im_pnt.execution.conflicts import ConflictResolution
 from im_pnt.execution.doubt import Inquiry
 from im_pnt.execution.events import Answer, Outcome
-from im_pnt.execution.firing.rule import FiringRule
+from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
 from im_pnt.execution.journal_entries import Record, plain_dict
 from im_pnt.execution.timers import Timers
+from im_pnt.expression.evaluation import as_text
 from im_pnt.expression.template import read_objects
 from im_pnt.model.action import Action, AwaitAction, FunctionAction, RequestAction, ValuesAction
 from im_pnt.model.net import Role
@@ -109,6 +110,7 @@ class Actions:
         self._strategies = {t.origin: t.strategy for t in rule.transitions if t.action is not None and t.strategy}
         self.functions: dict[int, ActionFunction] = {}
         self._deferred: dict[int, Callable[[], None]] = {}
+        self._says = {t.origin: t.says for t in rule.transitions if t.says}
         for index, transition in enumerate(rule.transitions):
             if transition.role is Role.START and transition.action is not None:
                 function = runner.direct(transition.action)
@@ -126,6 +128,8 @@ class Actions:
             self.finish(activity, why, {})
             return
         context, function = self._context(activity), self.functions.get(index)
+        if told := self._told(activity):
+            self._rule.notifier.progressed(activity.lineage, told, -1.0)
         if function is None:
             self._rule.notifier.flush()
             self._runner.start(self._owner, activity, context)
@@ -146,6 +150,14 @@ class Actions:
         """Ask an action to end early, and show the winding down in the marking."""
         if activity.state is ActivityState.ACTIVE:
             self._rule.move(activity, ActivityState.CANCELLING, error)
+        self.call_off(activity)
+
+    def abandon(self, activity: Activity, error: ImError) -> None:
+        """Call off the action of an abandoned job; nothing awaits its end."""
+        self._timers.cancel(activity.timer)
+        self._deferred.pop(activity.number, None)
+        for tell in activity.on_abandon:
+            tell(error)
         self.call_off(activity)
 
     def call_off(self, activity: Activity) -> None:
@@ -173,6 +185,8 @@ class Actions:
         self._timers.cancel(activity.timer)
         self._deferred.pop(activity.number, None)
         learns = activity.transition in self._strategies and activity.state is ActivityState.ACTIVE
+        if error is not None and error.code not in ("cancelled", DOUBT_CODE) and (told := self._told(activity)):
+            error = ImError.restored(error.code, f"could not {told}: {error.message}", error.facts)
         failure = self._rule.end_action(activity, error, results)
         if learns:
             self._learn(activity, failure is None)
@@ -230,6 +244,14 @@ class Actions:
             self.when_released(activity, lambda: self.begin(index, activity))
 
         activity.timer = self._timers.at(self._clock(), begin)
+
+    def _told(self, activity: Activity) -> str:
+        """Return the text of a transition about its action, with the arguments; empty without one."""
+        says = self._says.get(activity.transition, "")
+        try:
+            return as_text(self._rule.values.fill_now(says, self._context(activity)))
+        except ImError:  # an index beyond the end of a list; the action is begun all the same
+            return says
 
     def _learn(self, activity: Activity, success: bool) -> None:
         strategy = self._strategies[activity.transition]

@@ -232,34 +232,22 @@ class EventLoop:
         match event:
             case TokenArrived() | CommandWritten() | RequestArrived():
                 rule.values.stale()
-                cancelled = cancelled_visit(rule, event)  # asked first: the event marks the job as cancelled
-                happens(rule, event)
+                self._end_visit(event)
                 if rule.expires:
                     self._watch_symbols()
-                if cancelled is not None and cancelled.last_failure is not None:
-                    self._cancel([cancelled], cancelled.last_failure)
             case JobUpdateArrived():
-                cancelled = cancelled_visit(rule, event)
-                happens(rule, event)
-                if cancelled is not None and cancelled.last_failure is not None:
-                    self._cancel([cancelled], cancelled.last_failure)
-                elif event.update is not JobUpdate.SETTLED:
+                if not self._end_visit(event) and event.update is not JobUpdate.SETTLED:
                     self.conflicts.wake("")
             case NodeForgotten(node, _, error):
                 ending = [job for job in rule.ledger.visits.values() if job.visit and job.visit.node == node]
-                happens(rule, event)
-                self._cancel(ending, error)
+                self._cancel(event, ending, error)
             case CommandCancelled(command_id, error):
-                jobs = rule.ledger.of_command(command_id)  # asked first: the event closes jobs on the tape
-                happens(rule, event)
-                self._cancel(jobs, error, everything=command_id is None)
+                self._cancel(event, rule.ledger.of_command(command_id), error, everything=command_id is None)
             case CommandHeld() | RequestHeld():
                 happens(rule, event)
                 self.conflicts.wake("")
             case RequestCancelled(request_id, error):
-                jobs = rule.ledger.of_request(request_id)
-                happens(rule, event)
-                self._cancel(jobs, error)
+                self._cancel(event, rule.ledger.of_request(request_id), error)
             case ActionEnded(activity, failure, results):
                 self._ended(activity, failure, results)
             # an answer with results ends the action like its own end
@@ -286,15 +274,33 @@ class EventLoop:
     def _is_doubtful(self, activity: Activity) -> bool:
         return self.rule.runs(activity) and activity.state is ActivityState.IN_DOUBT
 
-    def _cancel(self, jobs: list[Job], error: ImError, *, everything: bool = False) -> None:
-        wanted = {job.number for job in jobs}
-        for activity in list(self.rule.activities.values()):
-            job = activity.lineage.job
-            if everything or (job is not None and job.number in wanted):
+    def _end_visit(self, event: TokenArrived | CommandWritten | RequestArrived | JobUpdateArrived) -> bool:
+        """Take an event; return whether it ends a foreign job early, with the actions."""
+        found = cancelled_visit(self.rule, event)  # asked first: the event marks the job as cancelled
+        if found is None:
+            happens(self.rule, event)
+            return False
+        job, error = found
+        self._cancel(event, [job], error)
+        return True
+
+    def _cancel(self, event: NetEntry, jobs: list[Job], error: ImError, *, everything: bool = False) -> None:
+        """Take an event that ends jobs early; the jobs are asked first, for the event may close them."""
+        rule, wanted = self.rule, {job.number for job in jobs}
+        running = [
+            activity
+            for activity in rule.activities.values()
+            if everything or (activity.lineage.job is not None and activity.lineage.job.number in wanted)
+        ]
+        happens(rule, event)
+        for activity in running:
+            if rule.runs(activity):
                 self.actions.cancel(activity, error)
+            else:
+                self.actions.abandon(activity, error)
         for job in jobs:
             self.conflicts.wake_job(job)
-        if self.rule.held:  # what is to end is held no more
+        if rule.held:  # what is to end is held no more
             self.conflicts.wake("")
 
     def _ended(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:

@@ -315,6 +315,7 @@ class Activity:
         timer: What strikes next: its deadline, or the next question about it.
         on_cancel: Called when it is asked to end early.
         on_release: Called when its job is not held any more.
+        on_abandon: Called with the error when its job is abandoned.
         incarnation: As requests were named when it began, if they are named otherwise since; empty: they are not.
     """
 
@@ -337,6 +338,7 @@ class Activity:
     timer: Timer | None = None
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
     on_release: list[Callable[[], None]] = field(default_factory=list)
+    on_abandon: list[Callable[[ImError], None]] = field(default_factory=list)
     incarnation: str = ""
 
     def when_cancelled(self, callback: Callable[[], None]) -> None:

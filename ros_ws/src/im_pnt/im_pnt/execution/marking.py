@@ -158,6 +158,7 @@ class Tokens:
         resources: Places whose tokens belong to nobody.
 
     Attributes:
+        compiled: As given.
         enabling: Tokens of each place, and what they enable.
         queues: For each place that has a token with a lineage, the lineages of all its tokens in order.
         choosy: Transitions that take several tokens which may belong to somebody: tokens alone do not enable them.
@@ -168,7 +169,7 @@ class Tokens:
     ) -> None:
         self.enabling = Enabling(compiled, free, initial)
         self.queues: dict[int, deque[Lineage]] = {}
-        self._compiled = compiled
+        self.compiled = compiled
         self._named: dict[int, int] = {}
         self._carries = [place not in resources for place in range(len(compiled.places))]
         self._carriers = [tuple(arc for arc in inputs if self._carries[arc[0]]) for inputs in compiled.inputs]
@@ -225,7 +226,7 @@ class Tokens:
             The job, and the first failure that its tokens carried.
         """
         lineage = NO_LINEAGE
-        for place, weight in self._compiled.inputs[transition]:
+        for place, weight in self.compiled.inputs[transition]:
             queue = self.queues.get(place)
             if queue is not None:
                 if weight == 1 and queue[0].job is owner:
@@ -241,7 +242,7 @@ class Tokens:
                 if not self._named[place]:
                     del self.queues[place], self._named[place]
             self.enabling.take_tokens(place, weight)
-        for place in self._compiled.resets[transition]:
+        for place in self.compiled.resets[transition]:
             self.enabling.take_tokens(place, self.enabling.tokens[place])
         return lineage
 
@@ -267,6 +268,19 @@ class Tokens:
             del queue[number]
         return picked
 
+    def drop(self, job: Job) -> dict[int, int]:
+        """Take the tokens of a job out of the net; return their numbers by place."""
+        dropped: dict[int, int] = {}
+        for place, queue in list(self.queues.items()):
+            kept = deque(lineage for lineage in queue if lineage.job is not job)
+            if count := len(queue) - len(kept):
+                dropped[place], self.queues[place] = count, kept
+                self._named[place] -= count
+                if not self._named[place]:
+                    del self.queues[place], self._named[place]
+                self.enabling.take_tokens(place, count)
+        return dropped
+
     def disown(self, job: Job) -> None:
         """Free the tokens of an ended job, and decide again on the transitions enabled by the tokens."""
         for place, queue in list(self.queues.items()):
@@ -277,7 +291,7 @@ class Tokens:
                 self._named[place] -= len(mine)
                 if not self._named[place]:
                     del self.queues[place], self._named[place]
-                self.enabling.consider_stalled(t for t, _ in self._compiled.consumers[place])
+                self.enabling.consider_stalled(t for t, _ in self.compiled.consumers[place])
 
     def first(self, place: int) -> Lineage:
         """Return the lineage of the first token of a marked place."""
@@ -286,9 +300,9 @@ class Tokens:
 
     def give_outputs(self, transition: int, lineage: Lineage) -> None:
         """Mark the output places of a transition."""
-        for place, weight in self._compiled.outputs[transition]:
+        for place, weight in self.compiled.outputs[transition]:
             self.put_tokens(place, weight, lineage)
 
     def marking(self) -> dict[str, int]:
         """Return the marked places by name."""
-        return self._compiled.marking(tuple(self.enabling.tokens))
+        return self.compiled.marking(tuple(self.enabling.tokens))

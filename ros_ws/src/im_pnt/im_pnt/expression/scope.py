@@ -13,7 +13,7 @@ from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text
 from im_pnt.expression.inference import Meanings, infer
-from im_pnt.expression.template import OPENS, pieces
+from im_pnt.expression.template import OPENS, nodes, pieces, references
 from im_pnt.expression.types import (
     ANY,
     BOOLEAN,
@@ -94,6 +94,10 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
         yield ("request", "arguments"), dict(action.fields), ANY
     if transition.guard is not None and OPENS in transition.guard.name:
         yield ("guard",), transition.guard.name, BOOLEAN
+    for path in (path for node in nodes(transition.says) for path in references(node)):
+        if path[0] != "arguments":
+            raise PlacedError(("says",), f"'{path[0]}' is not known as the action begins; say arguments")
+    yield ("says",), transition.says, ANY
     for name, value in transition.result.items():
         yield ("result", name), value, ANY
     for name, value in transition.store.items():

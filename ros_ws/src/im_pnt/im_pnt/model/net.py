@@ -186,6 +186,7 @@ class Transition:
         marks: Where its values stand, by the keys that lead there.
         acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument. None: not said.
         title: Name for people, beside its own; empty: its own.
+        says: What its action does, as a verb with its object, for progress and failures; empty: not said.
     """
 
     name: str
@@ -218,6 +219,7 @@ class Transition:
     acts_on: tuple[str, ...] | None = None
     resets: tuple[str, ...] = ()
     title: str = ""
+    says: str = ""
 
 
 @dataclass(frozen=True, slots=True)

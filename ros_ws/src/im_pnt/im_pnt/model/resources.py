@@ -16,8 +16,8 @@ from im_pnt.model.net import Net, Transition
 _MAX_ROWS = 400
 """Rows of the working table at which a place counts as not derived; then it can be declared."""
 
-_Row = tuple[dict[int, int], frozenset[str]]
-"""What a weighting of places still changes, by outcome, and the places in it."""
+_Row = tuple[dict[int, int], dict[str, int]]
+"""What a weighting of places still changes, by outcome, and the weights."""
 
 
 def resource_places(net: Net) -> frozenset[str]:
@@ -45,7 +45,29 @@ def resource_places(net: Net) -> frozenset[str]:
     outcomes = [change for each in _outcomes(net) if (change := {p: n for p, n in each.items() if n})]
     marked = frozenset(place.name for place in net.places.values() if place.tokens)
     remote = {name for name in candidates if net.places[name].remote}
-    return declared | remote | {n for n in candidates - remote if _comes_back(n, outcomes, marked - {n})}
+    return declared | remote | {n for n in candidates - remote if _invariant(n, outcomes, marked - {n})}
+
+
+def given_back(net: Net, taken: Mapping[str, int]) -> dict[str, int]:
+    """Return the tokens that P-invariants bring back to the places marked initially, when others are taken out.
+
+    Args:
+        net: An expanded net.
+        taken: Tokens that leave the net, by place.
+    """
+    marked = {place.name for place in net.places.values() if place.tokens}
+    changes: list[Mapping[str, int]] = [{place.name: 1} for place in net.places.values() if place.remote]
+    for each in net.transitions.values():
+        names = each.inputs.keys() | each.outputs.keys()
+        change = {name: each.outputs.get(name, 0) - each.inputs.get(name, 0) for name in names}
+        changes += [{name: n for name, n in change.items() if n}, *({name: -1} for name in each.resets)]
+    found: dict[str, int] = {}
+    for name in net.places:
+        if name in marked:
+            weights = _invariant(name, changes, frozenset(marked - {name}))
+            if count := sum(weights.get(place, 0) * tokens for place, tokens in taken.items()):
+                found[name] = count // weights[name]
+    return found
 
 
 def _outcomes(net: Net) -> Iterator[Mapping[str, int]]:
@@ -75,8 +97,11 @@ def _ends(net: Net, transition: Transition) -> Iterator[Mapping[str, int]]:
             yield transition.on_doubt
 
 
-def _comes_back(name: str, outcomes: Sequence[Mapping[str, int]], others: frozenset[str]) -> bool:
-    """Return whether a P-invariant has one place, and none of some others (Farkas' algorithm on the connected part)."""
+def _invariant(name: str, outcomes: Sequence[Mapping[str, int]], others: frozenset[str]) -> Mapping[str, int]:
+    """Return the weights of a P-invariant with one place, and none of some others; empty: none was found.
+
+    Farkas' algorithm on the connected part.
+    """
     touching: dict[str, list[int]] = {}
     for number, change in enumerate(outcomes):
         for place in change.keys() - others:
@@ -86,35 +111,41 @@ def _comes_back(name: str, outcomes: Sequence[Mapping[str, int]], others: frozen
     while todo:
         place = todo.pop()
         numbers = touching.get(place, [])
-        rows.append(({number: outcomes[number][place] for number in numbers}, frozenset((place,))))
+        rows.append(({number: outcomes[number][place] for number in numbers}, {place: 1}))
         near = {other for number in numbers for other in outcomes[number]} - others - seen
         seen |= near
         todo.extend(sorted(near))
     while True:
         left = Counter(number for rest, _ in rows for number in rest)
         if not left:
-            return any(name in support for _, support in rows)
+            return next((weights for _, weights in rows if name in weights), {})
         # the fewest products first: the table stays small
         column = min(left, key=lambda number: (left[number], number))
         kept = [row for row in rows if column not in row[0]]
         gains = [row for row in rows if row[0].get(column, 0) > 0]
         losses = [row for row in rows if row[0].get(column, 0) < 0]
         if len(kept) + len(gains) * len(losses) > _MAX_ROWS:
-            return False
+            return {}
         rows = _minimal([*kept, *(_joined(gain, loss, column) for gain in gains for loss in losses)])
 
 
 def _joined(gain: _Row, loss: _Row, column: int) -> _Row:
     a, b = -loss[0][column], gain[0][column]
     rest = {n: a * gain[0].get(n, 0) + b * loss[0].get(n, 0) for n in gain[0].keys() | loss[0].keys()}
-    divisor = gcd(*rest.values()) or 1
-    return {n: value // divisor for n, value in rest.items() if value}, gain[1] | loss[1]
+    weights = {
+        place: a * gain[1].get(place, 0) + b * loss[1].get(place, 0) for place in gain[1].keys() | loss[1].keys()
+    }
+    divisor = gcd(*rest.values(), *weights.values())
+    return (
+        {n: value // divisor for n, value in rest.items() if value},
+        {place: weight // divisor for place, weight in weights.items()},
+    )
 
 
 def _minimal(rows: list[_Row]) -> list[_Row]:
     """Drop weightings with a superset of another's places."""
     found: list[_Row] = []
     for row in sorted(rows, key=lambda row: len(row[1])):
-        if not any(support <= row[1] for _, support in found):
+        if not any(weights.keys() <= row[1].keys() for _, weights in found):
             found.append(row)
     return found

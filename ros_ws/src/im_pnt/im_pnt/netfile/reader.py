@@ -279,6 +279,7 @@ class _Reader:
             acts_on=file.acts_on,
             resets=self._resets((*here, "resets"), file.resets),
             title=file.title,
+            says=file.says,
         )
 
     def _resets(self, location: Location, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -382,7 +383,7 @@ def _action(file: TransitionFile) -> Action | None:
     return ValuesAction() if file.result or file.store else None
 
 
-_VALUES = ("guard", "service", "goal", "topic", "await", "request", "result", "store")
+_VALUES = ("guard", "service", "goal", "topic", "await", "request", "says", "result", "store")
 """Keys of a transition under which values stand."""
 
 

@@ -130,6 +130,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
         **_filled(guard=None if t.guard is None else str(t.guard), out=arcs_data(outputs)),
         **_action_data(t.action),
         **_acts_on_data(t.acts_on),
+        **_filled(says=t.says),
         **_filled(result=dict(t.result), store=dict(t.store)),
         **_said(timeout=t.timeout),
         **_filled(on_failure=arcs_data(t.on_failure), on_doubt=arcs_data(t.on_doubt)),

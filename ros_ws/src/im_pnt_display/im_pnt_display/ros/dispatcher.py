@@ -28,7 +28,7 @@ ENDED_KEPT = 10
 MOST_DIAGNOSTICS = 200
 LONGEST_RESULT = 300
 """Characters that are shown of a result; a report of a calibration has 280,000."""
-CONTROLS = ("cancel", "pause", "resume")
+CONTROLS = ("cancel", "pause", "resume", "abandon")
 STOPS = {"estop": "/mcs/estop", "protective_stop": "/mcs/protective_stop", "reset": "/mcs/reset"}
 
 ShowPart = Callable[[str, object], None]

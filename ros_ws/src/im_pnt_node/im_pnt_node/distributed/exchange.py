@@ -12,6 +12,7 @@ from typing import Protocol
 from im_core.clock import monotonic
 from im_core.errors import ImError, LinkError, StateError, nearest
 from im_pnt.errors import NetError
+from im_pnt.execution.abandonment import abandonment
 from im_pnt.execution.events import (
     ActionEnded,
     CommandHeld,
@@ -24,6 +25,7 @@ from im_pnt.execution.events import (
     TokenArrived,
 )
 from im_pnt.execution.executor import Executor
+from im_pnt.execution.firing.rule import ABANDONED_CODE
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Job, JobKey, Owner, Request, TokenContext, scope_of
 from im_pnt.execution.notification import Departure, Observer
 from im_pnt.model.action import RequestAction
@@ -228,23 +230,24 @@ class Exchange:
 
     def _send_reply(self, request: Request, error: ImError | None, results: dict[str, object]) -> None:
         if not request.caller_node:
-            if not self._answer(request.id, error, results):
+            if not self._answer(request.id, error, results) and not _is_abandoned(error):
                 waiter = f"{request.caller_net}.{request.caller_transition}"
                 self._dropped(f"nobody waits for the reply to {waiter} any more")
         elif self._transport is not None:
             message = Message(request.caller_net, ReplyArrived(request.id, error, results))
             self._transport.send(request.caller_node, message)
 
-    def _cancel_request(self, activity: Activity) -> None:
+    def _cancel_request(self, activity: Activity, why: ImError) -> None:
         found = self.book.of_activity(activity)
         if found is None:
             return
         request_id, waiting = found
         if request_id in self.inboxes.in_work:
-            self.inboxes.cancel(self.inboxes.in_work[request_id], cancelled_by(activity.net))
+            self.inboxes.cancel(self.inboxes.in_work[request_id], why)
         elif self._transport is not None:
-            unwanted = RequestCancelled(request_id, cancelled_by(activity.net))
-            self._transport.send(waiting.node, Message(waiting.net, unwanted))
+            self._transport.send(waiting.node, Message(waiting.net, RequestCancelled(request_id, why)))
+        if why.code == ABANDONED_CODE:
+            self._happens(RequestAnswered(request_id))
 
     def _release_request(self, activity: Activity) -> None:
         found = self.book.of_activity(activity)
@@ -284,19 +287,31 @@ class Exchange:
                 if context is not None:
                     context = replace(context, node=sender, home=self._is_home(context.owner.key, net))
                 return self.inboxes.token(net, place, context)
-            case JobUpdateArrived():
-                self.inboxes.post(self.nets[net], replace(event, home=self._is_home(event.key, net)))
+            case JobUpdateArrived(error=error):
+                visit = self.nets[net].rule.ledger.visits.get(event.key)
+                if visit is not None and error is not None:
+                    error = self._told(error, visit.command)
+                self.inboxes.post(self.nets[net], replace(event, home=self._is_home(event.key, net), error=error))
             case RequestArrived(request, held):
                 if request.id in self.inboxes.in_work:
                     return f"request {request.id} is in work already"
                 return self.inboxes.request(replace(request, net=net, caller_node=sender), held)
             case RequestCancelled(request_id, error):
                 if self._asked_by(sender, request_id):
-                    self.inboxes.cancel(self.inboxes.in_work[request_id], error)
+                    request = self.inboxes.in_work[request_id]
+                    self.inboxes.cancel(request, self._told(error, request.command))
             case RequestHeld(request_id, held):
                 if self._asked_by(sender, request_id):
                     self.inboxes.hold(request_id, held)
         return ""
+
+    def _told(self, error: ImError, command: Command) -> ImError:
+        """Return the error of an early end; for journal and log, that of an abandoned command has what is held here."""
+        if not _is_abandoned(error):
+            return error
+        error = abandonment(self.nets.values(), command, error.message)
+        self._dropped(f"command {command.symbol} is {error.message}")
+        return error
 
     def _asked_by(self, sender: str, request_id: str) -> bool:
         """Whether a request is in work, and is that of a process."""
@@ -307,7 +322,7 @@ class Exchange:
             found = self._answer(*reply)
         except NetError as unfit:
             found = self._answer(reply.request_id, unfit, {})
-        if not found:
+        if not found and not _is_abandoned(reply.error):
             self._dropped(f"nobody waits for reply {reply.request_id} of {sender} any more")
 
     def refused(self, message: Message, why: str) -> None:
@@ -412,7 +427,8 @@ class Exchange:
         executor = self.nets[asked.net]
         activity = executor.activity(asked.number)
         self.book.open(asked.request_id, Waiting(executor, activity, asked.asked, asked.node))
-        activity.on_cancel.append(lambda: self._cancel_request(activity))
+        activity.on_cancel.append(lambda: self._cancel_request(activity, cancelled_by(activity.net)))
+        activity.on_abandon.append(lambda error: self._cancel_request(activity, error))
         activity.on_release.append(lambda: self._release_request(activity))
 
     def _answer(self, request_id: str, error: ImError | None, results: dict[str, object]) -> bool:
@@ -469,6 +485,10 @@ class Exchange:
 
     def _dropped(self, why: str) -> None:
         self._observer.troubled("", why)
+
+
+def _is_abandoned(error: ImError | None) -> bool:
+    return error is not None and error.code == ABANDONED_CODE
 
 
 def cancelled_by(net: str) -> ImError:

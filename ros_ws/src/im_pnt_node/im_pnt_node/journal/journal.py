@@ -434,7 +434,7 @@ def _replay(entry: object, exchange: Exchange, link: Link, store: SeenStore) -> 
 
 # Whether a journal belongs to a net.
 
-_UNIMPORTANT = ("line", "file", "source", "description", "marks", "title")
+_UNIMPORTANT = ("line", "file", "source", "description", "marks", "title", "says")
 _ADDED: Mapping[str, object] = {
     "resource": None,
     "symbol_of": None,

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rclpy.parameter import Parameter
 
+from im_core.errors import ConfigError
 from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
 from im_core.processes.startup import net_digest, nets_sentence
 from im_core.ros.dom import DomClient
@@ -28,6 +29,7 @@ from im_pnt_node.rerun.log import MissionLog
 from im_pnt_node.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 from im_pnt_node.ros.commands.control import ControlService
 from im_pnt_node.ros.commands.execute import ExecuteServer, RunCommand
+from im_pnt_node.ros.execution.goals import read_remap
 from im_pnt_node.ros.execution.loop import NetLoop
 from im_pnt_node.ros.execution.runner import NodeRunner
 from im_pnt_node.ros.execution.transport import DdsTransport
@@ -114,7 +116,12 @@ class PntNode(ManagedNode):
         self._loop = NetLoop(self, nets, self._may_turn, self._transport.flush, self._told)
         run_folder = self._journal_dir.parent if self._journal_dir else None
         self.commands = self._observer.commands = Commands(self, nets, self._loop, self.dom, run_folder)
-        self._runner = NodeRunner(self, self.functions, self.exchange, self.heartbeats, self.log, self._loop)
+        remap: dict[str, str] = {}
+        try:
+            remap = read_remap(declare("remap", "", "ROS actions of nets under new names: /old:=/new, ... with commas"))
+        except ConfigError as error:
+            self.declared.fault = self.declared.fault or error
+        self._runner = NodeRunner(self, self.functions, self.exchange, self.heartbeats, self.log, self._loop, remap)
         self._library = Library([Path(file) for file in net_files], verifier)
         self.loader = Loader(
             self,

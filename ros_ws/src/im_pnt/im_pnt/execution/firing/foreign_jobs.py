@@ -63,15 +63,16 @@ def hear(rule: FiringRule, event: JobUpdateArrived) -> None:
             rule.close(job, event.error)
 
 
-def cancelled_visit(rule: FiringRule, event: object) -> Job | None:
-    """Return the foreign job an event will cancel with the actions, None without one."""
+def cancelled_visit(rule: FiringRule, event: object) -> tuple[Job, ImError] | None:
+    """Return the foreign job an event will cancel with the actions, and the reason; None without one."""
     match event:
-        case TokenArrived(context=TokenContext(owner=owner, home=False, cancelled=ImError())):
+        case TokenArrived(context=TokenContext(owner=owner, home=False, cancelled=ImError() as error)):
             job = rule.ledger.visits.get(owner.key)
-            return None if job is None or job.cancelled else job
-        case JobUpdateArrived(key=key, update=JobUpdate.CANCELLED, net=net):
+            return None if job is None or job.cancelled else (job, error)
+        case JobUpdateArrived(key=key, update=JobUpdate.CANCELLED, net=net, error=why):
             job = rule.ledger.visits.get(key)
-            return job if job is not None and _is_from_parent(job, net) else None
+            if job is not None and _is_from_parent(job, net):
+                return job, why or cancelled_elsewhere(net)
     return None
 
 

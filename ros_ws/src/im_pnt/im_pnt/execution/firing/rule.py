@@ -4,6 +4,7 @@ What is here is deterministic: it is done again, in the same order, when a journ
 calls foreign code is elsewhere.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -40,12 +41,14 @@ from im_pnt.model.action import RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
 from im_pnt.model.net import Net, ObjectScope, ReadFor, Role, Transition
-from im_pnt.model.resources import resource_places
+from im_pnt.model.resources import given_back, resource_places
 
 ADDRESS = "command"
 """Argument of a word to a command: the number of that command; without it, it is for whichever asks first."""
 DOUBT_CODE = "in_doubt"
 """Code of the error of an action of which nobody can tell what became."""
+ABANDONED_CODE = "abandoned"
+"""Code of the error of a job that ends at once, though nothing fires."""
 _WAITING_ROLES = (Role.END, Role.FAILED, Role.CANCEL, Role.LOST, Role.GIVEN_UP, Role.WITHDRAWN)
 _PHASE_PLACES = {
     ActivityState.ACTIVE: active_place,
@@ -299,15 +302,44 @@ class FiringRule:
         return any(lineage.job is job for lineage in waiting)
 
     def cancel(self, jobs: Iterable[Job], error: ImError) -> None:
-        """End jobs early: jobs on the tape now, the others after the end of the actions."""
+        """End jobs early: jobs on the tape and abandoned ones now, the others after the end of the actions."""
         for job in jobs:
             if self.ledger.tape.withdraw(job):
                 self.close(job, error)
+            elif error.code == ABANDONED_CODE:
+                self._abandon(job, error)
             else:
                 self.pass_on(job, JobUpdate.CANCELLED, error)
                 job.unwanted = self._awaits_acceptance(job) or self.is_held(job)
                 job.cancelled = True
                 job.last_failure = error
+
+    def _abandon(self, job: Job, error: ImError) -> None:
+        """End a job without its tokens and actions: what these had taken of the net's initial marking comes back."""
+        self.pass_on(job, JobUpdate.CANCELLED, error)
+        back = self.freed_by(job)
+        for activity in self.actions_of(job):
+            del self.activities[activity.number]
+            self.enabling.take_tokens(activity.place, 1)
+            duration = self.clock() - activity.began
+            self.notifier.note(
+                activity.transition, Phase.FAILED, activity.lineage, duration=duration, message=str(error)
+            )
+        self.tokens.drop(job)
+        for place, count in back.items():
+            self.mark_place(place, count, NO_LINEAGE)
+        self.close(job, error)
+
+    def actions_of(self, job: Job) -> list[Activity]:
+        """Return the running actions of a job."""
+        return [activity for activity in self.activities.values() if activity.lineage.job is job]
+
+    def freed_by(self, job: Job) -> dict[str, int]:
+        """Return the tokens that come back, by place, if a job is abandoned."""
+        held = Counter(self.tokens.compiled.places[activity.place] for activity in self.actions_of(job))
+        for place, queue in self.tokens.queues.items():
+            held[self.tokens.compiled.places[place]] += sum(lineage.job is job for lineage in queue)
+        return given_back(self.net, held)
 
     def emit(self, transition: Transition, lineage: Lineage) -> None:
         """Write the symbol of a transition to the output tape, possibly ending a job."""

@@ -33,7 +33,7 @@ ACTIONS = ("action", "service", "goal", "topic", "await", "request")
 _EFFECTS = (*ACTIONS, "result", "store")
 """Keys by which a transition does something that can fail."""
 
-_NEED_ACTION = ("on_failure", "on_doubt", "timeout", "tries", "success", "strategy", "acts_on")
+_NEED_ACTION = ("on_failure", "on_doubt", "timeout", "tries", "success", "strategy", "acts_on", "says")
 MOST_TRIES = 100
 
 
@@ -119,6 +119,11 @@ class TransitionFile(FilePart):
         None,
         description="Resources that its action acts on, where the file does not tell them otherwise; "
         "${arguments.NAME} in them is an argument; [] is nothing.",
+    )
+    says: Text = Field(
+        "",
+        description="What its action does, as a verb with its object, for progress and for its failure ('could not "
+        "...'); ${...} in it is a value of arguments.",
     )
     result: Fields = Field({}, description="Values that the command or request returns when it ends well, by name.")
     store: Fields = Field({}, description="Values of data objects that are put when it ends well, by object.")

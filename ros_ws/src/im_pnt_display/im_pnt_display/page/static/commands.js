@@ -125,10 +125,15 @@ export class Commands {
       if (buttons.dataset.shown !== key) {
         buttons.dataset.shown = key;
         const ask = (request) => () => this.ask(request, String(number));
-        buttons.replaceChildren(...(this.operable && state !== "cancelling" ? [
-          state === "paused" ? button("resume", `go on with command ${number}`, ask("resume"))
-            : button("pause", `let what runs of command ${number} end, and begin nothing more`, ask("pause")),
-          button("cancel", `end command ${number}`, ask("cancel"))] : []));
+        const ending = state === "cancelling";
+        buttons.replaceChildren(...(!this.operable ? [] : [
+          ...(ending ? [] : [
+            state === "paused" ? button("resume", `go on with command ${number}`, ask("resume"))
+              : button("pause", `let what runs of command ${number} end, and begin nothing more`, ask("pause")),
+            button("cancel", `end command ${number}`, ask("cancel"))]),
+          ...(ending ? [button("abandon", `last resort: end command ${number} at once`, () => {
+            if (confirm(`Abandon command ${number}? Its actions are cancelled and not awaited: something may still move.`)) ask("abandon")();
+          })] : [])]));
       }
       return row;
     }));

@@ -16,6 +16,7 @@ from im_core.ros.node import ManagedNode
 from im_core.unfinished_commands import OpenCommandNote, noted, set_aside
 from im_msgs.msg import Status
 from im_pnt.errors import JournalError, NetError
+from im_pnt.execution.abandonment import abandonment
 from im_pnt.execution.events import CommandCancelled, CommandHeld
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import ADDRESS
@@ -275,6 +276,18 @@ class Commands:
         error = ImError(why, code="cancelled", command_id=number)
         for executor in self._nets.values():
             executor.post(CommandCancelled(number, error))
+
+    def abandon(self, number: int) -> str:
+        """End a command at once, though nothing fires; return what it held, and what was in doubt.
+
+        Raises:
+            StateError: There is no open command of the number.
+        """
+        asked = self.get(number).job.command
+        error = abandonment(self._nets.values(), asked, "abandoned by the operator")
+        for executor in self._nets.values():
+            executor.post(CommandCancelled(number, error))
+        return error.message
 
     def hold(self, number: int, held: bool) -> None:
         """Begin nothing more for a command (running actions end), or let the command go on.

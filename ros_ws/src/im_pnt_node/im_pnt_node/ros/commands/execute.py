@@ -1,7 +1,7 @@
 """Commands of a node's nets for all of ROS.
 
 Action ``/<node>/execute`` runs one, topic ``/<node>/commands`` lists what there is, service ``/<node>/list_commands``
-what is under way, and ``/<node>/control_command`` cancels, pauses and resumes it.
+what is under way, and ``/<node>/control_command`` cancels, pauses, resumes and abandons it.
 """
 
 import json
@@ -30,7 +30,7 @@ LOOK_S = 0.1
 #: Priorities that a client may add to what a command declares.
 PRIORITIES = range(-10, 11)
 
-REQUESTS = ("cancel", "pause", "resume")
+REQUESTS = ("cancel", "pause", "resume", "abandon")
 
 
 RunCommand = Callable[[str, dict[str, object], ProgressListener, Callable[[int], None], int], Awaitable[CommandOutcome]]
@@ -100,17 +100,20 @@ class ExecuteServer:
     async def _control_command(
         self, request: ControlCommand.Request, response: ControlCommand.Response
     ) -> ControlCommand.Response:
+        told = ""
         try:
             command = self._commands.get(request.command_id)
             match request.request:
+                case "abandon":
+                    told = f": {self._commands.abandon(request.command_id)}"
                 case "cancel":
                     self._commands.cancel(request.command_id)
                 case "pause" if not (command.held or command.job.cancelled):  # what is to end is not held up
                     self._commands.hold(request.command_id, True)
                 case "resume" if command.held:
                     self._commands.hold(request.command_id, False)
-                case "pause" | "resume" as asked:
-                    raise StateError(f"{command.job.command.symbol} is {command.state}: there is nothing to {asked}")
+                case "pause" | "resume" as wanted:
+                    raise StateError(f"{command.job.command.symbol} is {command.state}: there is nothing to {wanted}")
                 case other:
                     raise NotFoundError(kind="request to a command", name=other, known=REQUESTS)
         except ImError as error:
@@ -118,7 +121,8 @@ class ExecuteServer:
             return response
         not_kept = await self._commands.on_file()
         response.success = True
-        response.message = f"{request.request} {command.job.command.symbol} (number {request.command_id}){not_kept}"
+        asked = f"{request.request} {command.job.command.symbol} (number {request.command_id})"
+        response.message = f"{asked}{told}{not_kept}"
         return response
 
     async def _execute(self, goal: ServerGoalHandle) -> ExecuteCommand.Result:

@@ -5,16 +5,19 @@ the journal brings back: a node that died asks the server about the goals that i
 """
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from action_msgs.msg import GoalStatus
 from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from unique_identifier_msgs.msg import UUID
 
-from im_core.errors import ImError, LinkError, StateError
+from im_core.errors import ConfigError, ImError, LinkError, StateError
 from im_core.ros.calls import pause
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.messages.interfaces import interface_class
@@ -22,7 +25,7 @@ from im_core.ros.peers.servers import doubted
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
-from im_pnt.model.action import GoalAction
+from im_pnt.model.action import Action, GoalAction
 from im_pnt_node.ros.execution.actions import (
     RosActions,
     Surroundings,
@@ -52,13 +55,18 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
     Args:
         surroundings: Reaches other tasks.
         incarnation: Names the incarnation of the process.
+        remap: New names of ROS actions, by the names in nets.
     """
 
-    def __init__(self, surroundings: Surroundings, incarnation: Callable[[], str]) -> None:
+    def __init__(self, surroundings: Surroundings, incarnation: Callable[[], str], remap: Mapping[str, str]) -> None:
         super().__init__(surroundings)
-        self._incarnation = incarnation
+        self._incarnation, self._remap = incarnation, remap
         self._results: dict[Activity, Any] = {}
         self._performed: set[Activity] = set()
+
+    def prepare(self, action: Action) -> WatchedServer[ActionClient]:
+        """Return the client of an action, with the new name; errors as of :meth:`.RosActions.prepare`."""
+        return super().prepare(self._renamed(action))
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
         """Send a goal, wait for the result and handle the result; return the kept part.
@@ -66,16 +74,14 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         Raises:
             ImError: It was rejected, aborted or cancelled, or the server is gone.
         """
-        action = activity.action
-        assert isinstance(action, GoalAction)
         self._performed.add(activity)
         try:
-            return await self._perform(activity, context, action)
+            return await self._perform(activity, context, self._renamed(activity.action))
         finally:
             self._performed.discard(activity)
 
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
-        around, server = self._surroundings, self.prepare(action)
+        around, server = self._surroundings, self.prepare(activity.action)
         client = server.client
         task = around.task(action)
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
@@ -109,11 +115,10 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
         """Ask the server for the outcome of a goal from a former incarnation of the process."""
-        around, action = self._surroundings, activity.action
-        assert isinstance(action, GoalAction)
+        around, action = self._surroundings, self._renamed(activity.action)
         if activity in self._performed:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
-        server, task = self.prepare(action), around.task(action)
+        server, task = self.prepare(activity.action), around.task(action)
         try:
             await around.until_ready(server, action.name, task, f"the action {action.name}")
             if activity not in self._results:
@@ -137,6 +142,10 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         except ImError as error:
             return Answer(Outcome.FAILED, error, asked=action.name)
         return Answer(Outcome.DONE, results=kept, asked=action.name)
+
+    def _renamed(self, action: Action) -> GoalAction:
+        assert isinstance(action, GoalAction)
+        return replace(action, name=self._remap.get(action.name, action.name))
 
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
         """Begin to wait for a result, and cancel the goal with the activity."""
@@ -174,6 +183,28 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
     def _destroy(self, endpoint: WatchedServer[ActionClient]) -> None:
         endpoint.stop()
         endpoint.client.destroy()
+
+
+def read_remap(text: str) -> dict[str, str]:
+    """Return the new names of ROS actions, by the names in nets.
+
+    Args:
+        text: ``/old:=/new``, several with commas between; empty: none.
+
+    Raises:
+        ConfigError: It is something else, or gives a name twice.
+    """
+    names: dict[str, str] = {}
+    for rule in filter(None, text.split(",")):
+        old, _, new = rule.strip().partition(":=")
+        try:
+            validate_full_topic_name(old)
+            validate_full_topic_name(new)
+        except InvalidTopicNameException as error:
+            raise ConfigError(f"remap {rule.strip()} is not of the form /old:=/new, full names of actions") from error
+        if names.setdefault(old, new) != new:
+            raise ConfigError(f"remap gives {old} two names, {names[old]} and {new}")
+    return names
 
 
 def packed_result(answer: Any) -> list[object]:

@@ -1,7 +1,7 @@
 """Runner of the actions of a node's nets: functions, requests, and work of other tasks."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.exceptions import NameValidationException
@@ -35,6 +35,7 @@ class NodeRunner(FunctionRunner):
         heartbeats: Tells who is alive.
         log: Is told what is sent, and what is answered.
         loop: Holds the journal, which keeps what builders leave in jobs.
+        remap: New names of ROS actions, by the names in nets.
 
     Attributes:
         surroundings: Reach other tasks.
@@ -48,10 +49,11 @@ class NodeRunner(FunctionRunner):
         heartbeats: Heartbeats,
         log: MissionLog,
         loop: NetLoop,
+        remap: Mapping[str, str],
     ) -> None:
         self._node, self._exchange, self._loop = node, exchange, loop
         self.surroundings = around = Surroundings(node, functions, heartbeats, log, self._keep)
-        goals, awaits = GoalActions(around, lambda: exchange.book.incarnation), AwaitActions(around)
+        goals, awaits = GoalActions(around, lambda: exchange.book.incarnation, remap), AwaitActions(around)
         self._kinds: dict[type, RosActions[Any]] = {
             ServiceAction: ServiceActions(around),
             GoalAction: goals,
