@@ -51,6 +51,7 @@ _ELSEWHERE = {
     "journal": "im_pnt_node",
     "mission": "im_pnt_node",
     "run": "im_pnt_node",
+    "test": "im_pnt_node",
 }
 """Commands of packages above this one, which name themselves as entry points."""
 
