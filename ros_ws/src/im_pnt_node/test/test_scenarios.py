@@ -1,5 +1,6 @@
 """Scenarios: what comes when, what is answered, what is expected; the shipped ones, and the ones that must fail."""
 
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -15,7 +16,14 @@ from im_core.errors import ConfigError
 from im_pnt.expression.types import NoTypes
 from im_pnt_node.cli import scenarios as command
 from im_pnt_node.scenario.draws import Draws, shrink
-from im_pnt_node.scenario.file import load_scenarios
+from im_pnt_node.scenario.file import (
+    AnswerFile,
+    ExpectationFile,
+    ScenarioFile,
+    ScenariosFile,
+    StepFile,
+    load_scenarios,
+)
 from im_pnt_node.scenario.run import Coverage
 from im_pnt_node.scenario.verdict import judge, message_types, unreached
 
@@ -124,6 +132,8 @@ def test_a_name_of_two_nets_asks_for_the_net(tmp_path):
         f"    steps: [{PICK}, takes: 2.0, results: {{reached: true}}}}]\n    expect: {{time: 2, marking: {{arm: 1}}}}",
         f"    steps: [{PICK}, takes: 7.5}}]\n    answers: {{reach: {{after: 5.5}}}}",
         f"    steps: [{PICK}, ends: failed, reason: dark}}]\n    answers: {{look: {{failure: dark}}}}",
+        f"    steps: [{PICK}, ends: failed, reason: dark}}]\n"
+        "    answers: {look: {answer: {success: false, message: dark}}}",
         f"    steps: [{PICK}, takes: 4.0}}]\n    answers: {{reach: [{{doubt: it died}}, {{}}]}}\n"
         "    expect: {order: [reach+, 'reach?', look, reach]}",
         f"    steps: [{PICK}, ends: failed, takes: 12.0}}]\n    answers: {{reach: {{after: 60.0}}}}",  # its time-out
@@ -156,7 +166,6 @@ def test_what_happens_as_expected_passes(tmp_path, scenario):
         (f"    steps: [{PICK}}}]\n    expect: {{never: [look+]}}", "expect.never: look+ came"),
         (f"    steps: [{PICK}}}]\n    expect: {{marking: {{held: 2}}}}", "expect.marking: held holds 0, not 2"),
         (f"    steps: [{PICK}}}]\n    expect: {{time: 1}}", "expect.time: it ended at 2 s, not 1 s"),
-        (f"    steps: [{PICK}}}]\n    expect: {{objects: {{spot: {{u: 1}}}}}}", "expect.objects: there is no spot"),
         (f"    steps: [{PICK}}}, {{while: give_up, cancel: pick}}]", "no transition with an action"),
         ("    steps: [{symbol: pick, arguments: {limit: 3}}]", "place seen holds 1 token and is no place of rest"),
     ],
@@ -263,8 +272,8 @@ def test_the_command_tells_what_failed_and_what_was_not_reached(tmp_path, capsys
     cases = ElementTree.parse(tmp_path / "out.xml").getroot().findall("testsuite/testcase")
     assert [(case.get("name"), case.find("failure") is not None) for case in cases] == [("one", False), ("two", True)]
     assert cases[1].find("failure").get("message") == "step 1, pick: it took 2 s, not 9 s"
-    assert run(tmp_path, "--only", "one", "--firings") == command.PASSED
-    assert "2.000  reach" in capsys.readouterr().out
+    assert run(tmp_path, "--only", "one") == command.PASSED
+    assert "1 passed, 0 failed" in capsys.readouterr().out
 
 
 def test_the_command_refuses_what_is_not_there(tmp_path):
@@ -288,6 +297,30 @@ def test_pytest_collects_scenarios(tmp_path):
     (tmp_path / "cell.test.yml").write_text("scenarios: {one: {steps: [{symbol: pik}]}}")
     done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=tmp_path, timeout=300)
     assert "cell.test.yml:1: scenarios.one.steps[0].symbol: there is no symbol 'pik'" in done.stdout
+
+
+# The page.
+
+PAGE = (ROOT / "docs" / "testing.md").read_text(encoding="utf-8")
+
+
+def test_what_the_page_shows_is_what_is_printed(tmp_path, capsys, monkeypatch):
+    for name, text in re.findall(r"^`(pick\.[a-z.]+)`\n```yaml\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE):
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+    words, shown = re.search(r"```console\n\$ scripts/im pnt test (.*?)\n(.*?)```", PAGE, re.DOTALL).groups()
+    assert run(words) == command.FAILED
+    assert capsys.readouterr().out == shown
+    excerpt = re.search(r"```yaml\n(  said_yes_twice:.*?)```", PAGE, re.DOTALL)[1]
+    assert excerpt in (ROOT / "docs/nets/tasks/confirm.test.yml").read_text(encoding="utf-8")
+
+
+def test_the_page_explains_every_key():
+    rows = [line.split("|")[1] for line in PAGE.splitlines() if line.startswith("| `")]
+    explained = set(re.findall(r"`(\w+)`", "\n".join(rows)))
+    models = (ScenariosFile, ScenarioFile, StepFile, AnswerFile, ExpectationFile)
+    keys = {field.alias or name for model in models for name, field in model.model_fields.items()}
+    assert keys - {"arguments"} == explained
 
 
 # What is shipped.

@@ -11,7 +11,7 @@ from im_core.errors import ConfigError
 from im_core.files import write_whole
 from im_pnt_node.scenario.file import SUFFIX, load_scenarios
 from im_pnt_node.scenario.run import Coverage
-from im_pnt_node.scenario.verdict import fired_lines, judge, message_types, unreached
+from im_pnt_node.scenario.verdict import judge, message_types, unreached
 
 PASSED, FAILED = 0, 1
 
@@ -20,7 +20,7 @@ the engine of the nodes, in virtual time, with mocked actions; nothing moves, an
 
   scripts/im pnt test docs/nets/tasks                     every scenario file (*{SUFFIX}) of a folder
   scripts/im pnt test docs/nets/tasks/confirm.yaml        that of a net, confirm{SUFFIX}
-  scripts/im pnt test confirm{SUFFIX} --only said_no --firings
+  scripts/im pnt test confirm{SUFFIX} --only said_no
   scripts/im pnt test nets --junit results/nets.xml       for a build server; pytest collects the files, too
 
 A scenario file, here pick{SUFFIX} beside pick.yaml:
@@ -38,7 +38,7 @@ A scenario file, here pick{SUFFIX} beside pick.yaml:
       steps: [{{symbol: pick}}]                            # arguments are drawn, too
       random: 200                                        # answers, failures and cancellations are drawn
 
-The report says which transitions never fired, and which guards were never true or never false. docs/nets/testing.md
+The report says which transitions never fired, and which guards were never true or never false. docs/testing.md
 tells all keys. Exit code: 0 all passed, 1 not, 2 a file or an option is wrong."""
 
 
@@ -50,7 +50,6 @@ def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="scenario files, their nets, or folders")
     parser.add_argument("--only", metavar="NAME", help="run the scenarios of this name alone")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="same seed, same draws (0)")
-    parser.add_argument("--firings", action="store_true", help="print what fired in scenarios that pass, too")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="write the results as JUnit XML")
 
 
@@ -88,8 +87,6 @@ def run(options: argparse.Namespace) -> int:
             else:
                 passed += 1
                 print(f"passed  {where}: {scenario.name}{many}")
-                if options.firings:
-                    print("\n".join(fired_lines(verdict.outcome)))
         reached, total, left = unreached(each, coverage)
         print(f"        {each.path.name}: {reached} of {total} transitions and sides of guards reached")
         for text in left if options.only is None else ():

@@ -1,14 +1,16 @@
 """Values drawn for answers and arguments, and the shortest sequence of draws that still fails."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from random import Random
 
 from im_core.errors import ImError
-from im_pnt.expression.syntax import Binary, Call, Field, Item, Listing, Literal, Node, Unary
-from im_pnt.expression.template import OPENS, Way, nodes
+from im_pnt.expression.template import OPENS, Way
 from im_pnt.expression.types import MessageTypes, ValueKind, ValueType
 from im_pnt.model.arguments import Argument, ArgumentType
 from im_pnt.model.net import Net
+
+_LITERAL = re.compile(r"'([^']*)'|(?<![\w.])([0-9]+(?:\.[0-9]+)?)")
 
 
 class Draws:
@@ -177,25 +179,8 @@ def _fits(argument: Argument, value: object) -> bool:
 
 
 def _literals(net: Net) -> Iterable[float | str]:
+    """Yield the numbers and texts in the expressions of guards."""
     for transition in net.transitions.values():
         guard = transition.guard.name if transition.guard is not None else ""
-        values = [guard] if OPENS in guard else []
-        for node in nodes([*values, dict(transition.result), getattr(transition.action, "until", None) or ""]):
-            yield from _literals_in(node)
-
-
-def _literals_in(node: Node) -> Iterable[float | str]:
-    match node:
-        case Literal(value):
-            if not isinstance(value, bool):
-                yield value
-        case Binary(_, left, right):
-            yield from _literals_in(left)
-            yield from _literals_in(right)
-        case Unary(_, of) | Field(of, _):
-            yield from _literals_in(of)
-        case Item(of, _):
-            yield from _literals_in(of)
-        case Call(_, several) | Listing(several):
-            for each in several:
-                yield from _literals_in(each)
+        for text, number in _LITERAL.findall(guard if OPENS in guard else ""):
+            yield float(number) if number else text

@@ -22,7 +22,7 @@ MARKS = {"+": "has begun its action", "!": "has failed", "~": "is cancelled", "?
 """Marks behind a transition in ``order`` and ``never``; without one, it has ended well."""
 
 _LARGEST = 4 * 1024 * 1024
-_KINDS = ("symbol", "request", "token", "cancel", "guards", "objects", "invalidate")
+_KINDS = ("symbol", "request", "cancel", "guards", "objects")
 
 
 def _as_list(value: object) -> object:
@@ -81,11 +81,9 @@ class StepFile(Model):
         symbol: Symbol on the tape.
         request: Service that is requested, ``net.service``.
         arguments: Arguments of either.
-        token: Remote place that gets a token, ``net.place``.
         cancel: Symbol or ``net.service`` whose last command or request is cancelled.
         guards: Answers of guards from then on.
         objects: Data objects from then on.
-        invalidate: Data object that loses its validity.
         ends: How the command or request ends, ``waiting`` where no transition has taken it; None: ``done``, with drawn
             answers in any way, or waiting.
         reason: Part of the reason of a failure.
@@ -98,11 +96,9 @@ class StepFile(Model):
     symbol: str | None = None
     request: str | None = None
     arguments: Fields = Field({})
-    token: str | None = None
     cancel: str | None = None
     guards: Guards = Field({})
     objects: Objects = Field({})
-    invalidate: str | None = None
     ends: Ends | None = None
     reason: str | None = None
     results: Fields = Field({})
@@ -126,7 +122,6 @@ class ExpectationFile(Model):
         order: Firings that come in this order, others between: ``t``, or ``t`` with one of :data:`MARKS`.
         never: Firings that do not come.
         marking: Tokens of places at the end.
-        objects: Data objects at the end, at least these fields.
         time: Least and greatest time of the end [s]; a number is both.
         rest: Whether the nets are at rest at the end: no open command, no token where none may stay.
     """
@@ -134,7 +129,6 @@ class ExpectationFile(Model):
     order: tuple[str, ...] = ()
     never: tuple[str, ...] = ()
     marking: dict[str, Annotated[int, Field(ge=0)]] = Field({})
-    objects: Objects = Field({})
     time: Times | None = None
     rest: bool = True
 
@@ -143,11 +137,9 @@ class ScenarioFile(Model):
     """One scenario.
 
     Attributes:
-        about: One line for people.
         steps: What comes from outside.
         answers: Answers of actions by transition: one, or several in order, of which the last stays.
         guards: Answers of registered guards: one, or several, a new one where the net has fired in between.
-        builds: Fields made by builders.
         objects: Data objects by name.
         until: Time of the end [s]; None: when all commands have ended and no action runs.
         seed: Seed of the choices among contending transitions.
@@ -155,11 +147,9 @@ class ScenarioFile(Model):
         expect: What is expected.
     """
 
-    about: str = ""
     steps: Annotated[tuple[StepFile, ...], Field(min_length=1)]
     answers: Answers = Field({})
     guards: Guards = Field({})
-    builds: Objects = Field({})
     objects: Objects = Field({})
     until: Seconds | None = None
     seed: int = 0
@@ -172,15 +162,12 @@ class ScenariosFile(Model):
 
     Attributes:
         nets: Net files, relative to this one; none: the net of the same name beside it.
-        answers: Answers in all scenarios that say nothing else; ``guards``, ``builds`` and ``objects`` likewise.
+        answers: Answers in all scenarios that say nothing else.
         scenarios: The scenarios by name.
     """
 
     nets: tuple[str, ...] = ()
     answers: Answers = Field({})
-    guards: Guards = Field({})
-    builds: Objects = Field({})
-    objects: Objects = Field({})
     scenarios: Annotated[dict[str, ScenarioFile], Field(min_length=1)]
 
 
@@ -229,12 +216,9 @@ def load_scenarios(path: Path) -> ScenarioSet:
     scenarios = []
     for name, own in file.scenarios.items():
         key = find(root, ("scenarios", name)).key
-        common = {part: {**getattr(file, part), **getattr(own, part)} for part in _COMMON}
-        scenarios.append(Scenario(name, key.line if key else 1, own.model_copy(update=common)))
+        content = own.model_copy(update={"answers": {**file.answers, **own.answers}})
+        scenarios.append(Scenario(name, key.line if key else 1, content))
     return ScenarioSet(path, nets, tuple(scenarios))
-
-
-_COMMON = ("answers", "guards", "builds", "objects")
 
 
 def split_name(name: str, nets: Sequence[Net]) -> tuple[str, str]:
@@ -260,10 +244,11 @@ class _Names:
         Raises:
             ConfigError: A name is not known, or an argument is wrong.
         """
-        self._mocks((), file)
+        self._answers((), file.answers)
         for name, scenario in file.scenarios.items():
             at: Location = ("scenarios", name)
-            self._mocks(at, scenario)
+            self._answers(at, scenario.answers)
+            self._guards((*at, "guards"), scenario.guards)
             for rank, step in enumerate(scenario.steps):
                 self._step((*at, "steps", rank), step, partly=scenario.random is not None)
             expected = (*at, "expect")
@@ -273,14 +258,9 @@ class _Names:
             for place in scenario.expect.marking:
                 self._find((*expected, "marking", place), "place", place, self._places)
 
-    def _mocks(self, at: Location, file: ScenariosFile | ScenarioFile) -> None:
-        for name in file.answers:
+    def _answers(self, at: Location, names: Iterable[str]) -> None:
+        for name in names:
             self._find((*at, "answers", name), "transition with an action", name, self._acting)
-        self._guards((*at, "guards"), file.guards)
-        known = {name for net in self._nets for name in net.functions()}
-        for name in file.builds:
-            if name not in known:
-                raise self._unknown((*at, "builds", name), "builder", name, known)
 
     def _guards(self, at: Location, guards: Iterable[str]) -> None:
         known = {name for net in self._nets for name in net.guards()}
@@ -295,8 +275,6 @@ class _Names:
         symbols: dict[str, Iterable[str]] = {net.name: net.symbols() for net in self._nets}
         services: dict[str, Iterable[str]] = {net.name: net.services for net in self._nets}
         self._guards((*at, "guards"), step.guards)
-        if step.token is not None:
-            self._find((*at, "token"), "place", step.token, self._places)
         if step.cancel is not None:
             both = {name: (*symbols[name], *services[name]) for name in symbols}
             self._find((*at, "cancel"), "symbol or service", step.cancel, both)

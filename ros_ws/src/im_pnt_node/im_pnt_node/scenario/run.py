@@ -8,13 +8,7 @@ from functools import partial
 
 from im_core.errors import ImError
 from im_pnt.execution.actions import FunctionRunner, Perform
-from im_pnt.execution.events import (
-    CommandCancelled,
-    ObjectInvalidated,
-    RequestArrived,
-    RequestCancelled,
-    TokenArrived,
-)
+from im_pnt.execution.events import CommandCancelled, RequestArrived, RequestCancelled
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import DOUBT_CODE
 from im_pnt.execution.functions import ActionContext, Functions, GuardFunction
@@ -112,7 +106,6 @@ class ScenarioReport:
         firings: Time [s], net, and transition with a mark as of :data:`~im_pnt_node.scenario.file.MARKS`.
         orders: Commands and requests by the number of their step.
         marking: Marked places by net.
-        objects: Data objects by name.
         unrest: Why a net is not at rest.
         troubles: What nets have complained of.
         not_begun: Numbers of steps whose ``while`` has not come.
@@ -124,7 +117,6 @@ class ScenarioReport:
     firings: list[tuple[float, str, str]] = field(default_factory=list)
     orders: dict[int, ScenarioOrder] = field(default_factory=dict)
     marking: dict[str, dict[str, int]] = field(default_factory=dict)
-    objects: dict[str, Mapping[str, object]] = field(default_factory=dict)
     unrest: list[str] = field(default_factory=list)
     troubles: list[str] = field(default_factory=list)
     not_begun: list[int] = field(default_factory=list)
@@ -201,7 +193,7 @@ class ScenarioRunner(Observer):
             self._timers.strike(self._now)
         self._now = self._now if self._file.until is None else max(self._now, self._file.until)
         out = self._outcome
-        out.time, out.objects = self._now, self._objects.stored
+        out.time = self._now
         out.marking = {name: executor.marking() for name, executor in self._exchange.nets.items()}
         out.unrest = [f"net {executor.net.name}: {rest}" for executor in executors if not (rest := executor.at_rest())]
         return out
@@ -245,30 +237,19 @@ class ScenarioRunner(Observer):
         self._act(number, step)
 
     def _act(self, number: int, step: StepFile) -> None:
-        nets = list(self._exchange.nets.values())
         if step.symbol is not None or step.request is not None:
             self._write(number, step)
-        elif step.token is not None:
-            net, place = split_name(step.token, list(self._nets.values()))
-            net = net or next(name for name, each in self._nets.items() if place in each.places)
-            self._exchange.nets[net].post(TokenArrived(place, 1))
         elif step.cancel is not None:
             net, name = split_name(step.cancel, list(self._nets.values()))
             orders = self._outcome.orders.values()
             for order in [each for each in orders if each.name == name and net in ("", each.net)][-1:]:
                 self._cancel(order)
-        elif step.invalidate is not None:
-            self._objects.stored.pop(step.invalidate, None)
-            scopes = ["", *(f"{_SCOPE}{each}/" for each in self._outcome.orders)]
-            for executor in nets:
-                for scope in scopes:
-                    executor.post(ObjectInvalidated(f"{scope}{step.invalidate}"))
         else:
             self._guards |= step.guards
             self._asked = {key: each for key, each in self._asked.items() if key[1] not in step.guards}
             self._used.subtract({name: self._used[name] for name in step.guards})
             self._objects.stored.update(step.objects)
-            for executor in nets:
+            for executor in self._exchange.nets.values():
                 executor.guards_changed()
 
     def _write(self, number: int, step: StepFile) -> None:
@@ -370,6 +351,8 @@ class ScenarioRunner(Observer):
             why = ImError(answer.doubt, code=DOUBT_CODE)
             self._doubt(self._exchange.nets[net], name, context.command, why)
             raise why
+        if answer.answer.get("success") is False:  # in ROS that is a failure, too
+            raise ImError(str(answer.answer.get("message") or f"{action} did not succeed"), code=answer.code)
         if answer.failure is not None:
             raise ImError(answer.failure, code=answer.code)
         return {**self._fields_read(action, context, Draws()), **answer.answer}
@@ -462,14 +445,6 @@ class ScenarioRunner(Observer):
         """Return whether a registered guard is mocked: each that is no function of a user's module, or is written."""
         return name in self._guards or ":" not in name
 
-    def built(self, name: str) -> dict[str, object]:
-        """Return the fields of a builder."""
-        return dict(self._file.builds.get(name, {}))
-
-    def builds(self, name: str) -> bool:
-        """Return whether fields of a builder are written."""
-        return name in self._file.builds
-
 
 _SCOPE = "command-"
 
@@ -505,8 +480,8 @@ class _WatchedFunctions(Functions):
                     others.update(action.functions)
         mocked: dict[str, Callable[..., object]] = {name: run.mock(name) for name in acting}
         for name in others:
-            if ":" not in name or run.builds(name):
-                mocked[name] = lambda context, *_, name=name: run.built(name)
+            if ":" not in name:
+                mocked[name] = lambda *_: {}
         guards = {name for net in nets for name in net.guards() if "${" not in name and run.is_mocked(name)}
         super().__init__(mocked, {name: lambda context: False for name in guards - {"cancelled"}})
         self._run, self._mocked = run, guards - {"cancelled"}

@@ -137,11 +137,6 @@ def _complaints(scenarios: ScenarioSet, scenario: Scenario, outcome: ScenarioRep
         held = sum(marking.get(name, 0) for each, marking in outcome.marking.items() if net in ("", each))
         if held != count:
             yield f"expect.marking: {place} holds {held}, not {count}"
-    for name, fields in expected.objects.items():
-        if name not in outcome.objects:
-            yield f"expect.objects: there is no {name}"
-        else:
-            yield from _differences(f"expect.objects.{name}", fields, outcome.objects[name])
     if expected.time is not None and not _between(outcome.time, expected.time):
         yield f"expect.time: it ended at {outcome.time:g} s, not {_told(expected.time)}"
     opened = any(step.ends in ("open", "waiting") for step in content.steps)
