@@ -183,6 +183,11 @@ def test_a_net_without_end_is_told(tmp_path):
     assert complaints(tmp_path, "    steps: [{symbol: go}]", net) == ["it does not end: 20000 firings in 0 s"]
 
 
+def test_a_clock_needs_no_step(tmp_path):
+    net = "net: cell\nplaces: {a: 1, b: }\nrest: [a, b]\ntransitions: {tick: {in: a, out: b, delay: 3.0}}"
+    assert complaints(tmp_path, "    until: 5.0\n    expect: {order: [tick], time: 5, marking: {b: 1}}", net) == []
+
+
 def test_guards_and_objects_are_mocked_and_change(tmp_path):
     net = """
 net: cell

@@ -27,16 +27,18 @@ A scenario file, here pick{SUFFIX} beside pick.yaml:
 
   scenarios:
     picks_the_second_time:
-      steps:
-        - {{symbol: pick, arguments: {{limit: 4.0}}, takes: 3.0}}
-        - {{while: reach, at: 0.5, cancel: pick}}            # half a second after reach has begun
+      steps: [{{symbol: pick, arguments: {{limit: 4.0}}, takes: 3.0}}]
       answers:
         look: {{answer: {{force: 3.2}}, after: 1.0}}
         reach: [{{failure: slipped}}, {{}}]                  # fails, then ends well
-      expect: {{order: [look, reach!, reach_2], marking: {{arm: 1}}}}
+      expect: {{order: [look, "reach!", reach_2], marking: {{arm: 1}}}}
+    cancelled_on_the_way:
+      steps:
+        - {{symbol: pick, ends: cancelled}}
+        - {{while: reach, at: 0.5, cancel: pick}}          # half a second after reach has begun
     ends_whatever_happens:
-      steps: [{{symbol: pick}}]                            # arguments are drawn, too
-      random: 200                                        # answers, failures and cancellations are drawn
+      steps: [{{symbol: pick}}]                            # arguments are drawn,
+      random: 200                                        # answers, failures and cancellations, too
 
 The report says which transitions never fired, and which guards were never true or never false. docs/testing.md
 tells all keys. Exit code: 0 all passed, 1 not, 2 a file or an option is wrong."""

@@ -147,7 +147,7 @@ class ScenarioFile(Model):
         expect: What is expected.
     """
 
-    steps: Annotated[tuple[StepFile, ...], Field(min_length=1)]
+    steps: tuple[StepFile, ...] = ()
     answers: Answers = Field({})
     guards: Guards = Field({})
     objects: Objects = Field({})

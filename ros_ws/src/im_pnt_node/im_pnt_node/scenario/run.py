@@ -143,14 +143,13 @@ class ScenarioRunner(Observer):
         coverage: Coverage,
         draws: Draws | None = None,
     ) -> None:
-        self._nets = {net.name: net for net in scenarios.nets}
-        self._file, self._coverage, self._draws = scenario.content, coverage, draws
-        self._values = values
+        self._nets, self._all = {net.name: net for net in scenarios.nets}, scenarios.nets
+        self._file, self._coverage, self._draws, self._values = scenario.content, coverage, draws, values
         self._now, self._timers, self._used = 0.0, Timers(), Counter[str]()
         self._guards = dict(self._file.guards)
         self._asked: dict[tuple[str, str], tuple[int, bool]] = {}
         self._objects = _MockedObjects(self._file.objects)
-        self._waiting: dict[str, list[Callable[[], None]]] = defaultdict(list)
+        self._waiting: dict[tuple[str, str], list[tuple[int, StepFile]]] = defaultdict(list)
         self._outcome = ScenarioReport()
         self._exchange = _ScenarioExchange(self)
         functions = _WatchedFunctions(self, scenarios.nets)
@@ -173,12 +172,13 @@ class ScenarioRunner(Observer):
     def run(self) -> ScenarioReport:
         """Run until the end of the scenario."""
         for number, step in enumerate(self._file.steps, 1):
-            act = partial(self._take_step, number, step)
             if step.during is None:
-                self._timers.at(step.at, act)
+                self._timers.at(step.at, partial(self._act, number, step))
             else:
                 self._outcome.not_begun.append(number)
-                self._waiting[self._full(*split_name(step.during, list(self._nets.values())))].append(act)
+                net, name = split_name(step.during, self._all)
+                net = net or next(each.name for each in self._all if name in each.transitions)
+                self._waiting[net, name].append((number, step))
         executors = list(self._exchange.nets.values())
         while not self._outcome.endless:
             self._pump(executors)
@@ -216,47 +216,37 @@ class ScenarioRunner(Observer):
             self._outcome.firings.append((self._now, net, name + _MARKS[firing.phase]))
             self._coverage.transitions[net].add(name)
             if firing.phase is Phase.START:
-                for act in self._waiting.pop(self._full(net, name), ()):
-                    act()
+                for number, step in self._waiting.pop((net, name), ()):
+                    self._outcome.not_begun.remove(number)
+                    self._timers.at(self._now + step.at, partial(self._act, number, step))
 
     def troubled(self, net: str, text: str) -> None:
         """Keep a complaint."""
         self._outcome.troubles.append(f"{net}: {text}" if net else text)
 
-    def _full(self, net: str, name: str) -> str:
-        return f"{net or next(each.name for each in self._nets.values() if name in each.transitions)}.{name}"
-
     # Steps.
-
-    def _take_step(self, number: int, step: StepFile) -> None:
-        if step.during is not None:
-            self._outcome.not_begun.remove(number)
-            if step.at:
-                self._timers.at(self._now + step.at, partial(self._act, number, step))
-                return
-        self._act(number, step)
 
     def _act(self, number: int, step: StepFile) -> None:
         if step.symbol is not None or step.request is not None:
             self._write(number, step)
         elif step.cancel is not None:
-            net, name = split_name(step.cancel, list(self._nets.values()))
+            net, name = split_name(step.cancel, self._all)
             orders = self._outcome.orders.values()
             for order in [each for each in orders if each.name == name and net in ("", each.net)][-1:]:
                 self._cancel(order)
         else:
             self._guards |= step.guards
             self._asked = {key: each for key, each in self._asked.items() if key[1] not in step.guards}
-            self._used.subtract({name: self._used[name] for name in step.guards})
+            for name in step.guards:
+                self._used.pop(name, None)
             self._objects.stored.update(step.objects)
             for executor in self._exchange.nets.values():
                 executor.guards_changed()
 
     def _write(self, number: int, step: StepFile) -> None:
         asked = step.symbol or step.request or ""
-        net, name = split_name(asked, list(self._nets.values()))
-        if not net:
-            net = next(n for n, each in self._nets.items() if name in (*each.symbols(), *each.services))
+        net, name = split_name(asked, self._all)
+        net = net or next(each.name for each in self._all if name in (*each.symbols(), *each.services))
         executor = self._exchange.nets[net]
         schema, arguments = self._nets[net].arguments_of(name), dict(step.arguments)
         if schema is not None:
