@@ -21,8 +21,9 @@ setup(
         "console_scripts": [
             "pnt_node = im_pnt_node.ros.net_runner:main",
         ],
-        "im_pnt.commands": ["journal = im_pnt_node.cli.journal:add"],
+        "im_pnt.commands": ["journal = im_pnt_node.cli.journal:add", "test = im_pnt_node.cli.scenarios:add"],
         "im_pnt.programs": ["mission = im_pnt_node.ros.rerun:main", "run = im_pnt_node.ros.net_runner:main"],
+        "pytest11": ["im_pnt_scenarios = im_pnt_node.scenario.pytest_plugin"],
         "im_pnt.message_types": ["ros = im_pnt_node.ros.messages:RosTypes"],
     },
 )

@@ -5,8 +5,8 @@ brings them back after the death of the process. The ROS node is :class:`im_pnt_
 not import it, because it needs ROS.
 
 Knows ``im_core``, ``im_bag`` and ``im_pnt``. Folders, from the lowest: ``distributed`` (packets, links, streams),
-``journal`` (a log written ahead), ``rerun`` (a recorded run, run again), ``ros`` (the node), and commands of ``pnt``
-in ``cli``.
+``journal`` (a log written ahead), ``rerun`` (a recorded run, run again), ``scenario`` (nets with mocked actions),
+``ros`` (the node), and commands of ``pnt`` in ``cli``.
 """
 
 from typing import TYPE_CHECKING

@@ -17,6 +17,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
 
   scripts/im pnt verify dispatcher.yaml motion_coordinator.yaml   may these nets run together?
   scripts/im pnt run pick.yaml --symbol pick                      runs a net in a node of its own, on any robot
+  scripts/im pnt test my_nets                                     runs scenarios: mocked answers, expectations
   scripts/im pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
   scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
   scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
@@ -49,6 +50,7 @@ _ELSEWHERE = {
     "journal": "im_pnt_node",
     "mission": "im_pnt_node",
     "run": "im_pnt_node",
+    "test": "im_pnt_node",
 }
 """Commands of packages above this one, which name themselves as entry points."""
 

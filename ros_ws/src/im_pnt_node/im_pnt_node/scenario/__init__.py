@@ -1,0 +1,5 @@
+"""Scenarios of nets: mocked answers, virtual time, expectations; ``pnt test`` and a plug-in of pytest run them.
+
+A file (:mod:`.file`) is read, each scenario runs on the engine of the nodes in virtual time (:mod:`.run`) with answers
+as written or drawn (:mod:`.draws`), and what happened is compared with what is expected (:mod:`.verdict`).
+"""
