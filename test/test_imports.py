@@ -2,7 +2,10 @@
 
 import ast
 import functools
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -63,6 +66,10 @@ LIBRARIES = {
     # im_sim/cameras: the lens warps and blurs every frame; nothing else is as fast, or gives the same pixels
     "cv2": ("im_calibration", "im_vss", "im_sim/cameras"),
 }
+
+#: Packages that install with pip, without the machine, and the distributions that hold what they import.
+ALONE = ("im_core", "im_bag", "im_pnt", "im_pnt_analysis", "im_pnt_display", "im_pnt_node")
+DISTRIBUTIONS = {"yaml": "pyyaml", "z3": "z3-solver", "pydantic_core": "pydantic", "lz4": "rosbags"}
 
 HOST_END = "im_cell.link.HostEnd"
 
@@ -353,3 +360,53 @@ def test_one_class_name_means_one_thing():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 found.setdefault(node.name, []).append(module)
     assert not {name: places for name, places in found.items() if len(places) > 1}
+
+
+@pytest.mark.parametrize("package", ALONE)
+def test_what_nets_need_is_what_pip_installs(package):
+    """``pip install`` of these folders brings all they import, and nothing of the machine; ROS is sourced."""
+    sourced = MESSAGES | {"rclpy", "ament_index_python", "service_msgs"}
+    machine = {"posix_ipc", "foxglove"}  # shared memory with the servo; the bridge
+    tops = {module.partition(".")[0] for path in files(package) for _, module in imports(path)}
+    others = tops - set(sys.stdlib_module_names) - {package, "pytest"} - sourced - machine
+    needed = {DISTRIBUTIONS.get(top, top) for top in others}
+    told = re.search(r"install_requires=\[(.*?)\]", (SOURCES / package / "setup.py").read_text(), re.DOTALL)[1]
+    assert set(re.findall(r'"([^"]+)"', told)) == needed | {"setuptools"}
+    assert needed & set(PACKAGES) <= set(ALONE)
+
+
+def test_the_page_installs_all_of_them():
+    page = (SOURCES.parents[1] / "docs" / "install.md").read_text(encoding="utf-8")
+    assert tuple(re.findall(r" \./(im_\w+)", page)) == ALONE
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["verify {net}", "simulate {net} --steps 3", "time {net} --command pick", "draw {net} -o {out}", "test {tests}"],
+    ids=lambda words: words.split()[0],
+)
+def test_nets_are_judged_where_neither_ros_nor_the_machine_is(words, tmp_path):
+    banned = {*LIBRARIES, *MESSAGES, *PACKAGES, "rclpy", "rosidl_runtime_py", "foxglove"} - {*ALONE, "mcap"}
+    program = f"""
+import sys
+class Ban:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {sorted(banned)}:
+            raise ModuleNotFoundError(f"there is no {{name}} here", name=name.partition(".")[0])
+sys.meta_path.insert(0, Ban())
+from im_pnt_analysis.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+    docs = SOURCES.parents[1] / "docs" / "nets"
+    given = {
+        "net": docs / "pick_and_place.yaml",
+        "out": tmp_path / "net.svg",
+        "tests": docs / "tasks" / "confirm.yaml",
+    }
+    command = [sys.executable, "-c", program, *(word.format(**given) for word in words.split())]
+    kept = [
+        folder for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep) if not banned & set(Path(folder).parts)
+    ]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(kept)}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, env=env)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/im_bag"]),
         ("share/im_bag", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "im_core", "mcap", "numpy", "pyyaml", "rosbags", "zstandard"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",

@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/im_core"]),
         ("share/im_core", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "numpy", "pydantic", "pyyaml"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",

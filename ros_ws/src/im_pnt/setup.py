@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "im_core", "pydantic"],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
     maintainer="im maintainers",

@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/im_pnt_display"]),
         ("share/im_pnt_display", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "aiohttp", "im_bag", "im_core", "im_pnt", "im_pnt_analysis", "pydantic"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",

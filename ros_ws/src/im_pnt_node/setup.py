@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/im_pnt_node"]),
         ("share/im_pnt_node", ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "im_bag", "im_core", "im_pnt", "pydantic", "pyyaml"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="im maintainers",

@@ -228,6 +228,29 @@ def test_what_was_drawn_is_told_as_a_scenario_that_fails_alike(tmp_path):
     assert repeated.outcome.firings == verdict.outcome.firings
 
 
+def test_without_ros_guards_tell_what_fields_are(tmp_path):
+    net = """
+net: cell
+places: {a: 1, b: , c: }
+transitions:
+  ask: {symbol: go, in: a, out: b, service: {name: /ask, type: nowhere_msgs/srv/Ask}, on_failure: c}
+  good:
+    in: b
+    out: a
+    guard: >-
+      ${(answers.ask.found or not answers.ask.parts.late) and answers.ask.count + 1 > 2
+      and answers.ask.who == 'me'}
+    emit: go_done
+  bad: {in: b, out: c, guard: otherwise}
+  end: {in: c, out: a, emit: go_failed}
+"""
+    write(tmp_path, "    steps: [{symbol: go}]\n    random: 200", net)
+    scenarios, coverage = load_scenarios(tmp_path / "cell.test.yml"), Coverage()
+    verdict = judge(scenarios, scenarios.scenarios[0], coverage, NoTypes())
+    assert (verdict.complaints, verdict.outcome.troubles) == ((), [])
+    assert unreached(scenarios, coverage)[2] == []
+
+
 def test_the_same_seed_draws_the_same(tmp_path):
     scenario = "    steps: [{symbol: pick}]\n    random: 3"
     net = NET.replace("limit < 3", "limit <= 3")

@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from random import Random
 
 from im_core.errors import ImError
-from im_pnt.expression.template import OPENS, Way
-from im_pnt.expression.types import MessageTypes, ValueKind, ValueType
+from im_pnt.expression.syntax import Binary, Call, Literal, Node, Unary
+from im_pnt.expression.template import OPENS, Way, nodes, references
+from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, TEXT, MessageTypes, ValueKind, ValueType
 from im_pnt.model.arguments import Argument, ArgumentType
 from im_pnt.model.net import Net
 
@@ -96,12 +97,15 @@ class ValueDraw:
         types: Looks up the fields of messages.
     """
 
-    def __init__(self, nets: Iterable[Net], types: MessageTypes) -> None:
+    def __init__(self, nets: Sequence[Net], types: MessageTypes) -> None:
         literals = {literal for net in nets for literal in _literals(net)}
         numbers = sorted({each for each in literals if not isinstance(each, str)}, key=lambda each: (abs(each), each))
         self._numbers = list(dict.fromkeys([0, 1, *(near for each in numbers for near in (each, each - 1, each + 1))]))
         self.texts = ["", *sorted(each for each in literals if isinstance(each, str) and each)]
         self._types = types
+        self._used: dict[Way, ValueType] = {}
+        for node in nodes([guard for net in nets for guard in net.guards()]):
+            self._note_use(node, BOOLEAN)
 
     def argument(self, argument: Argument, draws: Draws) -> object:
         """Return a value that an argument may have."""
@@ -127,19 +131,42 @@ class ValueDraw:
         allowed = ([] if argument.required else [argument.default]) + [each for each in values if _fits(argument, each)]
         return allowed[draws.pick(len(allowed))]
 
-    def fields(self, message: str, ways: Sequence[Way], draws: Draws) -> dict[str, object]:
+    def fields(self, message: str, at: Way, ways: Sequence[Way], draws: Draws) -> dict[str, object]:
         """Return values for fields of a message.
 
         Args:
-            message: Its type, as of :class:`~im_pnt.expression.types.MessageTypes`; empty: it is not known.
+            message: Its type, as of :class:`~im_pnt.expression.types.MessageTypes`; empty: it is not known, and guards
+                tell what they take its fields for.
+            at: Names by which guards know it: ``answers`` and the transition.
             ways: Ways to the fields.
             draws: Draws.
         """
         known = self._known(message) if message else {}
         names = list(dict.fromkeys(way[0] for way in ways if way)) or list(known)
         below = {name: [way[1:] for way in ways if way[:1] == (name,)] for name in names}
-        any_type = ValueType(ValueKind.ANY)
-        return {name: self._value(known.get(name, any_type), below[name], draws) for name in names}
+        return {name: self._value(known.get(name, ANY), (*at, name), below[name], draws) for name in names}
+
+    def _note_use(self, node: Node, wanted: ValueType) -> None:
+        """Note what an expression takes names for."""
+        match node:
+            case Unary(sign, of):
+                self._note_use(of, BOOLEAN if sign == "not" else NUMBER)
+            case Binary("and" | "or", left, right):
+                self._note_use(left, BOOLEAN)
+                self._note_use(right, BOOLEAN)
+            case Binary(_, left, right):
+                values = [each.value for each in (left, right) if isinstance(each, Literal)]
+                kind = NUMBER
+                if values and isinstance(values[0], bool | str):
+                    kind = TEXT if isinstance(values[0], str) else BOOLEAN
+                self._note_use(left, kind)
+                self._note_use(right, kind)
+            case Call(_, several):
+                for each in several:
+                    self._note_use(each, NUMBER)
+            case _:
+                for path in references(node):
+                    self._used.setdefault(path, wanted)
 
     def _known(self, message: str) -> Mapping[str, ValueType]:
         """Return the types of the fields of a message; none of one that is not installed."""
@@ -148,21 +175,21 @@ class ValueDraw:
         except ImError:
             return {}
 
-    def _value(self, kind: ValueType, ways: Sequence[Way], draws: Draws) -> object:
+    def _value(self, kind: ValueType, at: Way, ways: Sequence[Way], draws: Draws) -> object:
         deeper = [way for way in ways if way]
+        kind = self._used.get(at, ANY) if kind == ANY else kind
         match kind.kind:
             case ValueKind.MESSAGE:
-                return self.fields(kind.message, deeper, draws)
+                return self.fields(kind.message, at, deeper, draws)
             case ValueKind.LIST:
                 count = kind.length if kind.length is not None else (1, 2, 0)[draws.pick(3)]
-                element = kind.element or ValueType(ValueKind.ANY)
-                return [self._value(element, ways, draws) for _ in range(count)]
+                return [self._value(kind.element or ANY, at, ways, draws) for _ in range(count)]
             case ValueKind.BOOLEAN:
                 return draws.pick(2) == 1
             case ValueKind.TEXT:
                 return self.texts[draws.pick(len(self.texts))]
             case ValueKind.ANY if deeper:
-                return self.fields("", deeper, draws)
+                return self.fields("", at, deeper, draws)
         low, high = kind.lowest, kind.highest
         whole = kind.kind is ValueKind.INTEGER
         numbers = [int(each) if whole else float(each) for each in self._numbers]

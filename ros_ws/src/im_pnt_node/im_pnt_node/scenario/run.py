@@ -18,7 +18,6 @@ from im_pnt.execution.timers import Timers
 from im_pnt.execution.values import Done
 from im_pnt.expression.template import Way
 from im_pnt.model.action import (
-    Action,
     AwaitAction,
     FunctionAction,
     GoalAction,
@@ -345,7 +344,7 @@ class ScenarioRunner(Observer):
             raise ImError(str(answer.answer.get("message") or f"{action} did not succeed"), code=answer.code)
         if answer.failure is not None:
             raise ImError(answer.failure, code=answer.code)
-        return {**self._fields_read(action, context, Draws()), **answer.answer}
+        return {**self._fields_read(transition, context, Draws()), **answer.answer}
 
     def _doubt(self, executor: Executor, name: str, command: Command, why: ImError) -> None:
         """Bring the action of a command in doubt."""
@@ -355,10 +354,11 @@ class ScenarioRunner(Observer):
                 executor.rule.move(activity, ActivityState.IN_DOUBT, why)
                 return
 
-    def _fields_read(self, action: Action | None, context: ActionContext, draws: Draws) -> dict[str, object]:
+    def _fields_read(self, transition: Transition, context: ActionContext, draws: Draws) -> dict[str, object]:
         """Draw the fields of an answer that the net reads."""
+        action, at = transition.action, ("answers", transition.retry_of or transition.name)
         message = f"{action.type}{_TYPES[type(action)]}" if isinstance(action, _ANSWERED) else ""
-        return self._values.fields(message, context.answer_ways, draws) if context.answer_ways else {}
+        return self._values.fields(message, at, context.answer_ways, draws) if context.answer_ways else {}
 
     def _answer(
         self, key: str, transition: Transition, fields: Mapping[str, object], context: ActionContext
@@ -376,15 +376,14 @@ class ScenarioRunner(Observer):
 
     def _drawn(self, draws: Draws, key: str, transition: Transition, context: ActionContext) -> AnswerFile:
         """Draw how an action ends, and whether its command is cancelled meanwhile."""
-        action = transition.action
         takes = {} if transition.delay is not None and transition.delay.mean else {"after": 1.0}
         ends: list[dict[str, object]] = [{}, {}, {}, {"failure": "drawn"}]
         ends += [{"doubt": "drawn"}] if transition.on_doubt else []
         ends += [{"silent": True}] if transition.timeout is not None else []
         chosen = {**ends[draws.pick(len(ends))], **takes}
-        if "failure" in chosen and (code := [*self._values.texts[1:], "failed"][draws.pick(len(self._values.texts))]):
-            chosen["code"] = code
-        if not chosen.keys() & {"failure", "doubt", "silent"} and (read := self._fields_read(action, context, draws)):
+        if "failure" in chosen:
+            chosen["code"] = [*self._values.texts[1:], "failed"][draws.pick(len(self._values.texts))]
+        elif not chosen.keys() & {"doubt", "silent"} and (read := self._fields_read(transition, context, draws)):
             chosen["answer"] = read
         order = self._outcome.orders.get(context.command.id)
         if draws.pick(10) == 9 and order is not None and order.result is None:
