@@ -12,7 +12,7 @@ uname wc xargs
 
 
 class Computer:
-    """A clone of which nothing but the scripts is there; programs are what the test adds to a dozen of the shell's."""
+    """A clone of which nothing but the scripts and what they read is there; programs are what the test adds to a dozen of the shell's."""
 
     def __init__(self, folder):
         self.root, self.bin = folder / "clone", folder / "bin"
@@ -21,6 +21,9 @@ class Computer:
         shutil.copy(ROOT / "requirements.lock", self.root)
         for folder in ("src", "standard_msgs"):
             (self.root / "ros_ws" / folder).mkdir(parents=True)
+        variables = Path("ros_ws/src/im_bringup/im_bringup/config/environment.txt")
+        (self.root / variables.parent).mkdir(parents=True)
+        shutil.copy(ROOT / variables, self.root / variables)
         for tool in TOOLS.split():
             self.add(tool, Path(shutil.which(tool)))
 

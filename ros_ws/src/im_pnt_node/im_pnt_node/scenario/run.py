@@ -25,7 +25,7 @@ from im_pnt.model.action import (
     ServiceAction,
     TopicAction,
 )
-from im_pnt.model.net import Net, Transition
+from im_pnt.model.net import OTHERWISE, Guard, Net, Transition
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.scenario.draws import Draws, ValueDraw
 from im_pnt_node.scenario.file import AnswerFile, Scenario, ScenarioSet, StepFile, split_name
@@ -404,12 +404,12 @@ class ScenarioRunner(Observer):
 
     # Guards.
 
-    def watched(self, net: str, name: str, guard: GuardFunction, *, mocked: bool) -> GuardFunction:
+    def watched(self, name: str, guard: GuardFunction, *, mocked: bool) -> GuardFunction:
         """Return a guard with mocked or noted answers."""
 
         def answer(context: ActionContext) -> bool:
-            held = self._mocked(net, name) if mocked else bool(guard(context))
-            self._coverage.guards[net, name].add(held)
+            held = self._mocked(context.net, name) if mocked else bool(guard(context))
+            self._coverage.guards[context.net, name].add(held)
             return held
 
         return answer
@@ -472,15 +472,12 @@ class _WatchedFunctions(Functions):
             if ":" not in name:
                 mocked[name] = lambda *_: {}
         guards = {name for net in nets for name in net.guards() if "${" not in name and run.is_mocked(name)}
-        super().__init__(mocked, {name: lambda context: False for name in guards - {"cancelled"}})
-        self._run, self._mocked = run, guards - {"cancelled"}
+        self._run, self._mocked = run, guards - {"cancelled", OTHERWISE}
+        super().__init__(mocked, {name: lambda context: False for name in self._mocked})
 
-    def guards_of(self, net: Net) -> dict[str, GuardFunction]:
-        """Return the guards of a net, mocked or watched."""
-        found = super().guards_of(net)
-        return {
-            name: self._run.watched(net.name, name, guard, mocked=name in self._mocked) for name, guard in found.items()
-        }
+    def question(self, guard: Guard) -> GuardFunction:
+        """Return what a guard asks, mocked or watched."""
+        return self._run.watched(guard.name, super().question(guard), mocked=guard.name in self._mocked)
 
 
 class _ScenarioExchange(Exchange):
