@@ -98,9 +98,11 @@ def test_verify_checks_values_against_the_types_of_messages(tmp_path, capsys, of
 
 def test_verify_says_where_it_cannot_check_types(tmp_path, capsys, monkeypatch):
     def no_ros(group):
-        raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
+        if group == "im_pnt.message_types":
+            raise ModuleNotFoundError("No module named 'rclpy'", name="rclpy")
+        return []
 
-    monkeypatch.setattr("im_pnt_analysis.cli.types.extensions", no_ros)
+    monkeypatch.setattr("im_pnt_analysis.cli.verify.extensions", no_ros)
     file = tmp_path / "typed.yaml"
     file.write_text(TYPED.replace("TYPE", "Int32").replace("VALUE", "word"))
     assert main(["verify", str(file)]) == OK

@@ -17,19 +17,6 @@ _BLOCK = 512
 _FACING_MARGIN = 0.09
 
 
-@dataclass(frozen=True)
-class Volume:
-    """A box of the world, to be filled with lights.
-
-    Attributes:
-        lower: Corner, shape (3,) [m].
-        upper: Opposite corner, shape (3,) [m].
-    """
-
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-
-
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """Pose of the wrist with the place of the light.
@@ -44,7 +31,7 @@ class Candidate:
 
 
 def candidates(
-    cell: Cell, volume: Volume, common: CommonView, views: Sequence[View], max_tilt_rad: float, seed: int, draws: int
+    cell: Cell, common: CommonView, views: Sequence[View], max_tilt_rad: float, seed: int, draws: int
 ) -> Iterator[Candidate]:
     """Candidates, space-filling in light position and orientation together.
 
@@ -54,8 +41,7 @@ def candidates(
 
     Args:
         cell: Light.
-        volume: Where it shall be.
-        common: Where it can be seen.
+        common: Where it can be seen, and shall be.
         views: Cameras that shall see it.
         max_tilt_rad: Largest tilt [rad].
         seed: Of the scrambled Halton sequence.
@@ -67,7 +53,7 @@ def candidates(
     sequence = qmc.Halton(6, seed=seed)
     for _ in range(0, draws, _BLOCK):
         drawn = sequence.random(_BLOCK)
-        lights = volume.lower + drawn[:, :3] * (volume.upper - volume.lower)
+        lights = common.lower + drawn[:, :3] * (common.upper - common.lower)
         for k in np.flatnonzero(common.holds(lights)):
             light, s = lights[k], drawn[k]
             towards, best = facing(light, views)

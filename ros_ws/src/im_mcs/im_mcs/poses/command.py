@@ -16,7 +16,6 @@ from im_mcs.collision import CollisionChecker
 from im_mcs.limits.configuration import Group, McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.poses.candidates import Volume
 from im_mcs.poses.selection import PoseSelector, Selection
 from im_mcs.poses.view import rides_on, stand
 
@@ -27,8 +26,8 @@ _HEADER = """\
 """
 
 _EPILOG = """\
-Without --lower and --upper the volume is all that the group's light can reach and all cameras see. A camera on an arm
-is where the arm has it at home, and the other arm carries the light.
+The poses fill all that the group's light can reach and all cameras see. A camera on an arm is where the arm has it at
+home, and the other arm carries the light.
 
 exit codes: 0 the poses are written; 1 there are no such poses, and why; 2 wrong arguments
 
@@ -42,14 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         selector, group = make_selector(options.config, options.group, options.cameras)
-        box = selector.volume
-        volume = Volume(
-            box.lower if options.lower is None else np.array(options.lower),
-            box.upper if options.upper is None else np.array(options.upper),
-        )
-        if not (volume.lower < volume.upper).all():
-            raise DataError(f"--lower {volume.lower} m is not below --upper {volume.upper} m")
-        selection = selector.select(options.count, volume, np.radians(options.tilt), options.seed)
+        selection = selector.select(options.count, np.radians(options.tilt), options.seed)
         text = to_yaml(group, options.cameras, selection)
         if options.output is None:
             print(text, end="")
@@ -75,8 +67,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--tilt", type=_tilt, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
     )
-    parser.add_argument("--lower", nargs=3, type=finite_number, help="corner of the volume [m]")
-    parser.add_argument("--upper", nargs=3, type=finite_number, help="opposite corner [m]")
     parser.add_argument("--seed", type=at_least(0), default=1, help="seed of the candidates (%(default)s)")
     parser.add_argument("--config", type=Path, help="configuration of MCS (default: the shipped one)")
     parser.add_argument("--output", type=Path, help="file to write (default: standard output)")

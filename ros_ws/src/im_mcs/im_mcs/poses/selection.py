@@ -14,7 +14,7 @@ from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.motions.joint import JointPath
-from im_mcs.poses.candidates import Candidate, Volume, candidates
+from im_mcs.poses.candidates import Candidate, candidates
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.view import View
 
@@ -128,24 +128,18 @@ class PoseSelector:
         self._home = model.cell.home
         self._common = CommonView(model, limits, index, frame, views)
 
-    @property
-    def volume(self) -> Volume:
-        """Box around all places of the light within reach and in view of all cameras."""
-        return Volume(self._common.lower, self._common.upper)
-
-    def select(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> Selection:
+    def select(self, count: int, max_tilt_rad: float, seed: int) -> Selection:
         """Choose and order poses.
 
         Args:
             count: How many.
-            volume: Where the light shall be.
             max_tilt_rad: How far the light may be turned away from where it faces all cameras best [rad].
             seed: Of the candidates.
 
         Raises:
             DataError: There are not so many; the message says what the others lack.
         """
-        pool = self._pool(count, volume, max_tilt_rad, seed)
+        pool = self._pool(count, max_tilt_rad, seed)
         lights = np.array([placed.candidate.light for placed in pool])
         wanted = [int(k) for k in farthest_first(lights, count)]
         tried = set(wanted)
@@ -161,11 +155,11 @@ class PoseSelector:
         chosen = np.array([placed.candidate.light for placed in ordered])
         return Selection(tuple(ordered), spread_of(chosen, wrists, lights))
 
-    def _pool(self, count: int, volume: Volume, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
+    def _pool(self, count: int, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
         """Reachable, free and visible candidates."""
         pool, lacks = list[PlacedPose](), Counter[str]()
         stream = candidates(
-            self._model.cell, volume, self._common, self._views, max_tilt_rad, seed, _MAX_DRAWS_PER_POSE * count
+            self._model.cell, self._common, self._views, max_tilt_rad, seed, _MAX_DRAWS_PER_POSE * count
         )
         for tries, candidate in enumerate(stream, start=1):
             found = self._try(candidate)

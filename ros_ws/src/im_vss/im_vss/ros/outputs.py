@@ -15,8 +15,8 @@ from im_core.ros import qos
 from im_core.ros.node import ManagedNode
 from im_vss.camera_book import CameraBook, CameraEntry
 from im_vss.laser.book import LaserBook
-from im_vss.rectification import ImageRectification
 from im_vss.ros.messages import to_camera_info, to_compressed, to_header, to_image, to_transform
+from im_vss.stereo import ImageRectification
 
 
 class ImageOutputs:
