@@ -248,10 +248,10 @@ places: {idle: 2, a: , b: , c: , z: {resource: true}}
 transitions:
   one: {symbol: one, in: idle, out: a}
   two: {symbol: two, in: idle, out: [b, z]}
-  both: {in: [a, b], out: [], priority: 1}
+  both: {in: [a, b, z], out: [], priority: 1}
   low: {in: [a, z], out: c}
   end_one: {in: c, out: idle, emit: one_done, guard: ends}
-  end_two: {in: b, out: idle, emit: two_done, guard: ends}
+  end_two: {in: [b, z], out: idle, emit: two_done, guard: ends}
 """
     )
     process = Process([net], guards={"ends": lambda ctx: False})

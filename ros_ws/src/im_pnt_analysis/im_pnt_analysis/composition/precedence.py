@@ -54,9 +54,9 @@ def with_precedence(composition: Composition, nets: Sequence[Net]) -> Precedence
     transitions: dict[str, Transition] = {}
     names: dict[str, str] = {}
     left_out: dict[str, None] = {}
-    ordered = False
+    ordered, most = False, max((t.priority for t in net.transitions.values()), default=0)
     for transition in net.transitions.values():
-        before = list(_before(net, transition, closed))
+        before = list(_before(net, transition, most, closed))
         unsure = [] if closed else [other.name for other in before if not _is_of_one(other, net, resources)]
         left_out.update(dict.fromkeys(unsure))
         before = [other for other in before if other.name not in unsure]
@@ -102,11 +102,18 @@ def _is_closed(composition: Composition) -> bool:
 _FIRING = (Role.PLAIN, Role.START)
 
 
-def _before(net: Net, transition: Transition, closed: bool) -> Iterator[Transition]:
-    """Yield the transitions that go before one where they are enabled; without those that nothing holds back."""
-    if transition.role not in _FIRING:
-        return
+def _before(net: Net, transition: Transition, most: int, closed: bool) -> Iterator[Transition]:
+    """Yield the transitions that go before one where they are enabled; without those that nothing holds back.
+
+    Args:
+        net: The composition.
+        transition: The one.
+        most: The highest priority.
+        closed: Whether a timed one waits for all that need no time.
+    """
     timed = _is_timed(transition)
+    if transition.role not in _FIRING or not (timed or transition.priority < most):
+        return
     for other in net.transitions.values():
         if other.role not in _FIRING or other.guard or other.symbol or _is_timed(other):
             continue
