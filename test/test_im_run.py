@@ -2,6 +2,7 @@
 
 import json
 import os
+from types import SimpleNamespace
 
 import pytest
 
@@ -76,6 +77,24 @@ def test_a_command_that_is_under_way_is_offered_to_be_attached_to(state, told, m
             monkeypatch.setattr("sys.stdin", terminal)
             assert run_command.offered(under_way) is attaches
         os.close(reading)
+
+
+@pytest.mark.parametrize(("answer", "abandons"), [("y\n", True), ("\n", False)])
+def test_an_abandonment_is_confirmed_on_a_terminal_which_shows_the_command(answer, abandons, monkeypatch, capsys):
+    asked = []
+    states = [CommandState(command_id=number, symbol="move", state="cancelling", progress=-1.0) for number in (6, 7)]
+    machine = SimpleNamespace(under_way=states, control=lambda *request: asked.append(request) or "abandon move")
+    options = SimpleNamespace(cancel=None, pause=None, resume=None, abandon=7, yes=False)
+    reading, writing = os.openpty()
+    os.write(reading, answer.encode())
+    with os.fdopen(writing, "r") as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        assert run_command._do(machine, options, ()) == (0 if abandons else 1)
+    os.close(reading)
+    told = capsys.readouterr()
+    assert told.out.startswith("number 7: move  cancelling\n")
+    assert "something may still move\nabandon number 7? [y/N]" in told.err
+    assert asked == ([(7, "abandon")] if abandons else [])
 
 
 def test_long_results_are_cut_for_people_and_whole_as_json(capsys):

@@ -208,6 +208,24 @@ def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
     each.until(SEEN, "the image")
 
 
+def test_a_command_that_is_being_cancelled_is_abandoned_after_a_confirmation(recorded, tab):
+    viewer = tab(recorded[1])
+    viewer.page.evaluate("""async () => {
+        const { Commands } = await import("/static/commands.js");
+        window.asked = [];
+        const commands = new Commands((...request) => window.asked.push(request), () => {});
+        const one = { symbol: "go", arguments: "{}", progress: -1, message: "" };
+        commands.allow(true);
+        commands.take({ part: "listed", content: [
+            { ...one, number: 6, state: "running" }, { ...one, number: 7, state: "cancelling" }] });
+    }""")
+    for answer, asked in (("dismiss", []), ("accept", [["abandon", "7"]])):
+        viewer.page.once("dialog", lambda dialog, answer=answer: getattr(dialog, answer)())
+        viewer.page.evaluate("document.querySelector(\"#line [data-number='7'] button\").click()")
+        assert viewer.page.evaluate("window.asked") == asked
+    assert "abandon" not in viewer.page.evaluate("document.querySelector(\"#line [data-number='6']\").textContent")
+
+
 def test_a_browser_that_cannot_draw_the_cell_says_so_and_shows_the_images(with_cell, tab):
     each = tab(f"{with_cell}#t=1000", script=NO_WEBGL)
     each.until("!document.getElementById('flat').hidden", "the sentence")

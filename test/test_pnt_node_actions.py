@@ -450,13 +450,15 @@ def test_a_cancellation_that_the_server_refuses_at_first_is_asked_for_again(mach
     assert hardware.refusals == -1
 
 
-def test_an_action_is_reached_under_its_new_name_cancelled_there_and_named_so(machine):
+def test_an_action_is_reached_under_its_new_name_cancelled_there_and_named_so(machine, wait_until):
     node, hardware, _, _ = machine
     begun = len(hardware.goals)
-    outcome = run(node, "mine", cancel_after=0.4, speed=0.1)
-    assert outcome.status.code == "cancelled"
-    assert "goal /hardware/move was cancelled" in outcome.status.message
-    assert len(hardware.goals) == begun + 1
+    number, outcomes = begin(node, "mine", speed=0.1)
+    wait_until(lambda: len(hardware.goals) > begun, "the goal")
+    in_loop(node, lambda: node.commands.cancel(number))
+    wait_until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].status.code == "cancelled"
+    assert outcomes[0].status.message.startswith("goal /hardware/move was cancelled")
 
 
 def test_new_names_of_actions_are_full_and_each_old_one_has_one():

@@ -19,6 +19,7 @@ from im_pnt.execution.events import (
     RequestCancelled,
     TokenArrived,
 )
+from im_pnt.execution.firing.rule import ABANDONED_CODE
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import ActivityState, Command, Request
 from im_pnt.execution.journal_entries import NetEntry, difference, renewed
@@ -58,6 +59,7 @@ STEPS = (
     "end",
     "fail",
     "cancel",
+    "abandon",
     "invalid",
     "toggle",
     "token",
@@ -101,6 +103,8 @@ def run(steps: list[str]) -> tuple[Process, list[tuple[int, dict]]]:
                 process.end(process.held[-1][1].transition, ImError("no", count=count) if step == "fail" else None)
             case "cancel":
                 executor.post(CommandCancelled(numbers[-1], ImError("enough", code="cancelled")))
+            case "abandon":
+                executor.post(CommandCancelled(numbers[-1], ImError("enough", code=ABANDONED_CODE)))
             case "invalid":
                 executor.post(ObjectInvalidated(f"node/{numbers[-1]}/path"))
             case "toggle":

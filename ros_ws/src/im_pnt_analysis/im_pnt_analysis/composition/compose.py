@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 from im_core.errors import nearest
 from im_pnt.errors import NetError
+from im_pnt.model.action import AwaitAction
 from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
 from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net, Role, Transition
@@ -31,6 +32,10 @@ from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
 from im_pnt_analysis.guards.coverage import decide_guards
 
+NOT_LOOKED_AT = "not looked at: "
+"""Begins the assumptions by which a proof knows less than the nets say; the first lines of a verdict have them."""
+_BOUNDED = ("constant", "uniform", "triangular")
+"""Delays of which not every one may be over before every other one."""
 _DISTURBANCES = (Role.WITHDRAWN, Role.CANCEL, Role.LOST)
 
 
@@ -229,12 +234,19 @@ def assumptions(nets: Sequence[Net], decided: Mapping[str, frozenset[str]]) -> I
         )
     if acting := _names(net for net in nets if any(t.role is Role.START for t in net.transitions.values())):
         yield f"actions ({acting}) end, fail, or come in doubt, which is then decided either way"
-    if ordered := _names(net for net in nets if len({t.priority for t in net.transitions.values()}) > 1):
-        yield f"priorities ({ordered}) are not looked at: whatever is enabled may go first"
+    for net in nets:
+        transitions = net.transitions.values()
+        clocks = [t for t in transitions if t.action is None and t.delay is not None and t.delay.kind in _BOUNDED]
+        if len(clocks) > 1 or (clocks and any(t.role is Role.START or t.symbol for t in transitions)):
+            yield f"{NOT_LOOKED_AT}how long the delays of {_names(clocks)} are ({net.name}): any may be over first"
+        endless = [t.origin for t in transitions if isinstance(t.action, AwaitAction) and t.timeout is None]
+        if endless:
+            told = "without a timeout they wait for ever"
+            yield f"{NOT_LOOKED_AT}whether the messages of {', '.join(endless)} ({net.name}) come: {told}"
 
 
-def _names(nets: Iterable[Net]) -> str:
-    return ", ".join(net.name for net in nets)
+def _names(named: Iterable[Net | Transition]) -> str:
+    return ", ".join(each.name for each in named)
 
 
 def open_guards(net: Net, decided: frozenset[str]) -> Iterator[str]:

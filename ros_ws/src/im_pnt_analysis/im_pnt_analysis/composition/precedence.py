@@ -5,15 +5,17 @@ priority waits. So a transition fires where each that goes before it lacks a tok
 of inhibitor arcs and of arcs back and forth; a transition with several input places lacks one of them, which makes
 several ways to fire.
 
-Only nets without actions, symbols and guards are rewritten: what goes before is then told by the marking alone.
+What goes before must be told by the marking alone: no guard, no symbol, and tokens of one command at most. In a net
+that something else moves too, an action, a symbol or another net, only what contends for a token is put in order.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from im_pnt.model.net import Net, Role, Transition
-from im_pnt_analysis.composition.compose import Composition
+from im_pnt.model.resources import resource_places
+from im_pnt_analysis.composition.compose import NOT_LOOKED_AT, Composition
 
 MOST_WAYS = 256
 """Ways of a transition at which its precedence is left out."""
@@ -40,39 +42,46 @@ class Precedence:
     names: Mapping[str, str]
 
 
-def with_precedence(composition: Composition) -> Precedence:
-    """Write out the precedence of a net without an environment; return any other unchanged.
+def with_precedence(composition: Composition, nets: Sequence[Net]) -> Precedence:
+    """Write out the precedence of transitions.
 
     Args:
         composition: One net or several.
+        nets: The nets, as written.
     """
-    net = composition.net
-    if not _is_closed(composition):
-        return Precedence(composition, {})
+    net, closed = composition.net, _is_closed(composition)
+    resources = {f"{each.name}." * (len(nets) > 1) + place for each in nets for place in resource_places(each)}
     transitions: dict[str, Transition] = {}
     names: dict[str, str] = {}
-    left_out: list[str] = []
+    left_out: dict[str, None] = {}
+    ordered, most = False, max((t.priority for t in net.transitions.values()), default=0)
     for transition in net.transitions.values():
-        ways = _ways(transition, list(_before(net, transition)))
-        if ways is None:
-            left_out.append(transition.name)
+        before = list(_before(net, transition, most, closed))
+        unsure = [] if closed else [other.name for other in before if not _is_of_one(other, net, resources)]
+        left_out.update(dict.fromkeys(unsure))
+        before = [other for other in before if other.name not in unsure]
+        ways = _ways(transition, before)
+        if ways is None or (len(ways) > 1 and transition.name in composition.external | composition.entries):
+            left_out[transition.name] = None
             ways = [transition]
+        ordered = ordered or ways != [transition]
         for number, way in enumerate(ways, start=1):
             name = transition.name if len(ways) == 1 else f"{transition.name}({number})"
             transitions[name] = replace(way, name=name)
             if name != transition.name:
                 names[name] = transition.name
-    said = [f"delays and priorities ({net.name}) count: immediate before timed, and nobody steps the net by hand"]
+    said = []
+    if ordered:
+        counts = "immediate before timed" if closed else "of those that contend for a token"
+        said.append(f"delays and priorities ({net.name}) count: {counts}, and nobody pauses or steps the net by hand")
     if left_out:
-        said.append(
-            f"the precedence of {', '.join(left_out)} is not looked at: it has more than {MOST_WAYS} ways to fire"
-        )
-    kept = tuple(text for text in composition.assumptions if not text.startswith("priorities ("))
+        why = "it takes tokens of several commands, or has too many ways to fire"
+        said.append(f"{NOT_LOOKED_AT}what goes before what at {', '.join(left_out)}: {why}")
     changed = replace(
         composition,
         net=replace(net, transitions=transitions),
         ways={**composition.ways, **{name: composition.ways.get(meant, meant) for name, meant in names.items()}},
-        assumptions=(*kept, *said),
+        assumptions=(*composition.assumptions, *said),
     )
     return Precedence(changed, names)
 
@@ -90,13 +99,38 @@ def _is_closed(composition: Composition) -> bool:
     return plain and single and len(constant) <= 1 and len(ranks) > 1 and not composition.external
 
 
-def _before(net: Net, transition: Transition) -> Iterator[Transition]:
-    """Yield the transitions that go before one; without those that nothing holds back."""
-    timed = transition.delay is not None
+_FIRING = (Role.PLAIN, Role.START)
+
+
+def _before(net: Net, transition: Transition, most: int, closed: bool) -> Iterator[Transition]:
+    """Yield the transitions that go before one where they are enabled; without those that nothing holds back.
+
+    Args:
+        net: The composition.
+        transition: The one.
+        most: The highest priority.
+        closed: Whether a timed one waits for all that need no time.
+    """
+    timed = _is_timed(transition)
+    if transition.role not in _FIRING or not (timed or transition.priority < most):
+        return
     for other in net.transitions.values():
-        contends = not transition.inputs.keys().isdisjoint(other.inputs) and other.priority > transition.priority
-        if other.delay is None and (timed or contends) and (other.inputs or other.inhibitors):
+        if other.role not in _FIRING or other.guard or other.symbol or _is_timed(other):
+            continue
+        contends = not transition.inputs.keys().isdisjoint(other.inputs)
+        first = contends and (timed or other.priority > transition.priority)
+        if (first or (timed and closed)) and (other.inputs or other.inhibitors):
             yield other
+
+
+def _is_timed(transition: Transition) -> bool:
+    return transition.delay is not None and transition.action is None
+
+
+def _is_of_one(transition: Transition, net: Net, resources: Container[str]) -> bool:
+    """Return whether a transition takes at most one token that may belong to a command."""
+    owned = (n for place, n in transition.inputs.items() if place not in resources and not net.places[place].resource)
+    return sum(owned) <= 1
 
 
 def _ways(transition: Transition, before: Sequence[Transition]) -> list[Transition] | None:

@@ -80,7 +80,7 @@ def problem_of(nets: Sequence[Net]) -> Problem:
     Raises:
         NetError: The nets do not fit together.
     """
-    precedence = with_precedence(compose(nets))
+    precedence = with_precedence(compose(nets), nets)
     composition = precedence.composition
     compiled = compile_net(composition.net)
     waits = composition.external - composition.disturbances

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from im_pnt.errors import VerificationError
 from im_pnt.model.net import Net
 from im_pnt.verification import KINDS, Counterexample
+from im_pnt_analysis.composition.compose import NOT_LOOKED_AT
 
 Progress = Callable[[str], None]
 """Is told now and then what goes on."""
@@ -224,14 +225,17 @@ def readable(report: Report, titles: Mapping[str, str], everything: bool = False
     verdict = "verified" if report.ok else "REFUSED" if report.refusals else "NOT VERIFIED"
     lines = [f"{'+'.join(report.nets)}: {verdict}"]
     refusals = report.refusals if everything else report.refusals[:1]
-    rows = [*_refusals(refusals), *_answers(report, everything)]
+    left_out = [text for text in report.assumptions if text.startswith(NOT_LOOKED_AT)]
+    label = NOT_LOOKED_AT.rstrip(": ")
+    rows = [*_refusals(refusals), *((label, text.removeprefix(NOT_LOOKED_AT)) for text in left_out)]
+    rows += _answers(report, everything)
     if everything:
         rows += [("invariant", _sum(flow)) for flow in report.p_semiflows or []]
-        rows += [("assumed", text) for text in report.assumptions]
+        rows += [("assumed", text) for text in report.assumptions if text not in left_out]
     if titles:
         rows.append(("called", _some([f"{name}: {title}" for name, title in titles.items()], everything)))
-    if not everything and (left_out := _left_out(report)):
-        rows.append(("left out", f"{left_out} (--all)"))
+    if not everything and (more := _more(report, len(report.assumptions) - len(left_out))):
+        rows.append(("left out", f"{more} (--all)"))
     last = ""
     for label, text in rows:
         lines.append(f"  {label if label != last else '':<{_WIDTH}}{text}")
@@ -240,11 +244,11 @@ def readable(report: Report, titles: Mapping[str, str], everything: bool = False
     return "\n".join(lines)
 
 
-def _left_out(report: Report) -> str:
+def _more(report: Report, assumptions: int) -> str:
     counts = {
         "refusal": len(report.refusals) - 1,
         "invariant": len(report.p_semiflows or []),
-        "assumption": len(report.assumptions),
+        "assumption": assumptions,
     }
     return ", ".join(f"{count} {what}{'s' if count > 1 else ''}" for what, count in counts.items() if count > 0)
 

@@ -6,7 +6,6 @@ from functools import partial
 from im_core.clock import monotonic, thread_cpu
 from im_pnt.model.groups import groups, nets_by_name
 from im_pnt.model.net import Net
-from im_pnt_analysis.composition.compose import compose
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.answers import answer_holding, conserve, describe
 from im_pnt_analysis.verify.layers import parts
@@ -89,7 +88,7 @@ def _joined(nets: Sequence[Net], reports: Sequence[Report]) -> Report:
     Raises:
         NetError: The nets do not fit together.
     """
-    joined = Report([net.name for net in nets], assumptions=list(compose(nets).assumptions))
+    joined = Report([net.name for net in nets], assumptions=list(problem_of(nets).composition.assumptions))
     method = f"{len(reports)} parts, each verified by itself: what one asks of another is always answered"
     for name in NEEDED.keys() - {"resources_held"}:  # which only all nets together tell
         answers = [getattr(report, name) for report in reports]

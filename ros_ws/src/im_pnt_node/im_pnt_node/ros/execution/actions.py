@@ -309,7 +309,7 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
         async def call() -> Any:
             there = f"the service {action.name} ({what})"
             await around.until_ready(server, action.name, task, there, lambda: activity.cancelled)
-            require_wanted(activity)
+            require_wanted(activity, action)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
             waited = f"an answer of {action.name} ({what})"
             answer = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
@@ -401,14 +401,14 @@ async def handled(
     return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
 
 
-def require_wanted(activity: Activity) -> None:
+def require_wanted(activity: Activity, action: ServiceAction | GoalAction) -> None:
     """Refuse to send for an action with a request to end.
 
     Raises:
         ImError: It was.
     """
     if activity.cancelled:
-        raise ImError(f"{activity.action} was cancelled before it was sent", code="cancelled")
+        raise ImError(f"{action} was cancelled before it was sent", code="cancelled")
 
 
 def time_left(activity: Activity, default: float) -> float:

@@ -89,7 +89,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         async def reach() -> Any:
             there = f"the action {action.name}"
             await around.until_ready(server, action.name, task, there, lambda: activity.cancelled)
-            require_wanted(activity)
+            require_wanted(activity, action)
             asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
             accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
             handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
