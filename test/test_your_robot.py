@@ -72,8 +72,8 @@ transitions:
 def test_the_page_shows_the_files():
     pattern = r"\[`nets/your_robot/(\w+\.\w+)`\]\(\.\./nets/your_robot/\1\)\n```\w+\n(.*?)```"
     shown = dict(re.findall(pattern, PAGE, re.DOTALL))
-    linked = FILES / "toy_robot.py"
-    assert shown == {file.name: file.read_text(encoding="utf-8") for file in {*FILES.glob("*.*")} - {linked}}
+    linked = {FILES / "toy_robot.py", *FILES.glob("*.test.yml")}
+    assert shown == {file.name: file.read_text(encoding="utf-8") for file in {*FILES.glob("*.*")} - linked}
 
 
 def test_the_toy_fetches_as_it_is_typed(process, wait_until):

@@ -214,6 +214,23 @@ def test_the_value_at_which_a_command_hangs_is_found_and_the_rest_is_plain(tmp_p
     assert [text for _, _, text in verdict.outcome.firings] == ["begin", "look+", "look"]
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "found"), [("x < 0.7", "x > 0.7", 0.7), ("x < -2", "x > -2", -2), ("x <= 6", "x > 7", 7)]
+)
+def test_the_gap_between_two_guards_is_found_wherever_it_is(tmp_path, low, high, found):
+    net = f"""
+net: cell
+places: {{a: 1, b: }}
+commands: {{go: {{arguments: {{x: {{type: number}}}}}}}}
+transitions:
+  go: {{symbol: go, in: a, out: b}}
+  low: {{in: b, out: a, guard: "${{{low.replace("x", "arguments.x")}}}", emit: go_done}}
+  high: {{in: b, out: a, guard: "${{{high.replace("x", "arguments.x")}}}", emit: go_done}}
+"""
+    verdict = judged(tmp_path, "    steps: [{symbol: go}]\n    random: 100", net)
+    assert verdict.outcome.orders[1].arguments == {"x": found}
+
+
 def test_what_was_drawn_is_told_as_a_scenario_that_fails_alike(tmp_path):
     verdict = judged(tmp_path, "    steps: [{symbol: pick}]\n    random: 100\n    expect: {never: [give_up]}")
     told = verdict.told("here:2").splitlines()

@@ -100,7 +100,8 @@ class ValueDraw:
     def __init__(self, nets: Sequence[Net], types: MessageTypes) -> None:
         literals = {literal for net in nets for literal in _literals(net)}
         numbers = sorted({each for each in literals if not isinstance(each, str)}, key=lambda each: (abs(each), each))
-        self._numbers = list(dict.fromkeys([0, 1, *(near for each in numbers for near in (each, each - 1, each + 1))]))
+        near = [close for each in numbers for close in (each, each - 1, each + 1, -each)]
+        self._numbers = list(dict.fromkeys([0, 1, *near]))
         self.texts = ["", *sorted(each for each in literals if isinstance(each, str) and each)]
         self._types = types
         self._used: dict[Way, ValueType] = {}

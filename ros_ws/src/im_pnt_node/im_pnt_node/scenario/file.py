@@ -18,8 +18,8 @@ from im_pnt.netfile import load_net
 SUFFIX = ".test.yml"
 """End of the names of scenario files: ``nets/*.yaml`` are nets and nothing else."""
 
-MARKS = {"+": "has begun its action", "!": "has failed", "~": "is cancelled", "?": "is in doubt"}
-"""Marks behind a transition in ``order`` and ``never``; without one, it has ended well."""
+MARKS = "+!~?"
+"""Marks behind a transition in ``order`` and ``never``: begun, failed, cancelled, in doubt; without one: ended well."""
 
 _LARGEST = 4 * 1024 * 1024
 _KINDS = ("symbol", "request", "cancel", "guards", "objects")
@@ -142,7 +142,6 @@ class ScenarioFile(Model):
         guards: Answers of registered guards: one, or several, a new one where the net has fired in between.
         objects: Data objects by name.
         until: Time of the end [s]; None: when all commands have ended and no action runs.
-        seed: Seed of the choices among contending transitions.
         random: Runs with drawn answers, arguments and cancellations, where none are written; None: none are drawn.
         expect: What is expected.
     """
@@ -152,7 +151,6 @@ class ScenarioFile(Model):
     guards: Guards = Field({})
     objects: Objects = Field({})
     until: Seconds | None = None
-    seed: int = 0
     random: Annotated[int, Field(ge=1, le=100_000)] | None = None
     expect: ExpectationFile = ExpectationFile()
 
@@ -254,7 +252,7 @@ class _Names:
             expected = (*at, "expect")
             for key in ("order", "never"):
                 for rank, text in enumerate(getattr(scenario.expect, key)):
-                    self._find((*expected, key, rank), "transition", text.rstrip("".join(MARKS)), self._transitions)
+                    self._find((*expected, key, rank), "transition", text.rstrip(MARKS), self._transitions)
             for place in scenario.expect.marking:
                 self._find((*expected, "marking", place), "place", place, self._places)
 

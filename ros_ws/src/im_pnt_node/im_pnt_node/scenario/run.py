@@ -161,7 +161,6 @@ class ScenarioRunner(Observer):
                 runner,
                 self._exchange,
                 self,
-                seed=self._file.seed,
                 clock=self._clock,
                 objects=self._objects,
                 draw=None if draws is None else lambda names: draws.pick(len(names)),

@@ -48,10 +48,10 @@ class ScenarioVerdict:
             lines.append(f"the shortest of the failures found, in run {self.runs}, as a scenario:")
             lines += [f"    {line}" for line in drawn.splitlines()]
         lines += [f"told: {text}" for text in self.outcome.troubles]
-        return "\n".join([*lines, "fired:", *fired_lines(self.outcome)])
+        return "\n".join([*lines, "fired:", *_fired_lines(self.outcome)])
 
 
-def fired_lines(outcome: ScenarioReport) -> list[str]:
+def _fired_lines(outcome: ScenarioReport) -> list[str]:
     """Return the firings of a run, a line each; of many the last."""
     several = len(outcome.marking) > 1
     lines = [f"{time:12.3f}  {f'{net}.' if several else ''}{text}" for time, net, text in outcome.firings]
