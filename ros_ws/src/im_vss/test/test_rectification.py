@@ -6,7 +6,7 @@ import pytest
 
 from im_cell.calibration_files.intrinsics import Rectified, monocular
 from im_cell.camera_model import CameraModel
-from im_vss.rectification import ImageRectification
+from im_vss.stereo import ImageRectification
 
 K = np.array([[310.0, 0.0, 158.0], [0.0, 308.0, 122.0], [0.0, 0.0, 1.0]])
 WIDE = CameraModel(320, 240, K, [-0.05, 0.01, -0.002, 0.0005], distortion_model="equidistant")
