@@ -12,7 +12,7 @@ uname wc xargs
 
 
 class Computer:
-    """A clone of which nothing but the scripts and what they read is there; programs are what the test adds to a dozen of the shell's."""
+    """A clone of the scripts and what they read; programs are what the test adds to a dozen of the shell's."""
 
     def __init__(self, folder):
         self.root, self.bin = folder / "clone", folder / "bin"
