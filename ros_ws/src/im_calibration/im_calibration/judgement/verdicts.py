@@ -13,6 +13,7 @@ from im_calibration.judgement.calibration import Calibration, Verdict
 from im_calibration.judgement.causes import strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
+from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB
@@ -28,6 +29,8 @@ _FEWEST_MOVED, _MOVED_SHARE = 6, 0.1
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
+_FAR_RATIO = 2.0
+_NEAR_LARGEST = 0.9
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
 _CENTRE_LIMIT = 0.15
@@ -69,6 +72,8 @@ def judge(
     verdicts += [
         _wrong_lens(calibration, layout, fault) for fault in faults if fault.explains or not (misfit or verdicts)
     ]
+    if not verdicts and (verdict := _far_half(calibration)):
+        verdicts.append(verdict)
     if calibration.scale and (verdict := _wrong_scale(calibration.scale)):
         verdicts.append(verdict)
     return tuple(verdicts)
@@ -185,9 +190,10 @@ def _misfit(
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
     outside = _outside_image(problem)
-    if not len(contradictory) and not noisy and not moved and not outside and not calibration.cause:
+    bent = _beyond_arms(calibration, problem)
+    if not (len(contradictory) or noisy or moved or outside or bent or calibration.cause):
         return None
-    reasons = [text for text in (calibration.cause or strange_units(problem),) if text]
+    reasons = [text for text in (calibration.cause or strange_units(problem), bent) if text]
     if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
@@ -207,6 +213,20 @@ def _misfit(
         " ".join(reasons),
         "Check that cameras and robot base did not move, that joint readings belong to the exposures, the robot's "
         "kinematic parameters, the stated noise, and the units and axes of the data [m, px].",
+    )
+
+
+def _far_half(calibration: Calibration) -> Verdict | None:
+    """Report a half of the space that the other half predicts far worse than expected."""
+    found, expected = calibration.checks.far_half_px, calibration.checks.far_half_expected_px
+    if not (calibration.checks.far_half_p_value < _UNLIKELY and found > _FAR_RATIO * expected):
+        return None
+    return Verdict(
+        MISFIT,
+        (),
+        f"Poses of one half of the space predict those of the other to {found:.2g} px, where {expected:.2g} px are to "
+        f"be expected (p {calibration.checks.far_half_p_value:.1g}).",
+        "Check the robot's kinematic parameters, and what is before the lens; use the cameras near the poses only.",
     )
 
 
@@ -236,6 +256,17 @@ def _outside_image(problem: CalibrationProblem) -> list[str]:
                 f"{outside} of {len(seen)} spots of {name} are not in its image of {size[0]} x {size[1]} px."
             )
     return strange
+
+
+def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
+    """Report a smooth error as large as that of no arm; empty if it is smaller."""
+    largest = ArmError.largest(problem.positions).standard_deviation
+    if calibration.arm_error_m < _NEAR_LARGEST * largest:
+        return ""
+    return (
+        f"The positions are off by {1e3 * largest:.1f} mm or more, neighbouring ones alike, which is more than the "
+        "error of an arm over such a space."
+    )
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:
