@@ -30,7 +30,8 @@ _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejection
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _FAR_RATIO = 2.0
-_NEAR_LARGEST = 0.9
+_NEAR_LARGEST, _LARGEST_ERROR_M = 0.9, 0.02
+_RIM_PX = 1.5  # from the centre of the outermost pixel
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
 _CENTRE_LIMIT = 0.15
@@ -189,7 +190,7 @@ def _misfit(
     trusted = _DOUBTED_SHARE if chance < _DOUBTED_CHANCE else TRUSTED_SHARE
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
-    outside = _outside_image(problem)
+    outside = _outside_image(calibration, problem)
     bent = _beyond_arms(calibration, problem)
     if not (len(contradictory) or noisy or moved or outside or bent or calibration.cause):
         return None
@@ -245,27 +246,33 @@ def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFa
     return Verdict(MISFIT, parameters, f"{reason}.", advice, fault.better)
 
 
-def _outside_image(problem: CalibrationProblem) -> list[str]:
-    """Return cameras with most spots outside of the image: the image size must be wrong, however good the fit."""
+def _outside_image(calibration: Calibration, problem: CalibrationProblem) -> list[str]:
+    """Return cameras with spots outside of the image that agree, or with most there: the image size must be wrong."""
     strange = []
     for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
-        seen = problem.spots[c][problem.detected[c]]
-        outside = int(np.any((seen < -0.5) | (seen > np.array(size) - 0.5), axis=1).sum())
-        if 2 * outside > len(seen):
-            strange.append(
-                f"{outside} of {len(seen)} spots of {name} are not in its image of {size[0]} x {size[1]} px."
-            )
+        outside = _outside(problem.spots[c], size)
+        if not (outside & calibration.used[c]).any() and 2 * outside.sum() <= problem.detected[c].sum():
+            continue
+        text = f"{outside.sum()} of {problem.detected[c].sum()} spots of {name} are not in its image of "
+        turned = not _outside(problem.spots[c], size[::-1]).any()
+        advice = ": with width and height exchanged they are" * turned
+        strange.append(f"{text}{size[0]} x {size[1]} px{advice}.")
     return strange
+
+
+def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Mark the spots, shape (n, 2) [px], more than a pixel outside of an image."""
+    return np.asarray(np.any((spots < -_RIM_PX) | (spots > np.array(size) - 1.0 + _RIM_PX), axis=1))
 
 
 def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
     """Report a smooth error as large as that of no arm; empty if it is smaller."""
-    largest = ArmError.largest(problem.positions).standard_deviation
-    if calibration.arm_error_m < _NEAR_LARGEST * largest:
+    largest = _NEAR_LARGEST * ArmError.largest(problem.positions).standard_deviation
+    if calibration.arm_error_m < min(largest, _LARGEST_ERROR_M):
         return ""
     return (
-        f"The positions are off by {1e3 * largest:.1f} mm or more, neighbouring ones alike, which is more than the "
-        "error of an arm over such a space."
+        f"The positions are off by {1e3 * calibration.arm_error_m:.1f} mm or more, neighbouring ones alike, which is "
+        "more than the error of an arm over such a space."
     )
 
 
