@@ -31,6 +31,8 @@ _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outlie
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _FAR_RATIO = 2.0
 _NEAR_LARGEST, _LARGEST_ERROR_M = 0.9, 0.02
+_LARGEST_SPOT_PX, _LARGEST_ARM_SHARE = 2.0, 3e-3
+_MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))  # of a vector of two coordinates of unit standard deviation
 _RIM_PX = 1.5  # from the centre of the outermost pixel
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
@@ -191,7 +193,7 @@ def _misfit(
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
     outside = _outside_image(calibration, problem)
-    bent = _beyond_arms(calibration, problem)
+    bent = _beyond_arms(calibration, problem) or _beyond_spots_and_arms(calibration, problem)
     if not (len(contradictory) or noisy or moved or outside or bent or calibration.cause):
         return None
     reasons = [text for text in (calibration.cause or strange_units(problem), bent) if text]
@@ -274,6 +276,23 @@ def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
         f"The positions are off by {1e3 * calibration.arm_error_m:.1f} mm or more, neighbouring ones alike, which is "
         "more than the error of an arm over such a space."
     )
+
+
+def _beyond_spots_and_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
+    """Report estimated noise that neither spots nor an arm have; empty if they may, or the noise is stated."""
+    if not problem.noise_to_estimate:
+        return ""
+    extent = float(np.sqrt(problem.positions.var(axis=0).sum()))
+    for camera, residuals, used in zip(calibration.cameras, calibration.residuals, calibration.used, strict=True):
+        depths = calibration.led_positions[used] @ camera.model.R_cam_base[2] + camera.model.t_cam_base[2]
+        lengths = np.linalg.norm(residuals[used], axis=1) / _MEDIAN_LENGTH
+        off_px, off_m = float(np.median(lengths)), float(np.median(lengths * depths)) / float(camera.model.K[0, 0])
+        if off_px > _LARGEST_SPOT_PX and off_m > _LARGEST_ARM_SHARE * extent:
+            return (
+                f"The spots of {camera.name} are off by {off_px:.1f} px in each coordinate, {1e3 * off_m:.1f} mm at "
+                "the light: neither spots nor an arm have such a noise, so that something else is wrong."
+            )
+    return ""
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:
