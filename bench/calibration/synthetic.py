@@ -198,3 +198,50 @@ def _spoil(rng: np.random.Generator, kind: str, i: int, spots: Array, measured: 
     else:
         spots[camera, i] = rng.uniform((0.0, 0.0), (639.0, 479.0))
         outliers[camera, i] = True
+
+
+def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> SyntheticScene:
+    """Bend the arm of a scene: positions with a smooth error, which the problem states as if it were noise.
+
+    Args:
+        scene: What to bend.
+        kind: ``quadratic``, a polynomial of the place; ``links``, wrong lengths, offsets and zeros of an arm of three
+            joints.
+        size_m: RMS error of each coordinate, but for what shifts or turns all positions alike [m].
+        seed: Seed of the draw.
+    """
+    rng, positions = np.random.default_rng((seed, 2)), scene.problem.positions
+    error = {"quadratic": _quadratic, "links": _links}[kind](rng, positions - positions.mean(axis=0))
+    away = positions - positions.mean(axis=0)
+    turned = np.stack([np.cross(axis, away).ravel() for axis in np.eye(3)], axis=1)
+    rigid = np.column_stack((turned, np.tile(np.eye(3), (len(away), 1))))
+    error = error - (rigid @ np.linalg.lstsq(rigid, error.ravel(), rcond=None)[0]).reshape(-1, 3)
+    error *= size_m / np.sqrt((error**2).mean())
+    noise = np.tile(size_m**2 * np.eye(3), (len(positions), 1, 1))
+    return replace(scene, problem=replace(scene.problem, positions=positions + error, position_covariances=noise))
+
+
+def _quadratic(rng: np.random.Generator, away: Array) -> Array:
+    pairs = away[:, :, None] * away[:, None, :]
+    return np.asarray(np.einsum("nij,ijk->nk", pairs, rng.normal(size=(3, 3, 3))))
+
+
+def _links(rng: np.random.Generator, away: Array) -> Array:
+    """Move an arm of two links of 1.1 m, base behind the workspace, by a small change of its parameters."""
+    base, links = np.array([0.0, -1.0, -0.5]), np.array([1.1, 1.1])
+    place = away - base
+    radius, height = np.hypot(place[:, 0], place[:, 1]), place[:, 2]
+    elbow = -np.arccos(np.clip((radius**2 + height**2 - (links**2).sum()) / (2.0 * links.prod()), -1.0, 1.0))
+    shoulder = np.arctan2(height, radius) - np.arctan2(links[1] * np.sin(elbow), links[0] + links[1] * np.cos(elbow))
+    waist = np.arctan2(place[:, 1], place[:, 0])
+
+    def reached(change: Array) -> Array:
+        one, both, turn = shoulder + change[0], shoulder + elbow + change[0] + change[1], waist + change[2]
+        out = (links[0] + change[3]) * np.cos(one) + (links[1] + change[4]) * np.cos(both)
+        up = (links[0] + change[3]) * np.sin(one) + (links[1] + change[4]) * np.sin(both)
+        side = change[5] + change[6] * up
+        return np.stack(
+            (np.cos(turn) * out - np.sin(turn) * side, np.sin(turn) * out + np.cos(turn) * side, up), axis=1
+        )
+
+    return reached(1e-4 * rng.normal(size=7)) - reached(np.zeros(7))

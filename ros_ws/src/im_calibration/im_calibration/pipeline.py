@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.errors import InconsistentDataError
+from im_calibration.estimation.arm import Explanation, with_arm_error
 from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated
 from im_calibration.estimation.noise import NoiseFactors, noise_factors
@@ -77,16 +78,21 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     cause, found = "", None
     if stated.noise_to_estimate:
         found = find_noise(stated.taking(order), layout, stated.noise_to_estimate)
-        problem = stated.with_noise(*found.scale)
-        sorted_problem, gated = problem.taking(order), found.gated
+        explanation = found.explanation
+        if _nonsense(explanation):
+            cause = find_cause(stated)
     else:
-        problem, sorted_problem = stated, stated.taking(order)
-        gated = first_explanation(sorted_problem, layout)
-    if _nonsense(gated, problem, layout):
-        cause = find_cause(problem if found is None else stated)
-    hopeless = gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
-    if found is None and not cause and not hopeless:
-        gated = best_explanation(sorted_problem, layout, gated)
+        explanation = Explanation(stated.taking(order), layout, first_explanation(stated.taking(order), layout))
+        bent = with_arm_error(explanation.gated, explanation.problem)
+        if bent.problem.arm_error is not None and not _nonsense(bent):
+            explanation = bent
+        else:
+            cause = find_cause(stated) if _nonsense(explanation) else ""
+            hopeless = explanation.gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
+            if not cause and not hopeless:
+                gated = best_explanation(explanation.problem, layout, explanation.gated)
+                explanation = with_arm_error(gated, explanation.problem)
+    sorted_problem, layout, gated = explanation.problem, explanation.layout, explanation.gated
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
     factors = _factors(gated, sorted_problem, layout, cause) if found is None else found.factors
@@ -96,13 +102,15 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     chi2_per_dof = gated.fit.chi2 / max(1, _freedom(gated.fit, gated.used, layout))
     faults = () if cause else lens_faults(gated, sorted_problem, layout, chi2_per_dof)  # wrong data fit no lens either
     restore = np.argsort(order)
+    problem = sorted_problem.taking(restore)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
     noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
     return _describe(problem, layout, gated, checks, agreements, noise, neighbours, faults, cause)
 
 
-def _nonsense(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
+def _nonsense(found: Explanation) -> bool:
     """Check whether a search for the cause of bad data is worthwhile."""
+    gated, problem, layout = found.gated, found.problem, found.layout
     return not plausible(gated, problem, layout) or _beyond_noise(gated, problem)
 
 
@@ -160,7 +168,7 @@ def _describe(
         led_offset_error=unknowns.led_offset,
         joint_offsets=unknowns.joint_offsets,
         parameter_names=layout.names(problem.camera_names),
-        covariance=covariance.matrix,
+        covariance=covariance.matrix[: layout.arm_slice.start, : layout.arm_slice.start],
         chi2=fit.chi2,
         dof=dof,
         p_value=chance_of(fit.chi2, dof),
@@ -171,6 +179,7 @@ def _describe(
         led_positions=robot_positions,
         rejections=_rejections(problem, gated),
         verdicts=(),
+        arm_error_m=0.0 if problem.arm_error is None else problem.arm_error.standard_deviation,
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         checks=checks,
         scale=_scale(problem, unknowns, covariance.matrix, used),

@@ -165,6 +165,22 @@ def test_a_camera_that_moved_a_little_is_told_from_outliers():
     assert "as if it had moved" in calibration.message
 
 
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_spots_that_agree_outside_of_the_image_are_a_misfit(cameras):
+    """Some of the spots of 640 x 480 px are below or beside 480 x 640 px, and all fit a camera."""
+    problem = make_scene(Design(cameras=cameras), 14).problem
+    calibration = calibrate(replace(problem, image_sizes=((480, 640),) * cameras))
+    assert kinds(calibration) == {"MISFIT"}
+    assert "are not in its image of 480 x 640 px: with width and height exchanged they are." in calibration.message
+
+
+def test_an_outlier_outside_of_the_image_is_no_misfit():
+    problem = make_scene(Design(), 15).problem
+    spots = problem.spots.copy()
+    spots[0, 3] = [-200.0, 900.0]
+    assert calibrate(replace(problem, spots=spots)).success
+
+
 def test_a_misfit_of_wrong_units_says_so():
     """Positions in millimetres with covariances in metres; an image size that is not the camera's."""
     problem = make_scene(Design(led_offset_prior_sd=0.0), 5).problem

@@ -104,6 +104,7 @@ class NoiseLikelihood:
         self._jacobians = jacobians * scale
         self._prior = prior.information * scale * scale[:, None]
         self._pull = -prior.gradient * scale
+        self._scaled = -2.0 * float(np.log(scale).sum())
         self._ridge = 1e-12 * np.eye(len(scale))  # directions that no data determine carry no noise either
 
     @property
@@ -123,7 +124,7 @@ class NoiseLikelihood:
         moved = np.linalg.solve(lower, pull)
         constant = float(np.log(variances).sum()) - self._unused * float(logs[0])
         quadratic = float((self._residuals**2 / variances).sum() - moved @ moved)
-        return constant + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
+        return constant + self._scaled + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
         """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""
@@ -158,6 +159,11 @@ class NoiseLikelihood:
             free: Which to move, shape (2,).
         """
         return self._descend(logs, np.eye(2)[free])
+
+    def least(self) -> float:
+        """Return the deviance of the factors of greatest likelihood."""
+        starts = (np.zeros(2), _FAR * _ROBOT, -_FAR * _ROBOT)
+        return min(self.maximum(start, _BOTH)[1] for start in starts)
 
     def common(self, logs: Array) -> tuple[Array, float]:
         """As :meth:`maximum` with one factor on both."""

@@ -71,6 +71,8 @@ def linearise(
         jacobians[:, :, layout.led_slice] = stacked @ problem.wrist_rotations
     if layout.joints and problem.joint_jacobians is not None:
         jacobians[:, :, layout.joint_slice] = stacked @ problem.joint_jacobians
+    if problem.arm_error is not None:
+        jacobians[:, :, layout.arm_slice] = stacked @ problem.arm_error.jacobians
 
     covariances = stacked @ problem.position_covariances @ np.swapaxes(stacked, 1, 2)
     noise = problem.spot_covariances if image_covariances is None else image_covariances

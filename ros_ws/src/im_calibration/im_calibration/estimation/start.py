@@ -71,6 +71,7 @@ def start(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknown
         np.zeros(3) if offsets is None else offsets.led_offset,
         np.zeros(layout.joints) if offsets is None else offsets.joint_offsets,
         np.zeros_like(problem.positions),
+        np.zeros(layout.arm),
     )
 
 

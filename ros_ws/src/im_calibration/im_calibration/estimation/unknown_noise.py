@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.arm import Explanation, with_arm_error
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, fit_with_gates
 from im_calibration.estimation.noise import NoiseFactors, noise_factors
 from im_calibration.estimation.residuals import linearise, projectable
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 _ROUGH, _ROUGH_ROUNDS = 1.5, 4
 _LARGER, _LARGER_ROUNDS = 3.0, 4
 _FINE, _FINE_ROUNDS = 0.01, 8
+_ARM_CONVERGED, _ARM_ROUNDS = 0.05, 4
 
 
 @dataclass(frozen=True)
@@ -31,12 +33,12 @@ class NoiseFound:
     """Explanation of the spots with the matching noise.
 
     Attributes:
-        gated: The fit, with its noise taken as `scale` says.
+        explanation: The fit, with its noise taken as `scale` says.
         factors: What the residuals say about the stated noise.
         scale: Factors by which the standard deviations of image and robot were multiplied.
     """
 
-    gated: Gated
+    explanation: Explanation
     factors: NoiseFactors
     scale: tuple[float, float]
 
@@ -59,8 +61,17 @@ def find_noise(problem: CalibrationProblem, layout: ParameterLayout, free: tuple
     if gated.used.sum(axis=1).min() < REDUNDANT_SPOTS:
         searched = best_explanation(problem.with_noise(*scale), layout, gated)
         gated, scale = _settle(searched.fit.unknowns, problem, layout, free, scale)
+    for _ in range(_ARM_ROUNDS):
+        bent = with_arm_error(gated, problem.with_noise(*scale), robot_known="robot" not in free)
+        if bent.problem.arm_error is None:
+            break
+        problem, layout, before = replace(problem, arm_error=bent.problem.arm_error), bent.layout, scale
+        gated, scale = _settle(bent.gated.fit.unknowns, problem, layout, free, scale)
+        if np.abs(np.log(scale / before)).max() < _ARM_CONVERGED:
+            break
     factors = noise_factors(gated.fit.unknowns, problem, layout, gated.used, free)
-    return NoiseFound(gated, factors, (float(scale[0]), float(scale[1])))
+    settled = problem.with_noise(*scale)
+    return NoiseFound(Explanation(settled, layout, gated), factors, (float(scale[0]), float(scale[1])))
 
 
 def _settle(

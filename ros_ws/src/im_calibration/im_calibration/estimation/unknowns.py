@@ -1,7 +1,7 @@
 """Unknowns of a calibration and the places of the unknowns in the parameter vector."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, pairwise
 
@@ -82,12 +82,13 @@ class Prior:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Which unknowns a problem has, and where: the cameras, then the LED offset, then the joint offsets.
+    """Which unknowns a problem has, and where: the cameras, LED offset, joint offsets, error of the arm.
 
     Attributes:
         lenses: Lens models of the cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
+        arm: Number of coefficients of the arm's error.
         image_sizes: Width and height of each image [px].
         prior_mean: Prior means, 0 where there is no prior, shape (size,).
         prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,); of lens terms, those of an
@@ -97,6 +98,7 @@ class ParameterLayout:
     lenses: tuple[LensModel, ...]
     led: bool
     joints: int
+    arm: int
     image_sizes: tuple[tuple[int, int], ...]
     prior_mean: Array
     prior_precision: Array
@@ -108,16 +110,19 @@ class ParameterLayout:
         joints = 0
         if problem.joint_jacobians is not None and problem.joint_offset_prior_sd > 0.0:
             joints = problem.joint_jacobians.shape[2]
+        arm = 0 if problem.arm_error is None else problem.arm_error.jacobians.shape[2]
         means, precisions = [], []
         for (width, height), lens in zip(problem.image_sizes, problem.lenses, strict=True):
             middle = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
             means += [0.0, 0.0, *middle, *[0.0] * (lens.estimated + len(_POSE))]
             precisions += [0.0, 0.0, *[(CENTRE_PRIOR_SD * width) ** -2] * 2]
             precisions += [LENS_PRIOR_SD[power] ** -2 for power in lens.powers[: lens.estimated]] + [0.0] * len(_POSE)
-        means += [0.0] * (3 * led + joints)
+        means += [0.0] * (3 * led + joints + arm)
         precisions += [problem.led_offset_prior_sd**-2] * 3 if led else []
         precisions += [problem.joint_offset_prior_sd**-2] * joints if joints else []
-        return ParameterLayout(problem.lenses, led, joints, problem.image_sizes, np.array(means), np.array(precisions))
+        precisions += [1.0] * arm
+        sizes = problem.image_sizes
+        return ParameterLayout(problem.lenses, led, joints, arm, sizes, np.array(means), np.array(precisions))
 
     @property
     def cameras(self) -> int:
@@ -132,7 +137,7 @@ class ParameterLayout:
     @cached_property
     def cameras_size(self) -> int:
         """Number of unknowns of all cameras, which are the first."""
-        return self.size - 3 * self.led - self.joints
+        return self.size - 3 * self.led - self.joints - self.arm
 
     @cached_property
     def stated_precision(self) -> Array:
@@ -179,7 +184,12 @@ class ParameterLayout:
     @property
     def joint_slice(self) -> slice:
         """Place of the joint offsets; empty if there are none."""
-        return slice(self.size - self.joints, self.size)
+        return slice(self.size - self.joints - self.arm, self.size - self.arm)
+
+    @property
+    def arm_slice(self) -> slice:
+        """Place of the coefficients of the arm's error; empty without."""
+        return slice(self.size - self.arm, self.size)
 
     def camera_slice(self, c: int) -> slice:
         """Place of the parameters of camera `c`."""
@@ -191,7 +201,7 @@ class ParameterLayout:
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
     def names(self, camera_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Name of each unknown, such as ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
+        """Name of each unknown but the arm's error: ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
         cameras = [
             f"{camera}.{name}"
             for camera, lens in zip(camera_names, self.lenses, strict=True)
@@ -214,6 +224,7 @@ class Unknowns:
         led_offset: Error of the nominal LED offset, in the wrist frame, shape (3,) [m].
         joint_offsets: Constant errors of the joint readings, shape (k,) [rad].
         displacements: LED positions minus where the robot's readings, offsets corrected, put them, shape (n, 3) [m].
+        arm_error: Coefficients of the arm's error, shape (m,) [-].
     """
 
     lenses: tuple[LensModel, ...]
@@ -223,6 +234,7 @@ class Unknowns:
     led_offset: Array
     joint_offsets: Array
     displacements: Array
+    arm_error: Array = field(default_factory=lambda: np.zeros(0))
 
     def coefficients(self, c: int) -> Array:
         """Return the lens coefficients of camera `c`."""
@@ -230,10 +242,12 @@ class Unknowns:
         return lens.all_of(self.intrinsics[c, 4 : 4 + lens.estimated])
 
     def robot_positions(self, problem: CalibrationProblem) -> Array:
-        """Return the LED positions by the robot, corrected for the offsets, shape (n, 3) [m]."""
+        """Return the LED positions by the robot, corrected for offsets and arm, shape (n, 3) [m]."""
         positions = problem.positions + problem.wrist_rotations @ self.led_offset
         if problem.joint_jacobians is not None and len(self.joint_offsets):
             positions = positions + problem.joint_jacobians @ self.joint_offsets
+        if problem.arm_error is not None:
+            positions = positions + problem.arm_error.jacobians @ self.arm_error
         return np.asarray(positions)
 
     def led_positions(self, problem: CalibrationProblem) -> Array:
@@ -260,6 +274,7 @@ class Unknowns:
             self.led_offset + (step[layout.led_slice] if layout.led else 0.0),
             self.joint_offsets + step[layout.joint_slice],
             displacements,
+            self.arm_error + step[layout.arm_slice],
         )
 
     def prior_vector(self, layout: ParameterLayout) -> Array:
@@ -271,6 +286,7 @@ class Unknowns:
         if layout.led:
             vector[layout.led_slice] = self.led_offset
         vector[layout.joint_slice] = self.joint_offsets
+        vector[layout.arm_slice] = self.arm_error
         return np.where(layout.prior_precision > 0.0, vector - layout.prior_mean, 0.0)
 
 

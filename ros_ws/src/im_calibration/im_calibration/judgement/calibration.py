@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
+_ARM = "The error of the arm is about {:.2g} mm in each coordinate, alike at neighbours; all stated errors include it."
+
+
 @dataclass(frozen=True)
 class Verdict:
     """A reason not to trust a calibration.
@@ -110,6 +113,7 @@ class Calibration:
         noise: What is known about the noise.
         neighbours: Whether the residuals are noise.
         cause: What data that fit no camera may be instead, a sentence; empty: nothing is known.
+        arm_error_m: Standard deviation of each coordinate of the smooth error of the arm, over the poses [m].
         left_out: Reasons why cameras of the problem are not in `cameras`, one each.
 
     >>> [round(float(focal)) for focal in np.diag(calibration.cameras[0].model.K)[:2]], calibration.points_used
@@ -137,6 +141,7 @@ class Calibration:
     noise: Noise
     neighbours: Neighbours
     cause: str
+    arm_error_m: float
     left_out: tuple[Verdict, ...] = ()
 
     def moved(self, by: Array) -> "Calibration":
@@ -206,10 +211,12 @@ class Calibration:
             return self._outcome
         condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
         pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
+        arm = _ARM.format(1e3 * self.arm_error_m) if self.arm_error_m else ""
         if any(self.neighbours.clause in verdict.reason for verdict in self.verdicts):
             pattern = ""  # said there, as one reason with the lens
         missing = " ".join(f"Left out: {each.reason} {each.advice}" for each in self.left_out)
-        return " ".join(text for text in (self._outcome, missing, f"{condition}{self.noise.remark}", pattern) if text)
+        parts = (self._outcome, missing, f"{condition}{self.noise.remark}", arm, pattern)
+        return " ".join(text for text in parts if text)
 
     @property
     def _outcome(self) -> str:

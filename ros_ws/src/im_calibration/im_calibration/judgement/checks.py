@@ -1,20 +1,18 @@
-"""Checks of a calibration on the same data: poses predicted from the others, and two halves against each other."""
+"""Checks of a calibration on the same data: poses predicted from the others, and a half of the space from the other."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import Gated, predict_from_others
-from im_calibration.estimation.projection import image
-from im_calibration.estimation.solve import maximise_likelihood
 from im_calibration.estimation.unknowns import ParameterLayout
-from im_calibration.judgement.expected import expected_error, inside
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.calibration_error import rms
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -24,15 +22,17 @@ class Checks:
     Attributes:
         held_out_px: RMS distance of a used spot from where the other poses predict it [px].
         held_out_expected_px: The same by the stated noise and the covariance of the estimate [px].
-        split_half_px: RMS distance between the images of the workspace by two calibrations from half of the poses
-            each [px].
-        split_half_expected_px: The same by the covariances of the two [px].
+        far_half_px: RMS distance of a used spot from where the poses of the other half of the space predict it, the
+            space cut across its longest, middle or shortest extent, whatever is least likely [px].
+        far_half_expected_px: The same by noise and covariance [px].
+        far_half_p_value: Probability of a distance this large or larger in one of the six halves.
     """
 
     held_out_px: float
     held_out_expected_px: float
-    split_half_px: float
-    split_half_expected_px: float
+    far_half_px: float
+    far_half_expected_px: float
+    far_half_p_value: float
 
 
 def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> Checks:
@@ -40,37 +40,52 @@ def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) ->
 
     Args:
         gated: The estimate.
-        problem: What it was made from, in canonical order: every other pose makes a half that is spread like the whole.
+        problem: What it was made from.
         layout: Places of the unknowns.
     """
     prediction = predict_from_others(gated.fit, problem, layout, gated.used)
     rows = np.repeat(gated.used.T, 2, axis=1)
     variances = np.diagonal(prediction.covariances, axis1=1, axis2=2)[rows]
     held_out, expected = np.sqrt(2.0) * rms(prediction.errors[rows]), np.sqrt(2.0) * rms(np.sqrt(variances))
-    return Checks(float(held_out), float(expected), *_split_half(gated, problem, layout))
+    used = gated.used.any(axis=0)
+    away = problem.positions - np.median(problem.positions[used], axis=0)
+    halves = [side for axis in np.linalg.svd(away[used])[2] for side in (away @ axis > 0.0, away @ axis <= 0.0)]
+    found = [_half(gated, problem, side) for side in halves]
+    chance, far, far_expected = min(found, key=lambda half: half[0] if np.isfinite(half[0]) else np.inf)
+    return Checks(float(held_out), float(expected), far, far_expected, min(1.0, len(halves) * chance))
 
 
-def _split_half(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> tuple[float, float]:
-    poses = np.flatnonzero(gated.used.any(axis=0))
-    points = problem.workspace.grid()
-    images, variances = [], []
-    for half in (poses[::2], poses[1::2]):
-        part, used = problem.taking(half), gated.used[:, half]
-        if np.any(used.sum(axis=1) < problem.fewest_spots):
-            return float("nan"), float("nan")
-        begin = replace(gated.fit.unknowns, displacements=gated.fit.unknowns.displacements[half])
-        fit = maximise_likelihood(begin, part, layout, used)
-        if not np.isfinite(fit.chi2):
-            return float("nan"), float("nan")
-        # Both halves share their priors, so that only what the data make of them can differ.
-        posterior = covariance_of(fit.information).matrix
-        by_data = posterior @ (fit.information - layout.prior(fit.unknowns).information) @ posterior
-        found = fit.unknowns
-        images.append(image(found, points))
-        variances.append(expected_error(found, by_data, problem.image_sizes, problem.workspace).reprojection_px ** 2)
-    whole = gated.fit.unknowns
-    pixels = image(whole, points)
-    seen = inside(pixels, problem.image_sizes)
-    squares = np.where(seen, ((images[0] - images[1]) ** 2).sum(axis=2), np.nan)
-    per_point = np.sqrt(np.nansum(squares, axis=0) / np.where(seen.any(axis=0), seen.sum(axis=0), np.nan))
-    return rms(per_point), rms(np.sqrt(variances[0] + variances[1]))
+def _half(gated: Gated, problem: CalibrationProblem, predicted: Mask) -> tuple[float, float, float]:
+    """Predict the spots of some poses from those of the others.
+
+    The sum of squared errors with covariance C is taken for chi-square with ``tr(C)^2 / tr(C^2)`` degrees of freedom.
+    Source: Satterthwaite, "An approximate distribution of estimates of variance components" (1946).
+
+    Args:
+        gated: The estimate from all poses.
+        problem: What it was made from.
+        predicted: The poses to predict, shape (n,).
+
+    Returns:
+        Probability of errors this large or larger, their RMS length, and that to expect [px]; NaN with too few spots.
+    """
+    if np.any(gated.used[:, predicted].sum(axis=1) < 1) or np.any(
+        gated.used[:, ~predicted].sum(axis=1) < problem.fewest_spots
+    ):
+        return np.nan, np.nan, np.nan
+    line, rows = gated.fit.linearisation, np.repeat(gated.used[:, predicted].T, 2, axis=1)
+    jacobians, spread, residuals = (a[predicted] for a in (line.jacobians, line.covariances, line.residuals))
+    weighted = np.swapaxes(np.linalg.inv(spread) @ jacobians, 1, 2)
+    without = gated.fit.information - (weighted @ jacobians).sum(axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gated.fit.information), 1e-300))
+    covariance = np.linalg.inv(without * scale[:, None] * scale + 1e-12 * np.eye(len(scale))) * scale[:, None] * scale
+    errors = residuals + jacobians @ (covariance @ (weighted @ residuals[..., None]).sum(axis=0)[:, 0])
+    noise = np.where(rows[:, :, None] & rows[:, None, :], spread, 0.0)
+    normal = jacobians.reshape(-1, len(scale)).T @ jacobians.reshape(-1, len(scale))
+    by_cameras = covariance @ normal
+    common = np.einsum("nia,nij,njb->ab", jacobians, noise, jacobians)
+    first = float(np.trace(noise, axis1=1, axis2=2).sum() + np.trace(by_cameras))
+    second = float((noise**2).sum() + 2.0 * (covariance * common).sum() + (by_cameras * by_cameras.T).sum())
+    squared, spots = float((errors[rows] ** 2).sum()), float(rows.sum()) / 2.0
+    chance = float(scipy.stats.chi2.sf(squared * first / second, first**2 / second))
+    return chance, float(np.sqrt(squared / spots)), float(np.sqrt(first / spots))

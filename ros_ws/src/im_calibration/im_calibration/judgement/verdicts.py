@@ -13,6 +13,7 @@ from im_calibration.judgement.calibration import Calibration, Verdict
 from im_calibration.judgement.causes import strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
+from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB
@@ -28,6 +29,11 @@ _FEWEST_MOVED, _MOVED_SHARE = 6, 0.1
 _DOUBTED_CHANCE, _DOUBTED_SHARE = 0.05, 0.7  # poor residuals and many rejections together are a misfit as well
 _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outliers; with some, less bad residuals do
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
+_FAR_RATIO = 2.0
+_NEAR_LARGEST, _LARGEST_ERROR_M = 0.9, 0.02
+_LARGEST_SPOT_PX, _LARGEST_ARM_SHARE = 2.0, 3e-3
+_MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))  # of a vector of two coordinates of unit standard deviation
+_RIM_PX = 1.5  # from the centre of the outermost pixel
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
 _CENTRE_LIMIT = 0.15
@@ -69,6 +75,8 @@ def judge(
     verdicts += [
         _wrong_lens(calibration, layout, fault) for fault in faults if fault.explains or not (misfit or verdicts)
     ]
+    if not verdicts and (verdict := _far_half(calibration)):
+        verdicts.append(verdict)
     if calibration.scale and (verdict := _wrong_scale(calibration.scale)):
         verdicts.append(verdict)
     return tuple(verdicts)
@@ -184,10 +192,11 @@ def _misfit(
     trusted = _DOUBTED_SHARE if chance < _DOUBTED_CHANCE else TRUSTED_SHARE
     contradictory = np.flatnonzero(used < trusted * detected)
     moved = [c for c in range(len(calibration.cameras)) if _moved_alike(calibration, problem, c)]
-    outside = _outside_image(problem)
-    if not len(contradictory) and not noisy and not moved and not outside and not calibration.cause:
+    outside = _outside_image(calibration, problem)
+    bent = _beyond_arms(calibration, problem) or _beyond_spots_and_arms(calibration, problem)
+    if not (len(contradictory) or noisy or moved or outside or bent or calibration.cause):
         return None
-    reasons = [text for text in (calibration.cause or strange_units(problem),) if text]
+    reasons = [text for text in (calibration.cause or strange_units(problem), bent) if text]
     if noisy:
         reasons.append(
             f"The residuals are {np.sqrt(calibration.chi2_per_dof):.1f} times as large as the stated noise explains "
@@ -210,6 +219,20 @@ def _misfit(
     )
 
 
+def _far_half(calibration: Calibration) -> Verdict | None:
+    """Report a half of the space that the other half predicts far worse than expected."""
+    found, expected = calibration.checks.far_half_px, calibration.checks.far_half_expected_px
+    if not (calibration.checks.far_half_p_value < _UNLIKELY and found > _FAR_RATIO * expected):
+        return None
+    return Verdict(
+        MISFIT,
+        (),
+        f"Poses of one half of the space predict those of the other to {found:.2g} px, where {expected:.2g} px are to "
+        f"be expected (p {calibration.checks.far_half_p_value:.1g}).",
+        "Check the robot's kinematic parameters, and what is before the lens; use the cameras near the poses only.",
+    )
+
+
 def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFault) -> Verdict:
     """Report a lens model with too few terms, and the model to use instead."""
     name, lens = calibration.cameras[fault.camera].name, layout.lenses[fault.camera]
@@ -225,17 +248,51 @@ def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFa
     return Verdict(MISFIT, parameters, f"{reason}.", advice, fault.better)
 
 
-def _outside_image(problem: CalibrationProblem) -> list[str]:
-    """Return cameras with most spots outside of the image: the image size must be wrong, however good the fit."""
+def _outside_image(calibration: Calibration, problem: CalibrationProblem) -> list[str]:
+    """Return cameras with spots outside of the image that agree, or with most there: the image size must be wrong."""
     strange = []
     for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
-        seen = problem.spots[c][problem.detected[c]]
-        outside = int(np.any((seen < -0.5) | (seen > np.array(size) - 0.5), axis=1).sum())
-        if 2 * outside > len(seen):
-            strange.append(
-                f"{outside} of {len(seen)} spots of {name} are not in its image of {size[0]} x {size[1]} px."
-            )
+        outside = _outside(problem.spots[c], size)
+        if not (outside & calibration.used[c]).any() and 2 * outside.sum() <= problem.detected[c].sum():
+            continue
+        text = f"{outside.sum()} of {problem.detected[c].sum()} spots of {name} are not in its image of "
+        turned = not _outside(problem.spots[c], size[::-1]).any()
+        advice = ": with width and height exchanged they are" * turned
+        strange.append(f"{text}{size[0]} x {size[1]} px{advice}.")
     return strange
+
+
+def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Mark the spots, shape (n, 2) [px], more than a pixel outside of an image."""
+    return np.asarray(np.any((spots < -_RIM_PX) | (spots > np.array(size) - 1.0 + _RIM_PX), axis=1))
+
+
+def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
+    """Report a smooth error as large as that of no arm; empty if it is smaller."""
+    largest = _NEAR_LARGEST * ArmError.largest(problem.positions).standard_deviation
+    if calibration.arm_error_m < min(largest, _LARGEST_ERROR_M):
+        return ""
+    return (
+        f"The positions are off by {1e3 * calibration.arm_error_m:.1f} mm or more, neighbouring ones alike, which is "
+        "more than the error of an arm over such a space."
+    )
+
+
+def _beyond_spots_and_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
+    """Report estimated noise that neither spots nor an arm have; empty if they may, or the noise is stated."""
+    if not problem.noise_to_estimate:
+        return ""
+    extent = float(np.sqrt(problem.positions.var(axis=0).sum()))
+    for camera, residuals, used in zip(calibration.cameras, calibration.residuals, calibration.used, strict=True):
+        depths = calibration.led_positions[used] @ camera.model.R_cam_base[2] + camera.model.t_cam_base[2]
+        lengths = np.linalg.norm(residuals[used], axis=1) / _MEDIAN_LENGTH
+        off_px, off_m = float(np.median(lengths)), float(np.median(lengths * depths)) / float(camera.model.K[0, 0])
+        if off_px > _LARGEST_SPOT_PX and off_m > _LARGEST_ARM_SHARE * extent:
+            return (
+                f"The spots of {camera.name} are off by {off_px:.1f} px in each coordinate, {1e3 * off_m:.1f} mm at "
+                "the light: neither spots nor an arm have such a noise, so that something else is wrong."
+            )
+    return ""
 
 
 def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) -> str:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from im_calibration.problem.arm_error import ArmError
 from im_cell.lens import PLUMB_BOB, LensModel, lens_of
 from im_cell.workspace import Workspace
 from im_core.errors import DataError
@@ -99,6 +100,7 @@ class CalibrationProblem:
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
         lens_models: Name of each camera's lens model, see :data:`im_cell.lens.LENSES`; empty: all `plumb_bob`.
         noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
+        arm_error: Smooth error of the arm, beside the noise; None: there is none.
 
     >>> problem.lens_models, problem.pose_names[:3], problem.fewest_spots.tolist(), int(problem.detected.sum())
     (('plumb_bob',), ('0', '1', '2'), [7], 40)
@@ -120,6 +122,7 @@ class CalibrationProblem:
     lengths: KnownLengths | None = None
     lens_models: tuple[str, ...] = ()
     noise_to_estimate: tuple[str, ...] = ()
+    arm_error: ArmError | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and values.
@@ -248,6 +251,7 @@ class CalibrationProblem:
             spot_covariances=self.spot_covariances[:, poses],
             joint_jacobians=None if self.joint_jacobians is None else self.joint_jacobians[poses],
             pose_names=tuple(self.pose_names[i] for i in poses),
+            arm_error=None if self.arm_error is None else self.arm_error.taking(poses),
         )
 
     def of_cameras(self, names: Sequence[str]) -> "CalibrationProblem":

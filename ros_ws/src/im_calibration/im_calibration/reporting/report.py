@@ -66,6 +66,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         ],
         "scale": None if calibration.scale is None else _plain(calibration.scale),
         "noise": _noise(calibration.noise),
+        "arm_error_m": calibration.arm_error_m,
         "neighbours": _plain(calibration.neighbours),
         "checks": _plain(calibration.checks),
         "expected_error": {
@@ -154,9 +155,10 @@ def summary(report: Mapping[str, Any]) -> str:
         f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
         f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
         f"held-out poses      {_found(report['checks'], 'held_out')}",
-        f"two halves          {_found(report['checks'], 'split_half')}",
+        f"far half            {_found(report['checks'], 'far_half')}",
         f"neighbours          {_neighbours_text(report['neighbours'])}",
         f"noise               {_noise_text(report['noise'])}",
+        f"error of the arm    {1e3 * report['arm_error_m']:.3g} mm in each coordinate",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
     if report["scale"]:
@@ -294,7 +296,7 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "parameters": list(result.parameter_names),
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
-        **{key: report[key] for key in ("scale", "noise", "neighbours", "checks", "expected_error")},
+        **{key: report[key] for key in ("scale", "noise", "arm_error_m", "neighbours", "checks", "expected_error")},
     }
     if problem.led_offset_prior_sd > 0.0:
         told["led_offset_error_m"] = numbers(result.led_offset_error)

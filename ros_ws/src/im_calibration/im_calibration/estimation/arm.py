@@ -1,0 +1,127 @@
+"""Size of the arm's smooth error, from the residuals of a fit, and the fit with it.
+
+The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. The error's
+standard deviation t maximises the restricted likelihood. With the cameras eliminated, the information on the
+coefficients is diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the
+likelihood is then
+
+    sum log(1 + t^2 d / v) - sum t^2 z^2 / (v^2 (1 + t^2 d / v)) + R / v + N log v
+
+with R the squared residuals without it, N their degrees of freedom, and v the factor on the variance of the noise. The
+factor is free: noise that is larger than stated leaves large residuals everywhere, and must not pass for an arm.
+Source: Harville, "Maximum likelihood approaches to variance component estimation" (1977).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_calibration.estimation.gates import Gated, fit_with_gates
+from im_calibration.estimation.noise import NoiseLikelihood
+from im_calibration.estimation.residuals import linearise
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.problem.arm_error import ArmError
+from im_calibration.problem.problem import CalibrationProblem
+
+Array = NDArray[np.float64]
+
+_FACTORS = np.geomspace(1e-2, 1.0, 41)
+_GAIN = 4.0
+_ROUNDS, _CONVERGED = 4, 0.1
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Fit with the problem that it solves.
+
+    Attributes:
+        problem: The observations, with the error of the arm and the noise as they were taken.
+        layout: Places of the unknowns.
+        gated: The fit.
+    """
+
+    problem: CalibrationProblem
+    layout: ParameterLayout
+    gated: Gated
+
+
+def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
+    """Return the fit with the smooth error of the arm that the residuals show.
+
+    Where the noise of the robot is stated, the data have to show the error; if they do not, the fit is unchanged. Where
+    that noise is not stated, an arm has such an error, of a size that the data leave possible.
+
+    Args:
+        gated: A fit without such an error.
+        problem: What it was made from.
+        robot_known: Whether the noise of the robot is stated.
+    """
+    whole = ArmError.largest(problem.positions)
+    factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
+    found = Explanation(problem, ParameterLayout.of(problem), gated)
+    for _ in range(_ROUNDS):
+        before, factor = factor, _factor(found, whole, robot_known=robot_known)
+        if abs(factor - before) <= _CONVERGED * before:
+            break
+        bent = replace(problem, arm_error=whole.times(factor) if factor else None)
+        layout = ParameterLayout.of(bent)
+        unknowns = found.gated.fit.unknowns
+        scaled = unknowns.arm_error * (before / factor) if before and factor else np.zeros(layout.arm)
+        found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
+        if not factor:
+            break
+    if found.problem.arm_error is None or not robot_known or _preferred(found):
+        return found
+    plain = replace(problem, arm_error=None)
+    return Explanation(plain, ParameterLayout.of(plain), gated)
+
+
+def _preferred(found: Explanation) -> bool:
+    """Check whether a smooth error explains the spots better than any noise of image and robot does."""
+    unknowns, used = found.gated.fit.unknowns, found.gated.used
+    plain = replace(found.problem, arm_error=None)
+    without = NoiseLikelihood(replace(unknowns, arm_error=np.zeros(0)), plain, ParameterLayout.of(plain), used)
+    smooth = NoiseLikelihood(unknowns, found.problem, found.layout, used)
+    return bool(without.least() - smooth.least() > _GAIN)
+
+
+def _factor(found: Explanation, whole: ArmError, *, robot_known: bool) -> float:
+    """Factor on the largest error: of greatest likelihood, 0 where none is needed; or the mean of what is possible."""
+    problem = replace(found.problem, arm_error=whole)
+    layout = ParameterLayout.of(problem)
+    unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
+    size = 0.0 if present is None else present.standard_deviation / whole.standard_deviation
+    coefficients = size * unknowns.arm_error if present is not None else np.zeros(layout.arm)
+    unknowns = replace(unknowns, arm_error=coefficients)
+    line = linearise(unknowns, problem, layout, found.gated.used)
+    arm, rest = layout.arm_slice, slice(0, layout.size - layout.arm)
+    residuals = line.residuals + line.jacobians[:, :, arm] @ coefficients
+    weighted = np.linalg.inv(line.covariances) @ line.jacobians
+    rows = line.jacobians.reshape(-1, layout.size)
+    information = rows.T @ weighted.reshape(-1, layout.size)
+    pull = weighted.reshape(-1, layout.size).T @ residuals.ravel()
+    prior = layout.prior(unknowns)
+    own = information[rest, rest] + prior.information[rest, rest]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+    own = own * scale[:, None] * scale + 1e-12 * np.eye(len(scale))
+    cross = information[rest, arm] * scale[:, None]
+    shift = np.linalg.solve(own, np.column_stack((cross, (pull[rest] + prior.gradient[rest]) * scale)))
+    d, axes = np.linalg.eigh(information[arm, arm] - cross.T @ shift[:, :-1])
+    z2 = (axes.T @ (pull[arm] - cross.T @ shift[:, -1])) ** 2
+    squared = float(np.einsum("ni,nij,nj->", residuals, np.linalg.inv(line.covariances), residuals))
+    squared -= float((pull[rest] + prior.gradient[rest]) * scale @ shift[:, -1])
+    freedom = max(1, 2 * int(found.gated.used.sum()) - layout.cameras_size)
+    d = np.maximum(d, 0.0)
+    t2 = np.concatenate(([0.0], _FACTORS**2))[:, None]  # over the variance of the noise
+    left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)
+    noise = np.maximum(left / freedom, 1e-12)
+    deviance = freedom * np.log(noise) + left / noise + np.log1p(t2 * d).sum(axis=1)
+    best = int(np.argmin(deviance))
+    if not robot_known:
+        possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
+        sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
+        return float(np.sqrt((possible * sizes).sum() / possible.sum()))
+    if deviance[0] - deviance[best] < _GAIN:
+        return 0.0
+    return float(np.minimum(np.sqrt(t2[best, 0] * noise[best]), 1.0))

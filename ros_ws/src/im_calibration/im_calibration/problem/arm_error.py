@@ -1,0 +1,69 @@
+"""Smooth error of an arm: constant in time, and alike at neighbouring places.
+
+An arm repeats a position far better than it knows it: its error is a function of the place. Here that function is a
+polynomial of third order with random coefficients, a random field of few terms. Terms that shift or turn all positions
+alike are left out: the frame of the cameras is the one that the arm's readings have as a whole. Source: Rasmussen and
+Williams, "Gaussian Processes for Machine Learning" (2006), sections 2.7 and 4.2.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_cell.rotations import cross_matrix
+
+Array = NDArray[np.float64]
+
+LARGEST_SHARE = 4e-3
+"""Largest standard deviation of each coordinate of an arm's error, as a share of the extent of its positions [-]."""
+
+_SHARES = {1: 0.6, 2: 1.0, 3: 0.5}
+"""Size of the terms of each order, of one another: most of what the first order has of an arm's error is rigid."""
+
+
+@dataclass(frozen=True)
+class ArmError:
+    """Smooth error of an arm at n positions, linear in k unknown coefficients of unit standard deviation.
+
+    Attributes:
+        jacobians: Derivatives of the positions by the coefficients, shape (n, 3, k) [m].
+    """
+
+    jacobians: Array
+
+    @staticmethod
+    def largest(positions: Array) -> "ArmError":
+        """Return the largest error of an arm that goes to some positions, shape (n, 3) [m]."""
+        away = positions - positions.mean(axis=0)
+        extent = max(float(np.sqrt((away**2).sum(axis=1).mean())), 1e-300)
+        away = away / extent
+        turned = np.stack([cross_matrix(place) for place in away])
+        rigid = np.concatenate((np.tile(np.eye(3), (len(away), 1, 1)), turned), axis=2).reshape(-1, 6)
+        axes = np.linalg.svd(rigid, full_matrices=False)[0]
+        blocks = []
+        for order, share in _SHARES.items():
+            powers = list(combinations_with_replacement(range(3), order))
+            counts = [factorial(order) / np.prod([factorial(power.count(i)) for i in range(3)]) for power in powers]
+            terms = np.stack([np.prod(away[:, list(power)], axis=1) for power in powers], axis=1) * np.sqrt(counts)
+            block = np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1)
+            block = block - axes @ (axes.T @ block)
+            blocks.append(share * block / max(float(np.linalg.norm(block)), 1e-300))
+        whole = np.concatenate(blocks, axis=1)
+        whole = whole * (LARGEST_SHARE * extent * np.sqrt(len(rigid)) / max(float(np.linalg.norm(whole)), 1e-300))
+        return ArmError(whole.reshape(len(away), 3, -1))
+
+    @property
+    def standard_deviation(self) -> float:
+        """Standard deviation of a coordinate, RMS over the positions [m]."""
+        return float(np.sqrt((self.jacobians**2).sum(axis=2).mean()))
+
+    def times(self, factor: float) -> "ArmError":
+        """Return an error of another size."""
+        return replace(self, jacobians=factor * self.jacobians)
+
+    def taking(self, poses: NDArray[np.intp]) -> "ArmError":
+        """Return the same error at some of the positions."""
+        return replace(self, jacobians=self.jacobians[poses])

@@ -1,0 +1,93 @@
+"""Error of an arm that is smooth over its space: found, taken for what it is, and in everything stated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bench.calibration.score import deviations, errors
+from bench.calibration.synthetic import Design, bent, make_scene
+from im_calibration import calibrate
+from im_calibration.estimation.arm import with_arm_error
+from im_calibration.estimation.search import first_explanation
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.judgement.checks import check
+from im_calibration.problem.arm_error import ArmError
+from im_cell.calibration_error import rms
+
+
+def scored(kind, size_m, poses, seeds):
+    """Errors over those expected, and the share of parameters within two deviations."""
+    found, expected, within = [], [], []
+    for seed in seeds:
+        scene = bent(make_scene(Design(poses=poses, sigma_m=1e-7), seed), kind, size_m, seed)
+        calibration = calibrate(scene.problem)
+        assert calibration.success, calibration.message
+        found.append(errors(tuple(camera.model for camera in calibration.cameras), scene)[0])
+        expected.append(calibration.expected.reprojection_rms_px)
+        within.append(np.abs(deviations(calibration, scene)) < 2.0 * calibration.standard_deviations)
+    return rms(np.array(found)) / rms(np.array(expected)), float(np.mean(within))
+
+
+@pytest.mark.parametrize("kind", ["quadratic", "links"])
+@pytest.mark.parametrize(("size_m", "poses"), [(3e-4, 60), (1e-3, 40)])
+def test_errors_are_as_expected_where_the_arm_is_bent(kind, size_m, poses):
+    ratio, within = scored(kind, size_m, poses, range(700, 703))
+    assert 0.5 < ratio < 1.6  # three seeds
+    assert within > 0.8
+
+
+def test_more_poses_of_a_bent_arm_do_not_make_it_straight():
+    scene = bent(make_scene(Design(poses=100, sigma_m=1e-7), 1), "quadratic", 1e-3, 1)
+    calibration = calibrate(scene.problem)
+    assert 5e-4 < calibration.arm_error_m < 2e-3
+    assert "error of the arm" in calibration.message
+
+
+def test_the_bare_noise_of_an_arm_bends_nothing():
+    assert [calibrate(make_scene(Design(), seed).problem).arm_error_m for seed in range(40, 44)] == [0.0] * 4
+
+
+def test_noise_larger_than_stated_is_not_taken_for_an_arm():
+    problem = make_scene(Design(), 45).problem.with_noise(0.3, 0.3)
+    fit = first_explanation(problem, ParameterLayout.of(problem))
+    assert with_arm_error(fit, problem).problem.arm_error is None
+
+
+def test_a_robot_of_which_nothing_is_stated_has_an_error_of_the_arm():
+    problem = make_scene(Design(poses=25, cameras=1), 46).problem
+    stated = calibrate(problem)
+    unknown = calibrate(replace(problem, noise_to_estimate=("robot",)))
+    assert stated.arm_error_m == 0.0 < unknown.arm_error_m
+    assert np.all(unknown.cameras[0].standard_deviations > stated.cameras[0].standard_deviations)
+
+
+def test_a_half_of_the_space_that_contradicts_the_other_is_seen_unless_it_is_the_arm():
+    problem = bent(make_scene(Design(poses=60, sigma_m=1e-7), 47), "quadratic", 2e-3, 47).problem
+    small = replace(problem, position_covariances=1e-8 * np.tile(np.eye(3), (60, 1, 1)))
+    straight = first_explanation(small, ParameterLayout.of(small))
+    assert check(straight, small, ParameterLayout.of(small)).far_half_p_value < 1e-3
+    found = with_arm_error(straight, small)
+    assert check(found.gated, found.problem, found.layout).far_half_p_value > 1e-3
+
+
+def test_no_part_of_the_error_shifts_or_turns_all_positions_alike():
+    positions = np.random.default_rng(3).uniform(1.0, 3.0, (30, 3))
+    error = ArmError.largest(positions)
+    away = positions - positions.mean(axis=0)
+    np.testing.assert_allclose(error.jacobians.sum(axis=0), 0.0, atol=1e-12)
+    turned = np.cross(away[:, None, :], np.swapaxes(error.jacobians, 1, 2)).sum(axis=0)
+    np.testing.assert_allclose(turned, 0.0, atol=1e-12)
+
+
+def test_the_error_does_not_depend_on_axes_or_units():
+    positions = np.random.default_rng(4).uniform(-1.0, 1.0, (12, 3))
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+
+    def spread(places):
+        jacobians = ArmError.largest(places).jacobians.reshape(-1, ArmError.largest(places).jacobians.shape[2])
+        return jacobians @ jacobians.T
+
+    one, other = spread(positions), spread(1e3 * positions @ turn.T)
+    whole = np.kron(np.eye(12), turn)
+    np.testing.assert_allclose(other, 1e6 * whole @ one @ whole.T, atol=1e-9)
