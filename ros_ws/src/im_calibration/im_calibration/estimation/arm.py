@@ -71,8 +71,11 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
         if not factor:
             break
-    if found.problem.arm_error is None or not robot_known or _preferred(found):
-        return found
+    try:
+        if found.problem.arm_error is None or not robot_known or _preferred(found):
+            return found
+    except np.linalg.LinAlgError:
+        pass  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
     plain = replace(problem, arm_error=None)
     return Explanation(plain, ParameterLayout.of(plain), gated)
 

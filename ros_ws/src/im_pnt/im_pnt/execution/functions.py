@@ -374,7 +374,7 @@ class Functions:
         return frozenset(source for guard in named for source in self.sources(guard) or ())
 
     def question(self, guard: Guard) -> GuardFunction:
-        """Return what a guard asks, a registered function or an expression; a negation is left to the caller."""
+        """Return the question of a guard, a registered function or an expression; a negation is left to the caller."""
         if not guard.unless:
             return self.guards.get(guard.name) or _expression_guard(guard.name)
         others = [(self.question(each), each.negated) for each in guard.unless]

@@ -315,7 +315,7 @@ class FiringRule:
                 job.last_failure = error
 
     def _abandon(self, job: Job, error: ImError) -> None:
-        """End a job without its tokens and actions: what these had taken of the net's initial marking comes back."""
+        """End a job without its tokens and actions; give back the initial marking that these had taken."""
         self.pass_on(job, JobUpdate.CANCELLED, error)
         back = self.freed_by(job)
         for activity in self.actions_of(job):
