@@ -28,7 +28,7 @@ from im_calibration.pipeline import calibrate
 from im_calibration.problem.dataset import dataset_of, load_problems
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
 from im_calibration.reporting.comparison import SAME, comparison, largest_difference
-from im_calibration.reporting.report import answer, report_of, summary
+from im_calibration.reporting.report import answer, report_of
 from im_calibration.reporting.results import write_observations, write_results
 from im_calibration.selection import calibrate_possible
 
@@ -54,7 +54,6 @@ __all__ = [
     "load_problems",
     "next_best_poses",
     "report_of",
-    "summary",
     "write_observations",
     "write_results",
 ]

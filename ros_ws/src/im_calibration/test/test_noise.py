@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from bench.calibration.synthetic import Design, make_scene
-from im_calibration import calibrate, report_of, summary
+from im_calibration import calibrate, report_of
 from im_calibration.estimation.noise import NoiseLikelihood, noise_factors
 from im_calibration.estimation.residuals import linearise
 from im_calibration.estimation.solve import maximise_likelihood, robust_fit
 from im_calibration.estimation.start import start
 from im_calibration.estimation.unknowns import ParameterLayout
+from im_cell.calibration_summary import summary
 
 EVERYTHING = Design(poses=14, anisotropy=3.0, joint_offset_prior_sd=0.003, missing_share=0.1)
 BOTH = ("image", "robot")

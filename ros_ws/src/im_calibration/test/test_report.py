@@ -8,8 +8,9 @@ import pytest
 import yaml
 
 from bench.calibration.synthetic import Design, make_scene
-from im_calibration import calibrate, report_of, summary, write_results
+from im_calibration import calibrate, report_of, write_results
 from im_cell.calibration_report import report_fields
+from im_cell.calibration_summary import summary
 from im_core.errors import DataError
 
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bench.calibration.synthetic import Design, make_scene
-from im_calibration import calibrate, report_of, summary
+from im_calibration import calibrate, report_of
+from im_cell.calibration_summary import summary
 
 SEEDS = range(40, 52)
 

@@ -13,10 +13,10 @@ from im_calibration import (
     calibrate_possible,
     load_problems,
     report_of,
-    summary,
     write_observations,
     write_results,
 )
+from im_cell.calibration_summary import summary
 
 
 def blinded(problem, camera, spots):

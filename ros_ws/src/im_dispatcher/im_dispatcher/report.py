@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from im_cell.calibration_summary import summary
 from im_core.errors import StoreError
 from im_core.files import make_folder, synchronise_names, write_whole
 from im_pnt.model.net import Net
@@ -147,12 +148,18 @@ def make_directory(results: Path, stamp: str) -> Path:
 
 
 def write_report(directory: Path, report: Mapping[str, object]) -> Path:
-    """Write ``report.json`` atomically, and point the link ``latest`` beside the folder to the folder.
+    """Write ``report.json`` and ``summary.txt`` of it, and point the link ``latest`` beside the folder to the folder.
+
+    Each file is written whole or not at all; there is no summary of a command without cameras.
 
     Raises:
-        StoreError: It cannot be written; ``latest`` is what it was.
+        StoreError: They cannot be written; ``latest`` is what it was.
+        DataError: A part of the report is missing, or of another kind.
     """
+    text = summary(report) if report.get("cameras") else ""
     path = write_whole(directory / "report.json", json.dumps(report, indent=2, allow_nan=False) + "\n")
+    if text:
+        write_whole(directory / "summary.txt", text)
     link = directory.parent / f".{LATEST}.{os.getpid()}"
     try:
         link.unlink(missing_ok=True)

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.calibration.synthetic import Design, make_scene
+from im_calibration import calibrate, report_of
+from im_core.errors import DataError
 from im_dispatcher.report import (
     MOST_STARTED,
     StepTimes,
@@ -28,6 +31,23 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> N
     with pytest.raises(ValueError, match="JSON compliant"):
         write_report(directory, {"number": float("nan")})
     assert json.loads((directory / "report.json").read_text()) == {"number": 1}
+
+
+def test_the_summary_counts_the_poses_of_the_command(tmp_path: Path) -> None:
+    """The solver was not told of those that were skipped."""
+    problem = make_scene(Design(), 1).problem
+    solver = report_of(calibrate(problem), problem)
+    skipped = [{"pose": "p41", "camera": "", "reason": "out of reach"}, {"pose": "p42", "camera": "", "reason": "dark"}]
+    write_report(make_directory(tmp_path, "a"), succeeded(solver, skipped, 42))
+    text = (tmp_path / "latest" / "summary.txt").read_text()
+    assert "poses used          40 of 42" in text
+    assert "pose p41: out of reach" in text
+
+
+def test_a_report_that_is_not_whole_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="the report of the calibration is not whole"):
+        write_report(make_directory(tmp_path, "a"), {"message": "done", "cameras": [{"name": "wall"}]})
+    assert not list((tmp_path / "a").iterdir())
 
 
 def test_times_add_up_by_step() -> None:

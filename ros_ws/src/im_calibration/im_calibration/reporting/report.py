@@ -1,7 +1,5 @@
 """Calibrations as plain values for JSON: the report, and the answer to a trial of a data set."""
 
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,7 +15,6 @@ from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.problem import CalibrationProblem
-from im_cell.lens import lens_of
 
 
 def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str, Any]:
@@ -136,129 +133,6 @@ def number(value: float) -> float | None:
 def numbers(values: ArrayLike) -> list[float | None]:
     """Return the numbers of a vector, None where not finite."""
     return [number(value) for value in np.asarray(values, dtype=float).ravel()]
-
-
-def summary(report: Mapping[str, Any]) -> str:
-    """The report as text for people.
-
-    Args:
-        report: As made by :func:`report_of`.
-
-    >>> summary(report_of(calibration, problem)).splitlines()[5].split(" (")[0]
-    'poses used          40 of 40'
-    """
-    lines = ["Camera calibration", "==================", "", report["message"], ""]
-    lines += [
-        f"poses used          {report['points_used']} of {report['points_given']}"
-        f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
-        f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')}"
-        f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
-        f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
-        f"held-out poses      {_found(report['checks'], 'held_out')}",
-        f"far half            {_found(report['checks'], 'far_half')}",
-        f"neighbours          {_neighbours_text(report['neighbours'])}",
-        f"noise               {_noise_text(report['noise'])}",
-        f"error of the arm    {1e3 * report['arm_error_m']:.3g} mm in each coordinate",
-        "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
-    ]
-    if report["scale"]:
-        scale = report["scale"]
-        lines.append(
-            f"robot's scale       {100.0 * scale['error']:+.3f} ± {100.0 * scale['standard_deviation']:.3f} % by "
-            f"{scale['lengths_used']:.0f} of {scale['lengths_given']:.0f} known lengths"
-        )
-    if report["joint_offsets_rad"]:
-        values = _vector(report["joint_offsets_rad"], report["joint_offsets_standard_deviation_rad"], 1e3)
-        lines.append(f"joint offsets [mrad] {values}")
-    for camera in report["cameras"]:
-        lines += ["", *_camera_lines(camera)]
-    for title, key in (("Verdicts", "verdicts"), ("Rejected", "points_rejected")):
-        if report[key]:
-            lines += ["", title]
-        for entry in report[key]:
-            if key == "verdicts":
-                lines.append(f"  {entry['kind']}: {entry['reason']} {entry['advice']}")
-            else:
-                where = f"pose {entry['pose']}" + (f", {entry['camera']}" if entry["camera"] else "")
-                lines.append(f"  {where}: {entry['reason']}")
-    return "\n".join(lines) + "\n"
-
-
-def _camera_lines(camera: Mapping[str, Any]) -> list[str]:
-    sd = camera["standard_deviations"]
-    K, D = camera["K"], camera["D"]
-    centre = -np.array(camera["R_cam_base"]).T @ camera["t_cam_base_m"]
-    rows = [
-        ("fx, fy [px]", (K[0][0], K[1][1]), ("fx", "fy"), 1.0),
-        ("cx, cy [px]", (K[0][2], K[1][2]), ("cx", "cy"), 1.0),
-        *_lens_rows(camera["distortion_model"], D),
-        ("t_cam_base [mm]", camera["t_cam_base_m"], ("tx", "ty", "tz"), 1e3),
-    ]
-    lines = [f"{camera['name']} ({camera['spots_used']} spots, residuals {_text(camera['rms_px'], '.3f')} px RMS)"]
-    for label, values, names, scale in rows:
-        lines.append(f"  {label:<17} {_vector(values, [sd[name] for name in names], scale)}")
-    spread = ", ".join(_text(sd[name] and 1e3 * sd[name], ".2f") for name in ("rx", "ry", "rz"))
-    lines.append(f"  rotation [mrad]   known to {spread}")
-    lines.append(f"  stands at [m]     {', '.join(f'{value:.3f}' for value in centre)}")
-    return lines
-
-
-def _lens_rows(model: str, D: Sequence[float]) -> list[tuple[str, list[float], tuple[str, ...], float]]:
-    """Return rows of the estimated coefficients: radial ones two by two, and the decentering ones."""
-    lens = lens_of(model)
-    values = dict(zip(lens.coefficients[: lens.estimated], D, strict=False))
-    pairs = {"k1, k2": 1.0, "p1, p2": 1e3, "k3, k4": 1.0, "k5, k6": 1.0}
-    rows = []
-    for label, scale in pairs.items():
-        names = tuple(label.split(", "))
-        if names[0] in values:
-            rows.append((label + " [1e-3]" * (scale != 1.0), [values[name] for name in names], names, scale))
-    return rows
-
-
-def _expected(errors: dict[str, Any]) -> str:
-    """The errors to expect; one camera has none of triangulation."""
-    reprojection = f"{_text(errors['reprojection_px'], '.3f')} px reprojection"
-    triangulation = errors["triangulation_mm"]
-    return reprojection if triangulation is None else f"{reprojection}, {triangulation:.2f} mm triangulation"
-
-
-def _found(checks: Mapping[str, float | None], name: str) -> str:
-    """Return the text of a check beside the expected value."""
-    return f"{_text(checks[f'{name}_px'], '.3f')} px, {_text(checks[f'{name}_expected_px'], '.3f')} px expected"
-
-
-def _neighbours_text(neighbours: Mapping[str, float | None]) -> str:
-    found, limit = (_text(neighbours[name], ".2f") for name in ("correlation", "limit"))
-    return f"correlation of residuals {found}, of noise below {limit}"
-
-
-def _noise_text(noise: Mapping[str, Any]) -> str:
-    """Describe the noise used by the estimate, and compare the stated noise with the residuals."""
-    used = f"{noise['sigma_image_px']:.3g} px, {1e3 * noise['sigma_robot_m']:.3g} mm"
-    source = f"estimated ({', '.join(noise['estimated'])})" if noise["estimated"] else "as stated"
-    factors = ", ".join(
-        f"{name} {_text(noise[name]['low'], '.2f')} to {_text(noise[name]['high'], '.2f')}"
-        for name in ("image", "robot", "common")
-    )
-    return f"{used}, {source}; by the residuals, times the stated one: {factors}"
-
-
-def _text(value: float | None, form: str) -> str:
-    return "unknown" if value is None else format(value, form)
-
-
-def _vector(values: Sequence[float | None], deviations: Sequence[float | None], scale: float) -> str:
-    """Format values with standard deviations, to two digits of the deviations."""
-    parts = []
-    for value, deviation in zip(values, deviations, strict=True):
-        if value is None or deviation is None:
-            parts.append(f"{_text(value, 'g')} ± unknown")
-            continue
-        size = deviation * abs(scale)
-        digits = min(6, max(0, 1 - math.floor(math.log10(size)))) if size > 0.0 else 3
-        parts.append(f"{value * scale:.{digits}f} ± {size:.{digits}f}")
-    return ", ".join(parts)
 
 
 def answer(problem: CalibrationProblem) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
 from im_calibration.problem.dataset import dataset_of
 from im_calibration.problem.problem import CalibrationProblem
-from im_calibration.reporting.report import report_of, summary
+from im_calibration.reporting.report import report_of
 from im_cell.calibration_files import (
     COVARIANCE,
     EXTRINSICS,
@@ -20,6 +20,7 @@ from im_cell.calibration_files import (
     covariance_yaml,
     extrinsics_yaml,
 )
+from im_cell.calibration_summary import summary
 from im_cell.camera_covariance import CameraCovariance
 from im_core.errors import DataError
 from im_core.files import FileError, make_folder, write_whole
