@@ -68,7 +68,7 @@ leave_ros() {
 
 # The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
 im_defaults() {
-  local config="$IM_WS/src/im_bringup/im_bringup/config" name value
+  local name value
   if [[ -z "${HOME:-}" ]]; then
     export HOME="$IM_ROOT/.run"
     mkdir -p "$HOME"
@@ -82,10 +82,10 @@ im_defaults() {
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
   # The memory policy of our profile counts with the second variable; a profile of the user's may be silent about it.
   [[ -n "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]] || export RMW_FASTRTPS_USE_QOS_FROM_XML=1
-  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$config/fastdds.xml}"
+  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
   while IFS='=' read -r name value; do
     [[ "$name" == "#"* || -n "${!name:-}" ]] || export "$name=$value"
-  done <"$config/environment.txt"
+  done <"$IM_WS/src/im_bringup/im_bringup/config/environment.txt"
 }
 
 # im_env: the complete environment, as every script but setup.sh needs it.

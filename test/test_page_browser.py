@@ -139,8 +139,8 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
 
         start(operates, "calibrate_camera", group="left")
         operates.until(f"/running|calibrate_camera/.test({STATE})", "the command in the line")
+        operates.until(f"/\\d+ % .*about \\d+ (s|min) left/.test({STATE})", "progress and the time that is left")
         if PICTURES:
-            operates.until(f"{STATE}.includes('%')", "progress")
             operates.page.screenshot(path=Path(PICTURES) / "page.png")
         operates.page.click("#line button:has-text('pause')")
         only_looks.until(f"{STATE}.includes('paused')", "the pause")

@@ -76,8 +76,8 @@ def held(tmp_path, monkeypatch):
     model = CameraModel(640, 480, rig.book[CAMERA].model.K, np.zeros(5), np.eye(3), np.zeros(3))
     known = CameraCovariance(tuple(f"{CAMERA}.{name}" for name in PARAMETERS), np.eye(len(PARAMETERS)))
     camera = SimpleNamespace(name=CAMERA, model=model)
-    found = SimpleNamespace(success=True, cameras=(camera,), camera_covariance=known, residuals=([],))
-    monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
+    found = SimpleNamespace(usable=True, cameras=(camera,), camera_covariance=known, residuals=([],))
+    monkeypatch.setattr("im_vss.modules.solver.calibrate_possible", lambda problem: found)
     monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})
 
     def snap(x):

@@ -145,7 +145,7 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
         go.wait(60.0)
         raise DataError("solved, after a fashion")
 
-    monkeypatch.setattr("im_vss.modules.solver.calibrate", slow)
+    monkeypatch.setattr("im_vss.modules.solver.calibrate_possible", slow)
     monkeypatch.setattr(vsm.managers["image_processing"], "wait_s", 0.2)
 
     def run():
@@ -173,7 +173,7 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path
     before, began, go, outcomes = rig.book.entries(), threading.Event(), threading.Event(), []
     moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
     found = SimpleNamespace(
-        success=True,
+        usable=True,
         cameras=(SimpleNamespace(name="wall", model=moved),),
         camera_covariance=CameraCovariance(),
         residuals=np.zeros((1, 1, 2)),
@@ -191,7 +191,7 @@ def test_a_cancelled_calibration_changes_no_camera(system, monkeypatch, tmp_path
             outcomes.append(error.message)
 
     computed = meanwhile == "it is computed"
-    monkeypatch.setattr("im_vss.modules.solver.calibrate", slow if computed else lambda problem: found)
+    monkeypatch.setattr("im_vss.modules.solver.calibrate_possible", slow if computed else lambda problem: found)
     monkeypatch.setattr("im_vss.services.calibrate.write_calibration", slow)
     asked = threading.Thread(target=run)
     asked.start()
@@ -211,12 +211,12 @@ def test_a_calibration_that_is_in_use_was_not_cancelled(system, monkeypatch):
     rig, living = vsm.services["calibrate"].rig, [True]
     moved = replace(rig.book["wall"].model, t_cam_base=np.array([1.0, 2.0, 3.0]))
     found = SimpleNamespace(
-        success=True,
+        usable=True,
         cameras=(SimpleNamespace(name="wall", model=moved),),
         camera_covariance=CameraCovariance(),
         residuals=np.zeros((1, 1, 2)),
     )
-    monkeypatch.setattr("im_vss.modules.solver.calibrate", lambda problem: found)
+    monkeypatch.setattr("im_vss.modules.solver.calibrate_possible", lambda problem: found)
     monkeypatch.setattr("im_vss.services.calibrate.report_of", lambda *_: {})
 
     def told():

@@ -451,6 +451,7 @@ _ADDED: Mapping[str, object] = {
     "store": {},
     "acts_on": None,
     "resets": (),
+    "unless": (),
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 

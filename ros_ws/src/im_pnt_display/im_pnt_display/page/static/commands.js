@@ -58,6 +58,7 @@ export class Commands {
       for (const [group, owner] of Object.entries(this.stopped)) ask("go_on", JSON.stringify({ group, owner }));
     });
     this.stopped = {};
+    this.begun = new Map();  // number of a command -> when its state was first seen, and how far it was
   }
 
   // Shows what this viewer may do.
@@ -109,6 +110,16 @@ export class Commands {
     this.ask("start", JSON.stringify({ symbol, arguments: given }));
   }
 
+  // The time that a command still takes, in words, if it goes on as it did while it was seen; empty: nothing is known.
+  left({ number, state, progress }) {
+    const known = this.begun.get(number), goesOn = known?.state === state && known.progress >= 0;
+    const begun = goesOn ? known : { state, progress, at: performance.now() }, gained = progress - begun.progress;
+    this.begun.set(number, begun);
+    if (state !== "running" || gained < 0.05) return "";
+    const seconds = (performance.now() - begun.at) / 1000 * (1 - progress) / gained;
+    return seconds > 90 ? `(about ${Math.round(seconds / 60)} min left)` : `(about ${Math.ceil(seconds)} s left)`;
+  }
+
   // The line; what is under way stays in its place, so that no click is lost.
   list() {
     const line = byId("line"), rows = new Map([...line.children].map((row) => [row.dataset.number, row]));
@@ -120,7 +131,8 @@ export class Commands {
       row.title = command.arguments;
       title.textContent = `${number} ${symbol} ${state === "running" ? "" : state}`;
       if (progress >= 0) bar.value = progress; else bar.removeAttribute("value");
-      told.textContent = [progress > 0 ? `${Math.round(100 * progress)} %` : "", message].filter(Boolean).join(" ");
+      told.textContent = [progress > 0 ? `${Math.round(100 * progress)} %` : "", message, this.left(command)]
+        .filter(Boolean).join(" ");
       const key = this.operable ? state : "";
       if (buttons.dataset.shown !== key) {
         buttons.dataset.shown = key;
@@ -137,6 +149,7 @@ export class Commands {
       }
       return row;
     }));
+    for (const number of this.begun.keys()) if (!this.listed.some((command) => command.number === number)) this.begun.delete(number);
     byId("idle").hidden = this.listed.length > 0;
   }
 
