@@ -241,7 +241,7 @@ def test_a_command_without_a_way_out_does_not_keep_the_node(tmp_path, line, wait
     (tmp_path / "stuck.yaml").write_text(STUCK)
     (tmp_path / "answers.py").write_text("def never(ctx):\n    return False\n")
     child = line(f"run {tmp_path}/stuck.yaml --symbol ask")
-    wait_until(lambda: "ask" in child.out.read_text(), "the command")
+    wait_until(lambda: "command 1: ask" in child.out.read_text(), "the command")
     child.send_signal(signal.SIGTERM)
     assert child.wait(60.0) == 1
     assert "ask: no way out of the marking stuck.asked; ends without it" in child.out.read_text()
