@@ -268,6 +268,7 @@ def test_all_readers_of_files_are_here():
     known |= {"dataset", "strategies", "config", "jsontext"}
     known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
     known |= {"results"}  # im_calibration/test/test_report.py
+    known |= {"file"}  # im_pnt_node/test/test_scenarios.py
     assert callers == known
 
 
