@@ -122,7 +122,8 @@ def test_bytecode_is_made_once_even_for_whoever_wants_programs_to_write_none(com
     computer.add_python("python3.11", 'echo "${PYTHONDONTWRITEBYTECODE-unset}: $*" >>"${0%/*}/bytecode"')
     assert computer.run("setup", PYTHONDONTWRITEBYTECODE="1").returncode == 0
     calls = (computer.root / ".venv" / "bin" / "bytecode").read_text().splitlines()
-    assert [call for call in calls if call.startswith("unset: ")] == [f"unset: - {computer.root}/ros_ws/src/im_bringup/"]
+    packages = f"{computer.root}/ros_ws/src/im_bringup/"
+    assert [call for call in calls if call.startswith("unset: ")] == [f"unset: - {packages}"]
 
 
 @pytest.mark.parametrize(("it_has", "built"), [(["tf2_msgs", "control_msgs"], []), (["tf2_msgs"], ["control_msgs"])])
