@@ -210,6 +210,7 @@ def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
 
 def test_a_command_that_is_being_cancelled_is_abandoned_after_a_confirmation(recorded, tab):
     viewer = tab(recorded[1])
+    viewer.until("document.body.classList.contains('recorded')", "the recording, which empties the line")
     viewer.page.evaluate("""async () => {
         const { Commands } = await import("/static/commands.js");
         window.asked = [];
