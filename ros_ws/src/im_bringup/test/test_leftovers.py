@@ -69,7 +69,7 @@ def test_who_takes_long_to_die_is_waited_for():
     with (SHM / f"{segment}_el").open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         threading.Timer(1.5, fcntl.flock, (lock, fcntl.LOCK_UN)).start()
-        leftovers.remove_shared_memory()  # another session may have removed them at the same moment
+        leftovers.remove_shared_memory()  # another process may have removed them at the same moment
         assert not [name for name in (segment, f"{segment}_el") if (SHM / name).exists()]
 
 
