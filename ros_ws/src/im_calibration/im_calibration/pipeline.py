@@ -82,7 +82,8 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
         if _nonsense(explanation):
             cause = find_cause(stated)
     else:
-        explanation = Explanation(stated.taking(order), layout, first_explanation(stated.taking(order), layout))
+        ordered = stated.taking(order)
+        explanation = Explanation(ordered, layout, first_explanation(ordered, layout))
         bent = with_arm_error(explanation.gated, explanation.problem)
         if bent.problem.arm_error is not None and not _nonsense(bent):
             explanation = bent
@@ -91,7 +92,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
             hopeless = explanation.gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
             if not cause and not hopeless:
                 gated = best_explanation(explanation.problem, layout, explanation.gated)
-                explanation = with_arm_error(gated, explanation.problem)
+                explanation = bent if gated is explanation.gated else with_arm_error(gated, explanation.problem)
     sorted_problem, layout, gated = explanation.problem, explanation.layout, explanation.gated
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")

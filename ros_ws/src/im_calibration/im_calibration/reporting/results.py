@@ -37,9 +37,9 @@ def write_results(
 ) -> tuple[Path, ...]:
     """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
-    The observations are written, too, see :func:`write_observations`. Each file appears whole or not at all. Camera
-    files, poses and how well they are known, see :mod:`im_cell.calibration_files`, are written for cameras that can be
-    used only; those that a former calibration left in the directory are taken away.
+    Each file appears whole or not at all. Camera files, poses and how well they are known, see
+    :mod:`im_cell.calibration_files`, are written for cameras that can be used only; those that a former calibration
+    left in the directory are taken away. For the observations see :func:`write_observations`.
 
     Args:
         directory: Where; made if missing.
@@ -68,11 +68,12 @@ def write_results(
         cameras[EXTRINSICS] = extrinsics_yaml(poses or in_world)
         cameras[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance)
     contents |= _pictures(calibration, problem.of_cameras([camera.name for camera in calibration.cameras]))
-    observations, target = write_observations(directory, problem), Path(directory)
+    target = Path(directory)
     try:
+        make_folder(target)
         change_camera_files(target, {**dict.fromkeys(_former(target)), **cameras})
         written = [write_whole(target / name, content) for name, content in contents.items()]
-        return (*written, observations, *(target / name for name in cameras))
+        return (*written, *(target / name for name in cameras))
     except OSError as error:
         raise _unwritten(target, error) from error
 

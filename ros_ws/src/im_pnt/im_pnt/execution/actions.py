@@ -247,7 +247,8 @@ class Actions:
 
     def _told(self, activity: Activity) -> str:
         """Return the text of a transition about its action, with the arguments; empty without one."""
-        says = self._says.get(activity.transition, "")
+        if not (says := self._says.get(activity.transition, "")):
+            return ""
         try:
             return as_text(self._rule.values.fill_now(says, self._context(activity)))
         except ImError:  # an index beyond the end of a list; the action is begun all the same

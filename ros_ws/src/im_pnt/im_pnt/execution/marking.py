@@ -268,18 +268,16 @@ class Tokens:
             del queue[number]
         return picked
 
-    def drop(self, job: Job) -> dict[int, int]:
-        """Take the tokens of a job out of the net; return their numbers by place."""
-        dropped: dict[int, int] = {}
+    def drop(self, job: Job) -> None:
+        """Take the tokens of a job out of the net."""
         for place, queue in list(self.queues.items()):
             kept = deque(lineage for lineage in queue if lineage.job is not job)
             if count := len(queue) - len(kept):
-                dropped[place], self.queues[place] = count, kept
+                self.queues[place] = kept
                 self._named[place] -= count
                 if not self._named[place]:
                     del self.queues[place], self._named[place]
                 self.enabling.take_tokens(place, count)
-        return dropped
 
     def disown(self, job: Job) -> None:
         """Free the tokens of an ended job, and decide again on the transitions enabled by the tokens."""

@@ -20,6 +20,7 @@ from im_calibration import (
     comparison,
     largest_difference,
     report_of,
+    write_observations,
 )
 from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes, stamp_of
 from im_calibration.problem.problem import NOISE_SOURCES
@@ -120,6 +121,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)
+    write_observations(directory, problem)
     write_calibration(directory, calibration, problem, book, mounted, covariance)
     print(f"replay: {calibration.message}")
     code = _compared(call, json.loads(json.dumps(report_of(calibration, problem))), changed)

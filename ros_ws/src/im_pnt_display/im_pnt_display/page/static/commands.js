@@ -137,15 +137,14 @@ export class Commands {
       if (buttons.dataset.shown !== key) {
         buttons.dataset.shown = key;
         const ask = (request) => () => this.ask(request, String(number));
-        const ending = state === "cancelling";
-        buttons.replaceChildren(...(!this.operable ? [] : [
-          ...(ending ? [] : [
-            state === "paused" ? button("resume", `go on with command ${number}`, ask("resume"))
-              : button("pause", `let what runs of command ${number} end, and begin nothing more`, ask("pause")),
-            button("cancel", `end command ${number}`, ask("cancel"))]),
-          ...(ending ? [button("abandon", `last resort: end command ${number} at once`, () => {
-            if (confirm(`Abandon command ${number}? Its actions are cancelled and not awaited: something may still move.`)) ask("abandon")();
-          })] : [])]));
+        const steer = () => [
+          state === "paused" ? button("resume", `go on with command ${number}`, ask("resume"))
+            : button("pause", `let what runs of command ${number} end, and begin nothing more`, ask("pause")),
+          button("cancel", `end command ${number}`, ask("cancel"))];
+        const lastResort = () => [button("abandon", `last resort: end command ${number} at once`, () => {
+          if (confirm(`Abandon command ${number}? Its actions are cancelled and not awaited: something may still move.`)) ask("abandon")();
+        })];
+        buttons.replaceChildren(...(!this.operable ? [] : state === "cancelling" ? lastResort() : steer()));
       }
       return row;
     }));
