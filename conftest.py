@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from im_core import clock
-from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.end_signals import handle_end_signals
 
 os.environ["IM_FOLDERS"] = tempfile.gettempdir()  # paths in messages may be of the folders of tests
 
@@ -20,7 +20,7 @@ settings.register_profile(
 settings.load_profile("same_everywhere")
 
 # A test that is cut short puts away what it has begun, as after Ctrl-C.
-heed_end_signals(signal.default_int_handler)
+handle_end_signals(signal.default_int_handler)
 
 
 @pytest.fixture
@@ -37,3 +37,11 @@ def wait_until():
         pytest.fail(f"waited {seconds:g} s for {what}, in vain")
 
     return wait
+
+
+@pytest.fixture(autouse=True)
+def signals_as_before():
+    """A test blocks no signal for the tests after it, and for their processes."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    yield
+    assert signal.pthread_sigmask(signal.SIG_SETMASK, before) == before

@@ -8,8 +8,11 @@ import io
 import json
 import os
 import socket
+import socketserver
+import threading
 import urllib.request
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 from PIL import Image
@@ -186,6 +189,45 @@ def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     each.until("document.querySelectorAll('#firings li').length === 0", "the beginning")
     each.page.keyboard.press("ArrowRight")
     each.until("document.querySelectorAll('#firings li').length === 1", "the first firing")
+
+
+@contextlib.contextmanager
+def silent_once(url):
+    """An address that leads to the page, whose first socket is taken and never answered; and those sockets."""
+    silent = []
+
+    def pass_on(source, sink):
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                sink.sendall(data)
+            sink.shutdown(socket.SHUT_WR)
+
+    class Door(socketserver.BaseRequestHandler):
+        def handle(self):
+            asked = self.request.recv(65536)
+            if asked.startswith(b"GET /ws") and not silent:
+                silent.append(self.client_address)
+                self.request.recv(1)
+                return
+            with socket.create_connection(("127.0.0.1", urlsplit(url).port)) as server:
+                server.sendall(asked)
+                threading.Thread(target=pass_on, args=(server, self.request), daemon=True).start()
+                pass_on(self.request, server)
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Door) as proxy:
+        proxy.daemon_threads = True
+        threading.Thread(target=proxy.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{proxy.server_address[1]}/", silent
+        proxy.shutdown()
+
+
+def test_a_connection_that_is_never_answered_is_given_up_and_tried_again(recorded, tab):
+    """As one to a server that stood still when it came."""
+    with silent_once(recorded[1]) as (url, silent):
+        each = tab(url)
+        each.until("document.getElementById('link').textContent === 'connected'", "the second connection")
+        assert len(silent) == 1
+        each.page.close()
 
 
 @pytest.fixture(scope="module")

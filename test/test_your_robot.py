@@ -245,3 +245,26 @@ def test_a_command_without_a_way_out_does_not_keep_the_node(tmp_path, line, wait
     child.send_signal(signal.SIGTERM)
     assert child.wait(60.0) == 1
     assert "ask: no way out of the marking stuck.asked; ends without it" in child.out.read_text()
+
+
+INTERRUPTED = """
+import sys
+from im_pnt_node.ros import net_runner
+
+obey = net_runner.RunNode._obey
+
+async def interrupted(node, order):
+    node.interrupt()
+    await obey(node, order)
+
+net_runner.RunNode._obey = interrupted
+sys.exit(net_runner.main(sys.argv[1:]))
+"""
+
+
+def test_a_signal_that_comes_while_the_command_begins_cancels_the_command(tmp_path, process):
+    (tmp_path / "stuck.yaml").write_text(STUCK)
+    (tmp_path / "answers.py").write_text("def never(ctx):\n    return False\n")
+    child = process(sys.executable, "-c", INTERRUPTED, tmp_path / "stuck.yaml", "--symbol", "ask")
+    assert child.wait(120.0) == 1
+    assert "cancels ask; once more ends at once" in child.out.read_text()

@@ -8,6 +8,8 @@ import pytest
 from im_core import clock
 
 PATIENCE_S = 180.0
+LOADED = """[document.getElementById('link')?.textContent, document.readyState,
+    performance.getEntriesByType('resource').map((one) => [one.name, one.responseStatus, Math.round(one.duration)])]"""
 MISSING = "no browser is here to test the page in: apt-get install chromium (or chromium-browser) installs one"
 
 
@@ -54,7 +56,9 @@ class Tab:
         """Wait until an expression of JavaScript is true; asked from outside, since the page allows no evaluation."""
         deadline = clock.monotonic() + PATIENCE_S
         while not self.page.evaluate(script):
-            assert clock.monotonic() < deadline, f"waited for {what}, in vain; errors of scripts: {self.errors}"
+            if clock.monotonic() > deadline:
+                found = f"errors of scripts: {self.errors}; of the page: {self.page.evaluate(LOADED)}"
+                pytest.fail(f"waited for {what}, in vain; {found}")
             self.page.wait_for_timeout(50)
 
     def close(self):

@@ -20,6 +20,7 @@ from unique_identifier_msgs.msg import UUID
 from im.connection import PATIENCE_S, Connection
 from im.errors import CommandCancelledError, CommandFailedError, MachineError, UnreachableError
 from im.heartbeats import Heartbeats
+from im.waits import next_of, wait_for
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import ControlCommand, ListCommands
 
@@ -105,7 +106,7 @@ class Command:
     @property
     def number(self) -> int:
         """Number of the command; waits for the record of the Dispatcher; 0 for a refused command."""
-        self._begun.wait()
+        wait_for(self._begun)
         return self._number
 
     @property
@@ -156,7 +157,7 @@ class Command:
             timeout: Longest wait [s]; None: until the end.
         """
         with self._cancelled_by_interrupt():
-            return self._ended.wait(timeout)
+            return wait_for(self._ended, timeout)
 
     def pause(self) -> str:
         """Let running actions end, and begin no more; return the change.
@@ -190,7 +191,7 @@ class Command:
 
     def progress(self) -> Iterator[Progress]:
         """Iterate over the progress until the end, or a failure; Ctrl-C only ends the iteration."""
-        while (progress := self._told.get()) is not None:
+        while (progress := next_of(self._told)) is not None:
             yield progress
         self._told.put(None)
 
@@ -235,7 +236,7 @@ class Command:
             if not self.ended and not self.cancelling:
                 print(f"im: cancelling {self.symbol}; interrupt again to leave it alone", file=sys.stderr)
                 self.cancel()
-                self._ended.wait()
+                wait_for(self._ended)
             raise
 
     def _control(self, request: str) -> str:

@@ -22,6 +22,7 @@ from im.groups import Group
 from im.heartbeats import Heartbeats, Watch
 from im.objects import DataObjects
 from im.vision import Camera, Position, stereo
+from im.waits import next_of
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, Firing, McsState
 from im_msgs.srv import ListCommands, LoadNet, SetLight, UnloadNet
@@ -370,7 +371,7 @@ class Firings:
     def __iter__(self) -> Iterator[Firing]:
         """Iterate without end."""
         while True:
-            yield self._queue.get()
+            yield next_of(self._queue)
 
     def next(self, timeout: float) -> Firing | None:
         """Return the next firing, None if there is none in time [s]."""

@@ -97,7 +97,7 @@ def run_display(options: argparse.Namespace) -> int:
 
     recording = recording_of(options.bag)
     ended = threading.Event()
-    heed_end_signals(lambda *_: ended.set())
+    heed_end_signals(lambda _: ended.set())
     shown = RecordedNets(options.bag.resolve().name, recording, RecordedCell(options.bag))
     server = DisplayServer(options.host, options.port, recording=shown)
     server.start()

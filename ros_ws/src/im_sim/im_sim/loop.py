@@ -32,7 +32,7 @@ class TickLoop:
         self._publish()
 
     def stop(self) -> None:
-        """End :meth:`run` soon; safe in a signal handler."""
+        """End :meth:`run` soon; from any thread."""
         self._stopped = True
 
     def run(self) -> None:

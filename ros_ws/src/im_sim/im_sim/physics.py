@@ -52,7 +52,7 @@ def simulate(instance: str, config: Path | None, period: float, factor: float, s
     with HostEnd.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
         plant = Plant(cell, seed)
         loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
-        heed_end_signals(lambda *_: loop.stop())
+        heed_end_signals(lambda _: loop.stop())
         scheduling.prefer(FIFO_PRIORITY, paced=factor > 0.0)
         loop.run()
         plant.close()

@@ -154,7 +154,7 @@ class BagRecorder:
             graph.stop()
 
     def request_stop(self) -> None:
-        """End :meth:`record` soon; from signal handlers, too."""
+        """End :meth:`record` soon; from any thread."""
         self._end.set()
         self._wake.set()
 
@@ -301,7 +301,7 @@ def main() -> int:
         rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
         nodes.append(GuardedNode(name, context=context, enable_rosout=False, start_parameter_services=False))
     recorder = BagRecorder(nodes[0], nodes[1], bag, arguments.topics)
-    heed_end_signals(lambda *_: recorder.request_stop())
+    heed_end_signals(lambda _: recorder.request_stop())
     say(f"record: into {path}; Ctrl-C ends it")
     trouble: ImError | None = None
     try:

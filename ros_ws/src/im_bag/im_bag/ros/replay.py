@@ -353,7 +353,7 @@ def main() -> int:
             playback = Playback(
                 bag, topics, controls, arguments.rate, arguments.start, arguments.loop, replay.tell_time
             )
-            heed_end_signals(lambda *_: controls.end())
+            heed_end_signals(lambda _: controls.end())
             seconds = (bag.duration_s - arguments.start) / arguments.rate
             say(f"replay: {len(topics)} topics, {seconds:.1f} s")
             with keys_pressed(controls):

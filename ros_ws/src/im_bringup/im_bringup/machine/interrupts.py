@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from im_core.processes.end_signals import END_SIGNALS, heed_end_signals
+from im_core.processes.end_signals import END_SIGNALS, handle_end_signals
 
 
 def interrupt_once() -> None:
@@ -16,7 +16,7 @@ def interrupt_once() -> None:
     would cut the cleaning up short. It also works where a shell started the command in the background, which ignores
     SIGINT.
     """
-    heed_end_signals(_raise)
+    handle_end_signals(_raise)
 
 
 @contextmanager
@@ -28,7 +28,7 @@ def interrupts_held() -> Iterator[None]:
     """
     came: list[int] = []
     before = {number: signal.getsignal(number) for number in END_SIGNALS}
-    heed_end_signals(lambda number, _: came.append(number))
+    handle_end_signals(lambda number, _: came.append(number))
     try:
         yield
     finally:

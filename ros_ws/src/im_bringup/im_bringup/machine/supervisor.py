@@ -9,11 +9,11 @@ either, it is tried :data:`MOST_TRIES` times, and then the log says that it is g
 import os
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from im_bringup.tasks.memory_limit import refused
@@ -57,13 +57,13 @@ class BootstrapKeeper:
         self._argv = argv
         self._child: ChildProcess | None = None
         self._stopped: signal.Signals | None = None
+        self._signals: deque[signal.Signals] = deque()  # to pass on
         self._tries = 0  # since the machine was ready last
 
-    def stop(self, number: int, _: FrameType | None = None) -> None:
-        """Pass a signal on and end with the bootstrap; usable as a signal handler."""
-        self._stopped = signal.Signals(number)
-        if self._child is not None:
-            self._child.send_signal(self._stopped)
+    def stop(self, number: signal.Signals) -> None:
+        """Pass a signal on soon and end with the bootstrap; from any thread."""
+        self._stopped = number
+        self._signals.append(number)
 
     def run(self) -> int:
         """Run until a bootstrap exits; return the exit code, 1 if killed and not started again."""
@@ -76,11 +76,11 @@ class BootstrapKeeper:
                 if not self._make_way(f"could not be started ({error})"):
                     return 1
                 continue
-            if self._stopped is not None:  # while it was being started
-                self._child.send_signal(self._stopped)
             failure, code = "", None
             began, log_begin = clock.monotonic(), _log_size()
             while code is None:
+                while self._signals:
+                    self._child.send_signal(self._signals.popleft())
                 self._child.await_end(_LOOK_S)
                 code = self._child.poll()
                 if code is None and self._stopped is None and (failure := self._failure(hang, began)):

@@ -42,7 +42,7 @@ class InterruptibleNode(GuardedNode):
         self._interrupted = threading.Event()
 
     def interrupt(self) -> None:
-        """Stop waiting; from a signal handler."""
+        """Stop waiting; from any thread."""
         self._interrupted.set()
 
     def ask(self, client: Client, request: object, timeout_s: float) -> Any:
@@ -185,7 +185,7 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
             node = make()
-            heed_end_signals(lambda *_: node.interrupt())
+            heed_end_signals(lambda _: node.interrupt())
             with Spinner([node]):
                 yield node
         finally:

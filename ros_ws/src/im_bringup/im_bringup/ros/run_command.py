@@ -24,7 +24,7 @@ from im_core.files import FileError, read_text, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
-from im_core.processes.end_signals import heed_end_signals
+from im_core.processes.end_signals import handle_end_signals
 from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
@@ -96,7 +96,7 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
 
     def connect() -> int:
         with own_output():
-            heed_end_signals(signal.default_int_handler)
+            handle_end_signals(signal.default_int_handler)
             record = machine_state.read()
             watch = why_lost if record is not None and record.alive else None
             try:

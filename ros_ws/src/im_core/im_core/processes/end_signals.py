@@ -1,6 +1,8 @@
-"""End signals of a process, and the one way to handle the signals."""
+"""End signals of a process, and the two ways to handle the signals."""
 
+import os
 import signal
+import threading
 from collections.abc import Callable
 from types import FrameType
 
@@ -8,8 +10,32 @@ from types import FrameType
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def heed_end_signals(handler: Callable[[int, FrameType | None], object]) -> None:
-    """Call a handler for every end signal.
+def heed_end_signals(act: Callable[[signal.Signals], object]) -> None:
+    """Call a function for every end signal, in a thread of its own and at once; from the main thread.
+
+    A handler of Python runs between two instructions of the main thread, which may hold the lock that the handler
+    wants, and does not run while the main thread waits in C. A function in another thread may set events and complete
+    futures.
+
+    Args:
+        act: Takes the signal.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+
+    def watch() -> None:
+        while numbers := os.read(reading, 64):
+            for number in numbers:
+                if number in END_SIGNALS:
+                    act(signal.Signals(number))
+
+    threading.Thread(target=watch, name="end signals", daemon=True).start()
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    handle_end_signals(_nothing)
+
+
+def handle_end_signals(handler: Callable[[int, FrameType | None], object]) -> None:
+    """Install a handler of the main thread for every end signal, for handlers that raise or only note the signal.
 
     SIGHUP stays ignored where it was ignored from the beginning: ``nohup`` lets a program outlive its terminal. SIGINT
     does not: a shell ignores it for what it starts in the background.
@@ -20,3 +46,17 @@ def heed_end_signals(handler: Callable[[int, FrameType | None], object]) -> None
     for number in END_SIGNALS:
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
+
+
+def _nothing(number: int, frame: FrameType | None) -> None:
+    pass
+
+
+def _end_by_signals() -> None:
+    """Let end signals end a copy of the process, until the copy heeds the signals itself."""
+    if signal.getsignal(signal.SIGTERM) is _nothing:
+        signal.set_wakeup_fd(-1)
+        handle_end_signals(signal.SIG_DFL)  # type: ignore[arg-type]  # the default is no function
+
+
+os.register_at_fork(after_in_child=_end_by_signals)

@@ -138,7 +138,7 @@ class Spinner:
         return self
 
     def request_stop(self) -> None:
-        """End :meth:`spin` soon; from any thread and from signal handlers."""
+        """End :meth:`spin` soon; from any thread."""
         if not self._end.done():
             self._end.set_result(None)
         self.executor.wake()
@@ -235,7 +235,7 @@ def run_together(programs: Sequence[Program], args: Sequence[str] | None = None)
         rclpy.try_shutdown()
         return 1
     spinner = Spinner(nodes)
-    heed_end_signals(lambda *_: spinner.request_stop())
+    heed_end_signals(lambda _: spinner.request_stop())
     _serve(agent, [node for node in nodes if isinstance(node, ManagedNode)])
     watch = _watch(spinner, Pulse.inherited())
     try:

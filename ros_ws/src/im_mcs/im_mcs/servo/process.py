@@ -85,8 +85,8 @@ class ServoProcess:
             self._channel.close()
             scheduling.release()
 
-    def stop(self, *_: object) -> None:
-        """End :meth:`run` soon; fit for a signal handler."""
+    def stop(self, _: signal.Signals | None = None) -> None:
+        """End :meth:`run` soon; from any thread."""
         self._running = False
 
     def _owner_alive(self) -> bool:

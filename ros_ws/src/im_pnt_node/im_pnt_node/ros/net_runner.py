@@ -102,7 +102,7 @@ def _run(
         spinner = Spinner([node])
         ends.callback(spinner.stop)
         node.finished = spinner.request_stop
-        heed_end_signals(lambda *_: node.interrupt())
+        heed_end_signals(lambda _: node.interrupt())
         spinner.spin()
     return node.exit_code
 
@@ -142,7 +142,7 @@ class RunNode(PntNode):
         self.exit_code = OK
         self.finished: Callable[[], None] = lambda: None
         self._order = order
-        self._ending = False
+        self._ending, self._obeying = False, order is not None
         self._began = monotonic()
 
     def phase_start(self) -> None:
@@ -163,24 +163,24 @@ class RunNode(PntNode):
         self.finished()
 
     def interrupt(self) -> None:
-        """Cancel running commands and end afterwards; end at once the second time. Called by signal handlers."""
+        """Cancel running commands and end afterwards; end at once the second time. From any thread."""
         if self._ending or not self.ready:
             self.finished()
         self._ending = True
         self.spawn(self._wind_down())
 
     async def _wind_down(self) -> None:
-        for executor in self.exchange.nets.values():
-            for job in executor.jobs():
-                if job.is_command:
+        acted, cancelled = monotonic(), set[int]()
+        while (left := [job for executor in self.exchange.nets.values() for job in executor.jobs()]) or self._obeying:
+            for job in left:
+                if job.is_command and job.command.id not in cancelled:  # it may have begun after the signal
+                    cancelled.add(job.command.id)
                     self._tell(f"cancels {job.symbol}; once more ends at once")
                     self.commands.cancel(job.command.id, "cancelled from the keyboard")
-        acted = monotonic()
-        while left := [job for executor in self.exchange.nets.values() for job in executor.jobs()]:
             if any(executor.activities for executor in self.exchange.nets.values()):
                 acted = monotonic()
             elif monotonic() - acted > PATIENCE_S:
-                commands = ", ".join(dict.fromkeys(job.symbol for job in left))
+                commands = ", ".join(dict.fromkeys(job.symbol for job in left)) or "the command"
                 marked = {net: each.marking().items() for net, each in self.exchange.nets.items()}
                 places = " ".join(f"{net}.{place}" for net, places in marked.items() for place, n in places if n)
                 self._tell(f"{commands}: no way out of the marking {places}; ends without it")
@@ -210,6 +210,7 @@ class RunNode(PntNode):
         else:
             self._conclude(order.symbol, outcome)
         finally:
+            self._obeying = False
             self.finished()
 
     def _conclude(self, symbol: str, outcome: CommandOutcome) -> None:

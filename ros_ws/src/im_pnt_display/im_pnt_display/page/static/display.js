@@ -371,10 +371,13 @@ function look() {
 // A token that a former machine gave out is refused with a sentence; the page goes on without it.
 async function checkToken() {
   if (token === null) return;
-  const answer = await fetch(`/?${new URLSearchParams({ token })}`, { method: "HEAD" });
+  const answer = await fetch(`/?${new URLSearchParams({ token })}`, { method: "HEAD", signal: AbortSignal.timeout(CONNECT_MS) });
   if (answer.status === 403 && !wrongToken) say(false, "the token in the address is not that of this machine; scripts/im view prints the right address");
   wrongToken = answer.status === 403;
 }
+
+// A connection that neither opens nor fails in time is given up, and tried again as one that has failed.
+const CONNECT_MS = 10000;
 
 async function connect() {
   await checkToken().catch(() => {});
@@ -388,6 +391,8 @@ async function connect() {
   socket.onopen = () => connected(true);
   socket.onmessage = (event) => take(JSON.parse(event.data));
   socket.onclose = () => { connected(false); setTimeout(connect, 1000); };
+  const attempt = socket;
+  setTimeout(() => { if (attempt.readyState === WebSocket.CONNECTING) attempt.close(); }, CONNECT_MS);
 }
 
 function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
