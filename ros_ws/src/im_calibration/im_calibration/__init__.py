@@ -2,7 +2,7 @@
 
 A library: no ROS, no vision services; of our packages it knows `im_core`, `im_bag` and `im_cell`. The story is told in
 :mod:`im_calibration.pipeline`: problem, estimation, judgement; then reporting, and :mod:`im_calibration.design` for
-what to measure next.
+what to measure next; ``commands`` has the programs.
 
 A ceiling camera from simulated spots; the examples of the names below go on with these variables:
 

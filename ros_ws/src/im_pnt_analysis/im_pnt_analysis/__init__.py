@@ -2,9 +2,9 @@
 
 For whoever writes nets or decides whether to load them. Knows ``im_core`` and the model, files and verdict types of
 ``im_pnt``; nothing of ROS. Folders, from the lowest: ``structure`` (what the arcs tell), ``composition`` (several nets
-as one, closed by their environment), ``search`` and ``symbolic`` (markings, listed or in decision diagrams),
-``verify`` (may they run: ``verify.verdict.verify``), ``timed`` (stochastic nets), ``recorded`` (nets out of bags),
-``simulation``, and the command ``pnt`` in ``cli``.
+as one, closed by their environment), ``guards`` (values that pass no guard, by z3), ``search`` and
+``symbolic`` (markings, listed or in decision diagrams), ``verify`` (may they run: ``verify.verdict.verify``),
+``timed`` (stochastic nets), ``recorded`` (nets out of bags), ``simulation``, and the command ``pnt`` in ``cli``.
 
 A net and its verdict; the examples of the names below go on with its variables:
 

@@ -1,1 +1,12 @@
-"""Servo loop: all layers once a tick, in a separate process without ROS (``python -m im_mcs.servo``)."""
+"""Servo loop: all layers of Figure 6 once a tick, in a separate process without ROS (``python -m im_mcs.servo``).
+
+| to learn | open |
+|---|---|
+| what happens in one tick, from reading the slots to writing the slots | :mod:`.core` |
+| what calls it: the loop, its deadlines, the end | :mod:`.process`, :mod:`.realtime` |
+| how setpoints become torques within the tick | :mod:`.control_loop`, :mod:`.group`, :mod:`.gripper`, :mod:`.partition` |
+| what becomes of requests, and what is answered | :mod:`.dispatch`, :mod:`.answers`, :mod:`.report` |
+| when a goal is reached, and when an arm rests | :mod:`.goal_check`, :mod:`.rest_monitor` |
+| streams of clients | :mod:`.stream_gate`, :mod:`.torque_stream` |
+| how simulated time waits for an owner at clock factor 0 | :mod:`.awaited` |
+"""
