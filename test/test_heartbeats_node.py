@@ -68,9 +68,13 @@ def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(
     assert followed.missing("back") == ""
     child.kill()
     child.wait()
-    followed._hear(beat_of("back", child.pid))
+    ended = f"back is missing (its process {child.pid} has ended)"
+    assert followed.missing("back") == ended
+    followed._hear(beat_of("back", child.pid))  # waited in the queue
+    assert followed.missing("back") == ended
+    followed._hear(beat_of("front", child.pid))  # nobody saw it alive
     followed.time[0] += 30.0
-    assert followed.missing("back") == "back is missing (last heard 30.0 s ago)"
+    assert followed.missing("front") == "front is missing (last heard 30.0 s ago)"
     assert followed.missing("nobody") == ""
     for _ in range(int(SILENCE_S / CHECK_PERIOD_S) + 1):
         followed.time[0] += CHECK_PERIOD_S
