@@ -127,6 +127,21 @@ def test_actions_run_side_by_side_and_one_server_works_alone():
     assert times == [2.0, 2.0, 2.0]
     times = [step.time for step in simulate([net("one", {"in": 3}, t("work", "in", "out", constant(2.0)))])]
     assert times == [2.0, 4.0, 6.0]
+    for action in ({}, {"action": FunctionAction("f"), "on_failure": {"bad": 1}}):
+        two = net("two", {"in": 3}, t("work", "in", "out", constant(2.0), servers=2, **action))
+        assert [step.time for step in simulate([two]) if step.transition in ("work", "work.end")] == [2.0, 2.0, 4.0]
+
+
+def test_where_a_token_leaves_a_clock_the_time_that_began_last_is_forgotten():
+    come = t("come", "c", "a", constant(0.5))
+    leaves = net(
+        "leaves",
+        {"a": 1, "c": 1, "d": 1},
+        t("t", "a", "b", constant(2.0), servers=9),
+        come,
+        t("go", "a d", "e", constant(1.0)),
+    )
+    assert [(step.time, step.transition) for step in simulate([leaves])] == [(0.5, "come"), (1.0, "go"), (2.0, "t")]
 
 
 def test_success_failures_and_the_prior_of_a_strategy():
