@@ -15,7 +15,7 @@ from im_core import clock
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.patience import Silence
 from im_core.processes.agent_socket import TaskIncarnation
-from im_core.processes.procfs import ProcessId
+from im_core.processes.procfs import ProcessId, stat_fields
 from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
@@ -31,7 +31,8 @@ LEASE_S = 20.0
 #: Tasks that are followed where no agent tells which there are.
 MOST_TASKS = 1000
 
-_NO_PROCESS = ProcessId(0, -1)
+_UNKNOWN = -1
+_NO_PROCESS = ProcessId(0, _UNKNOWN)
 _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
 
 
@@ -39,8 +40,9 @@ _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
 class Heartbeat:
     """Last heartbeat of a task: incarnation, time of the incarnation's first heartbeat, time of the last heartbeat [s].
 
-    ``process`` has pid 0 where it is none of this host; ``starting``: it has not passed all phases of its start yet. Of
-    a task that was asked for and not heard yet ``incarnation`` is None, and the times are that of the question.
+    ``process`` has pid 0 where it is none of this host, and no start where no agent vouches for the pid: another host
+    or container may have this name. ``starting``: it has not passed all phases of its start yet. Of a task that was
+    asked for and not heard yet ``incarnation`` is None, and the times are that of the question.
     """
 
     incarnation: int | None
@@ -68,8 +70,9 @@ class Heartbeats:
 
     In a machine only its tasks are followed, and those that were asked for: names that somebody makes up are not kept.
 
-    A task of this host is missing as soon as its process has ended. Of silence, neither the time counts in which this
-    node came to hear nobody, for its loop was busy, nor that in which a task of this host waited for a processor.
+    A task of this host that the agent vouches for is missing as soon as its process has ended. Of silence, neither the
+    time counts in which this node came to hear nobody, for its loop was busy, nor that in which a task of this host
+    waited for a processor.
 
     Args:
         node: The node that listens.
@@ -139,7 +142,7 @@ class Heartbeats:
     def _silence_s(self, task: str, last: Heartbeat) -> float:
         known = self._silences.get(task)
         if known is None or known[0] != last.heard:
-            so_far = 0.0 if last.process.start >= 0 else clock.monotonic() - last.heard
+            so_far = 0.0 if stat_fields(last.process.pid) else clock.monotonic() - last.heard
             silence = Silence(last.process.pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
             known = self._silences[task] = last.heard, silence
         return known[1].look()
@@ -218,8 +221,8 @@ class Heartbeats:
         if known.incarnation == message.incarnation:
             self._last[message.name] = replace(known, heard=now, starting=starting)
             return
-        pid = vouched.pid if vouched is not None else message.pid if message.host == self._host else 0
-        process = ProcessId.of(pid) if pid else _NO_PROCESS
+        pid = message.pid if message.host == self._host else 0
+        process = ProcessId(pid, _UNKNOWN) if vouched is None else ProcessId.of(vouched.pid)
         self._last[message.name] = Heartbeat(message.incarnation, now, now, process, starting)
         again = known.incarnation is not None
         if again:
