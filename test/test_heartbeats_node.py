@@ -63,14 +63,22 @@ def test_a_task_is_not_missing_because_the_node_was_busy_and_did_not_hear_it(fol
 
 
 def test_who_asks_late_is_told_at_once_of_a_dead_task_and_not_of_one_that_lives(followed, child):
-    followed._hear(beat_of("back", child.pid))
+    followed._node.incarnations = {"back": TaskIncarnation(1, child.pid, False)}
+    followed.missing("front")  # asked for: it is none of the machine, and its number may be of another host
+    for task in ("back", "front"):
+        followed._hear(beat_of(task, child.pid))
     followed.time[0] += 30.0
     assert followed.missing("back") == ""
     child.kill()
     child.wait()
-    followed._hear(beat_of("back", child.pid))
+    ended = f"back is missing (its process {child.pid} has ended)"
+    assert followed.missing("back") == ended
+    followed._hear(beat_of("back", child.pid))  # waited in the queue
+    assert followed.missing("back") == ended
+    assert followed.missing("front") == ""
+    followed._hear(beat_of("front", child.pid))
     followed.time[0] += 30.0
-    assert followed.missing("back") == "back is missing (last heard 30.0 s ago)"
+    assert followed.missing("front") == "front is missing (last heard 30.0 s ago)"
     assert followed.missing("nobody") == ""
     for _ in range(int(SILENCE_S / CHECK_PERIOD_S) + 1):
         followed.time[0] += CHECK_PERIOD_S

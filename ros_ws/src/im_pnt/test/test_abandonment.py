@@ -72,6 +72,23 @@ def test_an_action_under_way_is_called_off_and_not_awaited_and_what_it_held_is_a
     assert process.recorder.names("n")[-2:] == ["act!", "act+"]
 
 
+def test_the_server_of_an_abandoned_action_is_idle_again():
+    net = parse_net(
+        "net: n\nplaces: {a: , b: }\ncommands: {go: }\ntransitions:\n"
+        "  t: {symbol: go, out: a, action: f, on_failure: a, servers: 1}\n  u: {in: a, emit: go_done}"
+    )
+    process = Process([net], {"f": hold})
+    first = process.command("n", "go")
+    process.command("n", "go")
+    assert process.marking("n") == {"t.active": 1}
+    abandon(process, "n", first)
+    assert process.marking("n") == {"t.active": 1}, "the second is worked on"
+    process.end("t")
+    assert process.marking("n") == {"t.active": 1}, "a late end changes nothing"
+    process.end("t")
+    assert process.marking("n") == {"t.servers": 1}
+
+
 def test_what_is_in_doubt_is_said_and_not_asked_about_any_more():
     process, _ = stuck(first=True, clock=Clock())
     number = process.command("n", "go")

@@ -415,6 +415,24 @@ transitions:
         assert process.marking("server") == {"SI": 1, "SO": 1}
 
 
+def test_an_action_with_two_servers_works_on_two_tokens_until_one_ends_either_way():
+    net = parse_net(
+        "net: n\nplaces: {a: 4, b: , c: }\ntransitions:\n"
+        "  t: {in: a, out: b, action: f, on_failure: c, servers: 2, timeout: 5.0}"
+    )
+    process = Process([net], {"f": hold})
+    process.pump()
+    executor = process.exchange.nets["n"]
+    assert process.marking("n") == {"a": 2, "t.active": 2}
+    assert executor.hindrance("t.start") == "place t.servers holds 0 tokens, and it takes 1"
+    process.end("t")
+    assert process.marking("n") == {"a": 1, "b": 1, "t.active": 2}
+    process.end("t", NetError("no"))
+    process.end("t")
+    process.end("t")
+    assert process.marking("n") == {"b": 3, "c": 1, "t.servers": 2}
+
+
 def test_a_net_says_why_it_is_not_at_rest():
     net = parse_net(
         "net: n\nplaces: {idle: 1, a: }\n"

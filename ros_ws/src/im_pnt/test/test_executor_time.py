@@ -53,6 +53,47 @@ def test_one_server_fires_one_token_after_the_other():
     assert process.marking("n") == {"a": 1, "b": 2}
 
 
+@pytest.mark.parametrize(("servers", "fired"), [(2, {1.1: 2, 2.1: 4, 3.1: 5}), ("inf", {1.1: 5})])
+def test_so_many_servers_time_their_tokens_together(servers, fired):
+    process = Process([net(f"t: {{in: a, out: b, delay: 1, servers: {servers}}}", "a: 5, b: ")], clock=Clock())
+    now = 0.0
+    for time, count in fired.items():
+        process.wait(time - now)
+        now = time
+        assert process.marking("n").get("b") == count
+
+
+def test_a_token_that_comes_later_has_a_time_of_its_own_and_a_bunch_is_one():
+    """Clocks run for full bunches only: at 0 there is one, at 0.5 the fourth token makes the second."""
+    transitions = "t: {in: {a: 2}, out: b, delay: 2, servers: inf}, u: {in: c, out: a, delay: 0.5}"
+    process = Process([net(transitions, "a: 3, b: , c: 1")], clock=Clock())
+    process.wait(2.1)
+    assert process.marking("n") == {"a": 2, "b": 1}
+    process.wait(0.5)
+    assert process.marking("n") == {"b": 2}
+
+
+def test_where_a_token_leaves_the_time_that_began_last_is_forgotten():
+    transitions = """
+      t: {in: a, out: b, delay: 2, servers: inf}, come: {in: c, out: a, delay: 0.5}, go: {in: [a, d], out: e, delay: 1}
+    """
+    process = Process([net(transitions, "a: 1, b: , c: 1, d: 1, e: ")], clock=Clock())
+    process.wait(2.1)
+    assert process.marking("n") == {"b": 1, "e": 1}
+
+
+def test_tokens_whose_time_runs_stay_where_inhibitors_see_them():
+    transitions = """
+      feed: {in: s, out: a, delay: 1}, t: {in: a, out: b, delay: 2, servers: inf},
+      u: {in: c, inhibitors: {a: 2}, out: d}, start: {in: e, out: c, delay: 2.5}
+    """
+    process = Process([net(transitions, "a: 1, b: , c: , d: , e: 1, s: 2")], clock=Clock())
+    process.wait(2.6)  # one went at 2, two came at 1 and 2: they go at 3 and 4
+    assert process.marking("n") == {"a": 2, "b": 1, "c": 1}
+    process.wait(0.5)
+    assert process.marking("n") == {"a": 1, "b": 2, "d": 1}
+
+
 def test_exponential_delays_have_their_mean_and_are_repeatable():
     def run(seed: int) -> list[float]:
         process = Process([net("t: {in: a, out: a, delay: {exponential: {mean: 2}}}")], clock=Clock(), seed=seed)

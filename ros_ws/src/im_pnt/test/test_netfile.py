@@ -225,3 +225,20 @@ def test_paths_that_lead_to_no_file_are_named(tmp_path):
     ]:
         with pytest.raises(NetFileError, match=complaint):
             load_net(path)
+
+
+@pytest.mark.parametrize(
+    ("transition", "complaint"),
+    [
+        ("{in: a, out: a, delay: 1, servers: 0}", r"^x:3:\d+: transitions.t.servers: 0 is not >= 1"),
+        ("{in: a, out: a, delay: 1, servers: many}", "'many' is neither a whole number nor inf"),
+        ("{in: a, out: a, servers: 2}", r"servers: needs something that takes time \(action, .*, delay\)"),
+        ("{in: a, out: a, delay: 1, servers: 2, guard: g}", "with a delay, and 'guard' lets not all wait"),
+        ("{in: a, out: a, delay: 1, servers: inf, symbol: s}", "with a delay, and 'symbol' lets not all wait"),
+        ("{symbol: s, in: a, out: a}, u: {in: [b, b], delay: 1, servers: 2}", "takes several that may belong to comm"),
+        ("{in: a, out: a, action: f, on_failure: a, tries: 2, servers: 1}", "of one try, and 'tries' makes several"),
+    ],
+)
+def test_servers_that_nobody_could_count_are_refused(transition, complaint):
+    with pytest.raises(NetFileError, match=complaint):
+        parse_net(f"net: n\nplaces: {{a: , b: }}\ntransitions: {{t: {transition}}}", "x")

@@ -21,6 +21,7 @@ from im_pnt.model.action import (
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
 from im_pnt.model.net import (
+    LARGEST,
     Assumption,
     Guard,
     Net,
@@ -183,6 +184,7 @@ def nets(draw_):
             origin=name,
             result=draw_(returned(action)),
             acts_on=draw_(acted_on) if action else None,
+            servers=draw_(st.sampled_from([None, 1, 2, LARGEST])) if action else None,
             resets=tuple(each for each in some if can_be_emptied(places[each]) and draw_(st.booleans()))[:2],
         )
     services = {}

@@ -25,7 +25,8 @@ KEYS = {
     "CommandFile": "description arguments needs busy priority",
     "ArgumentFile": "type unit minimum maximum choices length default help",
     "TransitionFile": "title in out inhibitors resets guard symbol emit action service goal topic await request result "
-    "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority",
+    "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority "
+    "servers",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",

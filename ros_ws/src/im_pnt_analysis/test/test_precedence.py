@@ -45,6 +45,10 @@ def test_no_precedence_is_told_where_something_else_decides_too():
     clocks += "".join(f"  {name}: {{in: {name}, out: c, delay: {{constant: {{value: 1.0}}}}}}\n" for name in "ab")
     report = verify([parse_net(clocks + "  swift: {in: c, out: d}\n")])
     assert report.place_bounds["c"] == 2  # both strike at once
+    alone = "net: n\nplaces: {a: 2, c: , d: }\ntransitions:\n  swift: {in: c, out: d}\n"
+    alone += "  clock: {in: a, out: c, delay: 1.0%s}\n"
+    bounds = [verify([parse_net(alone % servers)]).place_bounds["c"] for servers in ("", ", servers: inf")]
+    assert bounds == [1, 2]  # two clocks of one transition may strike at once, too
 
 
 def test_the_lower_of_two_that_contend_waits():

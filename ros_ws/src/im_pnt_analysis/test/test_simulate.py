@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import random
 import subprocess
 import sys
 from collections import deque
@@ -16,7 +17,7 @@ from im_pnt.errors import NetError
 from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.delay import Delay, exponential
 from im_pnt.model.net import Net, Place, Service, Strategy, Transition
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.simulation.replay import FiringSequence, read_firing_sequence, replay
 from im_pnt_analysis.simulation.simulate import simulate, summarise
 from im_pnt_analysis.timed.model import timed_net
@@ -24,6 +25,7 @@ from im_pnt_analysis.timed.player import Player
 from im_pnt_analysis.timed.steady import steady_state
 from im_pnt_analysis.verify.verdict import verify
 from support.fixtures import NETS
+from support.process import Clock, Process
 
 
 def t(name, inputs, outputs, delay=None, **more):
@@ -127,6 +129,50 @@ def test_actions_run_side_by_side_and_one_server_works_alone():
     assert times == [2.0, 2.0, 2.0]
     times = [step.time for step in simulate([net("one", {"in": 3}, t("work", "in", "out", constant(2.0)))])]
     assert times == [2.0, 4.0, 6.0]
+    for action in ({}, {"action": FunctionAction("f"), "on_failure": {"bad": 1}}):
+        two = net("two", {"in": 3}, t("work", "in", "out", constant(2.0), servers=2, **action))
+        assert [step.time for step in simulate([two]) if step.transition in ("work", "work.end")] == [2.0, 2.0, 4.0]
+
+
+def test_where_a_token_leaves_a_clock_the_time_that_began_last_is_forgotten():
+    come = t("come", "c", "a", constant(0.5))
+    leaves = net(
+        "leaves",
+        {"a": 1, "c": 1, "d": 1},
+        t("t", "a", "b", constant(2.0), servers=9),
+        come,
+        t("go", "a d", "e", constant(1.0)),
+    )
+    assert [(step.time, step.transition) for step in simulate([leaves])] == [(0.5, "come"), (1.0, "go"), (2.0, "t")]
+
+
+def clocks(seed):
+    """A net of up to four clocks with one server or several."""
+    dice = random.Random(seed)
+    places = [f"p{i}" for i in range(dice.randint(2, 4))]
+    lines = [f"net: n\nplaces: {{{', '.join(f'{place}: {dice.randint(0, 4)}' for place in places)}}}\ntransitions:"]
+    for number in range(dice.randint(1, 4)):
+        inputs = {dice.choice(places): dice.choice([1, 1, 2])}
+        if dice.random() < 0.3:
+            inputs[dice.choice(places)] = 1
+        outputs = dict.fromkeys(dice.choices(places, k=sum(inputs.values()))[:2], 1)
+        inhibitor = dice.choice(places)
+        inhibitors = {inhibitor: inputs.get(inhibitor, 0) + dice.randint(1, 3)} if dice.random() < 0.3 else {}
+        arcs = f"in: {inputs}, out: {outputs}, inhibitors: {inhibitors}".replace("'", "")
+        delay = dice.choice([0.37, 0.71, 1.13, 1.57, 2.21, 2.93]) + 0.01 * dice.random()
+        lines.append(f"  t{number}: {{{arcs}, delay: {delay:.5f}, servers: {dice.choice([1, 2, 3, 'inf'])}}}")
+    return parse_net("\n".join(lines))
+
+
+def test_a_net_of_clocks_is_played_as_it_is_executed():
+    """Of two that are due at one instant either may go first: no such net is among these."""
+    for seed in range(60):
+        one = clocks(seed)
+        played = list(simulate([one], steps=None, until=9.0))
+        process = Process([one], clock=Clock())
+        process.wait(9.0)
+        assert [firing.transition for firing in process.recorder.firings] == [step.transition for step in played], seed
+        assert process.marking("n") == (played[-1].marking if played else one.initial_marking())
 
 
 def test_success_failures_and_the_prior_of_a_strategy():

@@ -12,8 +12,9 @@ from im_pnt.errors import NetError
 from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.delay import Delay, exponential
-from im_pnt.model.net import Net, Place, Service, Transition
+from im_pnt.model.net import LARGEST, Net, Place, Service, Transition
 from im_pnt.netfile import load_net
+from im_pnt_analysis.simulation.simulate import summarise
 from im_pnt_analysis.timed.steady import steady_state
 from support.fixtures import NETS
 
@@ -226,6 +227,32 @@ def test_large_chains_agree_with_the_product_form():
     assert state.throughput["t2"] == pytest.approx(normal[tokens - 1] / normal[tokens], rel=1e-10)
     mean = sum(normal[tokens - k] / normal[tokens] / rates[2] ** k for k in range(1, tokens + 1))
     assert state.mean_tokens["p2"] == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("servers", [1, 2, LARGEST])
+@pytest.mark.parametrize("acts", [False, True])
+def test_machines_and_their_repairers(servers, acts):
+    """Birth and death: each working machine may fail, and as many are mended as there are people (M/M/s//N)."""
+    machines, fails, mends = 5, 0.3, 1.0
+    action = {"action": FunctionAction("f"), "on_failure": {"works": 1}, "success": 1.0} if acts else {}
+    nets = [
+        net(
+            "repair",
+            {"works": machines},
+            t("fail", "works", "broken", exponential(fails), servers=LARGEST),
+            t("mend", "broken", "works", exponential(mends), servers=servers, **action),
+        )
+    ]
+    shares = [1.0]
+    for broken in range(1, machines + 1):
+        shares.append(shares[-1] * (machines - broken + 1) * fails / (min(broken, servers) * mends))
+    working = sum((machines - broken) * share for broken, share in enumerate(shares)) / sum(shares)
+    state = steady_state(nets)
+    assert state.mean_tokens["works"] == close(working)
+    throughput = state.throughput["mend.end" if acts else "mend"]
+    assert throughput == close(fails * working)
+    played = summarise(nets, seed=3, until=20_000.0).mean_tokens["works"]
+    assert abs(played.mean - working) < 3.0 * played.half_width
 
 
 def test_queue_that_mixes_slowly():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.net import Net, Place, Transition
+from im_pnt.netfile import parse_net
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.report import ANSWERS, Report
 from im_pnt_analysis.verify.verdict import verify
@@ -20,6 +21,14 @@ def net_of(name: str, tokens: dict[str, int], arcs: dict[str, tuple[dict[str, in
         {place: Place(place, count) for place, count in tokens.items()},
         {t: Transition(t, taken, given, origin=t) for t, (taken, given) in arcs.items()},
     )
+
+
+@pytest.mark.parametrize(("servers", "most"), [("1", 1), ("2", 2), ("inf", 3)])
+def test_servers_bound_the_actions_under_way(servers, most):
+    text = "net: n\nplaces: {a: 3}\ntransitions: {t: {in: a, out: a, action: f, on_failure: a, servers: %s}}"
+    report = verify([parse_net(text % servers)])
+    assert report.place_bounds["t.active"] == most
+    assert report.live
 
 
 def philosophers(count: int) -> Net:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from im_pnt.model.action import FunctionAction, ValuesAction
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Guard, Net, Place, Transition
+from im_pnt.model.net import LARGEST, Guard, Net, Place, Transition
 from im_pnt.netfile import load_net, parse_net
 from im_pnt_display import dot, draw, svg
 from im_pnt_display.drawing.layout import NodeBox, layered
@@ -141,6 +141,20 @@ def test_a_transition_that_waits_is_an_open_bar_with_its_time():
     assert "after 2.5 s" in picture
     assert "takes 2.5 s" in picture
     assert picture.count('rx="2" fill="white"') == 1
+
+
+def test_counted_servers_are_a_note_and_no_place():
+    servers = {"waits": 3, "acts": 2, "all": LARGEST}
+    waits = Transition("waits", {"a": 1}, {"a": 1}, delay=Delay("constant", (2.5,)))
+    acts = replace(waits, name="acts", action=FunctionAction("f"), on_failure={"a": 1})
+    every = {t.name: replace(t, servers=servers[t.name]) for t in (waits, acts, replace(waits, name="all"))}
+    drawing = draw(Net("n", {"a": Place("a", tokens=1)}, every))
+    assert [note for node in drawing.nodes for note in node.notes if "at once" in note] == [
+        "3 at once",
+        "2 at once",
+        "all at once",
+    ]
+    assert {node.name for node in drawing.nodes if node.kind == "place"} == {"a"}
 
 
 @pytest.mark.parametrize("name", ['a"b', "a\\", "a<b&c>", "a b.c"])

@@ -35,8 +35,8 @@ class SharedNames:
 
     def look(self) -> bool:
         """Look at the graph; whether anything changed."""
-        doubled = {name: servers_of(self._node, name) for name, _ in self._node.get_service_names_and_types()
-                   if self._node.count_services(name) > 1}  # fmt: skip
+        served = (name for name, _ in self._node.get_service_names_and_types() if self._node.count_services(name) > 1)
+        doubled = {name: servers for name in served if len(servers := servers_of(self._node, name)) > 1}
         now = clock.monotonic()
         self._since = {name: self._since.get(name, now) for name in doubled}
         by_servers: dict[tuple[str, ...], list[str]] = {}

@@ -57,11 +57,31 @@ class ProcessId:
         """Return whether the very same process still runs; a dead process not yet reaped does not."""
         return self.pid > 0 and _start_of_running(self.pid) == self.start
 
+    def ended(self) -> bool:
+        """Return whether the process ran when its identity was taken, and runs no more."""
+        return self.start >= 0 and not self.alive()
+
 
 def _start_of_running(pid: int) -> int:
     """Return the start time of a running process, -1 if missing or a zombie."""
     fields = stat_fields(pid)
     return -1 if fields is None or fields[0] in "ZX" else int(fields[19])
+
+
+def processes_ending_in(bits: int, size: int) -> list[int]:
+    """Return the pids of the running processes whose last ``size`` bits are ``bits``."""
+    with open("/proc/sys/kernel/pid_max", encoding="ascii") as file:
+        largest = int(file.read())
+    return [pid for pid in range(bits, largest + 1, 1 << size) if _start_of_running(pid) >= 0]
+
+
+def has_loaded(pid: int, file: str) -> bool:
+    """Return whether a process has mapped a file with a path that holds ``file``; not if this user may not know."""
+    try:
+        with open(f"/proc/{pid}/maps", encoding="utf-8", errors="replace") as maps:
+            return any(file in line for line in maps)
+    except OSError:
+        return False
 
 
 def scheduled(pid: int, thread: int | None = None) -> Scheduled | None:

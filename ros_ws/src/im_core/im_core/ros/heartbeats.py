@@ -15,7 +15,7 @@ from im_core import clock
 from im_core.errors import LinkError, WaitTimeoutError
 from im_core.patience import Silence
 from im_core.processes.agent_socket import TaskIncarnation
-from im_core.processes.procfs import stat_fields
+from im_core.processes.procfs import ProcessId, stat_fields
 from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.node import ManagedNode
@@ -31,6 +31,8 @@ LEASE_S = 20.0
 #: Tasks that are followed where no agent tells which there are.
 MOST_TASKS = 1000
 
+_UNKNOWN = -1
+_NO_PROCESS = ProcessId(0, _UNKNOWN)
 _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
 
 
@@ -38,15 +40,15 @@ _STARTING = (TaskStatus.LOADED, TaskStatus.CONFIGURED)
 class Heartbeat:
     """Last heartbeat of a task: incarnation, time of the incarnation's first heartbeat, time of the last heartbeat [s].
 
-    ``pid`` is its process where that is one of this host, else 0; ``starting``: it has not passed all phases of its
-    start yet. Of a task that was asked for and not heard yet ``incarnation`` is None, and the times are that of the
-    question.
+    ``process`` has pid 0 where it is none of this host, and no start where no agent vouches for the pid: another host
+    or container may have this name. ``starting``: it has not passed all phases of its start yet. Of a task that was
+    asked for and not heard yet ``incarnation`` is None, and the times are that of the question.
     """
 
     incarnation: int | None
     since: float
     heard: float
-    pid: int
+    process: ProcessId
     starting: bool
 
 
@@ -68,8 +70,9 @@ class Heartbeats:
 
     In a machine only its tasks are followed, and those that were asked for: names that somebody makes up are not kept.
 
-    Neither counts the time in which this node came to hear nobody, for its loop was busy, nor that in which a task of
-    this host waited for a processor.
+    A task of this host that the agent vouches for is missing as soon as its process has ended. Of silence, neither the
+    time counts in which this node came to hear nobody, for its loop was busy, nor that in which a task of this host
+    waited for a processor.
 
     Args:
         node: The node that listens.
@@ -110,6 +113,8 @@ class Heartbeats:
             since: Incarnation that was asked; another one does not know of it.
         """
         last = self._followed(task)
+        if last.process.ended():
+            return f"{task} is missing (its process {last.process.pid} has ended)"
         if self._silence_s(task, last) > SILENCE_S:
             never = last.incarnation is None
             ago = "never heard" if never else f"last heard {clock.monotonic() - last.heard:.1f} s ago"
@@ -123,7 +128,7 @@ class Heartbeats:
         last = self._last.get(task)
         if last is None:
             now = clock.monotonic()
-            last = self._last[task] = Heartbeat(None, since=now, heard=now, pid=0, starting=False)
+            last = self._last[task] = Heartbeat(None, since=now, heard=now, process=_NO_PROCESS, starting=False)
         return last
 
     def _vouched(self, task: str) -> TaskIncarnation | None:
@@ -137,8 +142,9 @@ class Heartbeats:
     def _silence_s(self, task: str, last: Heartbeat) -> float:
         known = self._silences.get(task)
         if known is None or known[0] != last.heard:
-            so_far = 0.0 if stat_fields(last.pid) else clock.monotonic() - last.heard
-            known = self._silences[task] = last.heard, Silence(last.pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
+            so_far = 0.0 if stat_fields(last.process.pid) else clock.monotonic() - last.heard
+            silence = Silence(last.process.pid, so_far, longest_look_s=2.0 * CHECK_PERIOD_S)
+            known = self._silences[task] = last.heard, silence
         return known[1].look()
 
     def watch(self, task: str, since: int | None, lost: Callable[[str], None]) -> Callable[[], None]:
@@ -215,8 +221,9 @@ class Heartbeats:
         if known.incarnation == message.incarnation:
             self._last[message.name] = replace(known, heard=now, starting=starting)
             return
-        pid = vouched.pid if vouched is not None else message.pid if message.host == self._host else 0
-        self._last[message.name] = Heartbeat(message.incarnation, since=now, heard=now, pid=pid, starting=starting)
+        pid = message.pid if message.host == self._host else 0
+        process = ProcessId(pid, _UNKNOWN) if vouched is None else ProcessId.of(vouched.pid)
+        self._last[message.name] = Heartbeat(message.incarnation, now, now, process, starting)
         again = known.incarnation is not None
         if again:
             self._tell(message.name)

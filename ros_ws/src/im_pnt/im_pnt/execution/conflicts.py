@@ -3,7 +3,7 @@
 Priority decides first, then weight and probability of success, with a seed. Contention is local: a transition that has
 become enabled contends with the enabled transitions that share an input place with it, and the winner, in turn, only
 with those of its own rivals that have a higher priority. Delays of transitions without action are a race before that
-(GSPN: race, enabling memory, one server).
+(GSPN: race, enabling memory, as many servers as the transition has).
 
 Strategies are contending ways to do a thing (:mod:`.strategies`). They are taken with probabilities proportional to
 weight and mean success; the entropy of that choice is the uncertainty of the decision in the sense of Saridis' entropy
@@ -285,7 +285,9 @@ class ConflictResolution:
 
 
 class Delays:
-    """Clocks of the enabled transitions with a delay.
+    """Clocks of the enabled transitions with a delay: of each as many as it has servers with tokens.
+
+    Clocks belong to no token. Where tokens leave, the clocks that began last stop.
 
     Args:
         transitions: The transitions of the expanded net.
@@ -305,26 +307,29 @@ class Delays:
     ) -> None:
         self._transitions, self._enabling, self._conflicts = transitions, enabling, conflicts
         self._timers, self._clock = timers, clock
-        self._running: dict[int, Timer] = {}
+        self._running: dict[int, list[Timer]] = {}
+        self._several = frozenset(i for i in conflicts.delayed if transitions[i].at_once > 1)
 
     def waits(self, index: int) -> bool:
         """Return whether an enabled transition must still wait; the clock runs while symbol and guard allow firing."""
-        if index not in self._conflicts.delayed or index in self._conflicts.ripe:
+        ripe, several = index in self._conflicts.ripe, index in self._several
+        if index not in self._conflicts.delayed or (ripe and not several):
             return False
         transition = self._transitions[index]
-        guarded = transition.guard is not None
-        if transition.delay is None or (index in self._running and not guarded):
+        looked_at = several or transition.guard is not None
+        if transition.delay is None or (index in self._running and not looked_at):
             return True
         if not self._conflicts.holds(index):
             self._stop(index)
-        else:
-            if index not in self._running:
-                self._enabling.clocks.add(index)
-                time = self._clock() + transition.delay.sample(self._conflicts.dice)
-                self._running[index] = self._timers.at(time, lambda: self._ripen(index))
-            if guarded:
-                self._enabling.stalled.add(index)  # what wakes its guard has it looked at again
-        return True
+            return True
+        clocks = self._running.setdefault(index, [])
+        self._enabling.clocks.add(index)
+        while len(clocks) < self._servers(index):
+            time = self._clock() + transition.delay.sample(self._conflicts.dice)
+            clocks.append(self._timers.at(time, lambda: self._ripen(index)))
+        if looked_at and not ripe:
+            self._enabling.stalled.add(index)  # what wakes its guard, or changes its tokens, has it looked at again
+        return not ripe
 
     def settle(self, fired: int | None = None) -> None:
         """Stop the clocks of transitions disabled by a firing, and of the fired one."""
@@ -333,24 +338,39 @@ class Delays:
             if unmet[index]:
                 self._stop(index)
         crossed.clear()
-        if fired in self._enabling.clocks:
-            self._stop(fired)
+        if fired is not None and fired in self._enabling.clocks:
+            clocks = self._running[fired]
+            clocks.remove(next(clock for clock in clocks if clock.act is None))
+        for index in self._enabling.clocks & (self._several | {fired}):
+            clocks = self._running[index]
+            while len(clocks) > self._servers(index):
+                self._timers.cancel(clocks.pop())
+            if not clocks:
+                self._stop(index)
+            elif all(clock.act is not None for clock in clocks):
+                self._conflicts.ripe.discard(index)
 
     def strikes_at(self, index: int) -> float | None:
         """Return the time at which the clock of a transition strikes [s]; None: it does not run."""
-        return self._running[index].time if index in self._running else None
+        return min((clock.time for clock in self._running.get(index, ()) if clock.act is not None), default=None)
 
     def give_up(self, index: int) -> None:
         """Restart the wait of a transition blocked by the guard or symbol."""
         if index in self._conflicts.ripe:
             self._stop(index)
 
+    def _servers(self, index: int) -> int:
+        """Return how many servers of an enabled transition have tokens."""
+        if index not in self._several:
+            return 1
+        return min(self._transitions[index].at_once, self._enabling.compiled.degree(self._enabling.tokens, index))
+
     def _stop(self, index: int) -> None:
-        self._timers.cancel(self._running.pop(index, None))
+        for clock in self._running.pop(index, ()):
+            self._timers.cancel(clock)
         self._enabling.clocks.discard(index)
         self._conflicts.ripe.discard(index)
 
     def _ripen(self, index: int) -> None:
-        del self._running[index]
         self._conflicts.ripe.add(index)
         self._enabling.consider(index)

@@ -61,6 +61,10 @@ class Compiled:
             vector[place] < weight for place, weight in self.inhibitors[transition]
         )
 
+    def degree(self, vector: Sequence[int], transition: int) -> int:
+        """Return how often an enabled transition with inputs could fire one time after the other, and no other one."""
+        return min(vector[place] // weight for place, weight in self.inputs[transition])
+
     def fire(self, vector: tuple[int, ...], transition: int) -> tuple[int, ...]:
         """Return the marking after the firing of an enabled transition."""
         after = list(vector)

@@ -5,7 +5,8 @@ takes the inputs and marks ``t.active``; ``t.end`` or ``t.failed`` takes that to
 ``on_failure`` places. An action that is asked to end early moves its token to ``t.cancelling`` (``t.cancel``); one
 that nobody knows about, to ``t.in_doubt`` (``t.lost``); from there it ends by ``t.end.cancelling``,
 ``t.failed.in_doubt`` and so on, or, where nobody can tell, by ``t.given_up`` to the ``on_doubt`` places. A
-P-invariant of the expanded net therefore holds at every instant, whatever the outcome.
+P-invariant of the expanded net therefore holds at every instant, whatever the outcome. Where the ``servers`` of a
+transition are counted, ``t.start`` takes one from ``t.servers``, and each end gives it back.
 
 A service ``s`` adds the places I.s, SI, O.s and SO of the paper's coordination structure: ``accept.s`` takes the
 request and the input semaphore SI, ``t_f.s`` gives SI back and marks O.s, ``return.s`` answers the caller and gives SO
@@ -17,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from im_pnt.errors import NetError
-from im_pnt.model.net import Arcs, Net, Place, Role, Service, Transition
+from im_pnt.model.net import LARGEST, Arcs, Net, Place, Role, Service, Transition
 
 INPUT_SEMAPHORE = "SI"
 OUTPUT_SEMAPHORE = "SO"
@@ -36,6 +37,11 @@ def cancelling_place(transition: str) -> str:
 def doubt_place(transition: str) -> str:
     """Return the name of the place marked during the doubt about an action."""
     return f"{transition}.in_doubt"
+
+
+def servers_place(transition: str) -> str:
+    """Return the name of the place that holds the idle servers of a transition."""
+    return f"{transition}.servers"
 
 
 def input_place(service: str) -> str:
@@ -70,6 +76,8 @@ def expand(net: Net) -> Net:
         if transition.action is not None:
             for phase in (active_place, cancelling_place, doubt_place):
                 places[phase(transition.name)] = Place(phase(transition.name))
+        for name in _servers(transition):
+            places[name] = Place(name, tokens=transition.at_once, resource=True)
     for place in net.places.values():
         if place.on_invalid:
             withdrawn = _withdrawn(place)
@@ -88,8 +96,9 @@ def expand(net: Net) -> Net:
         for part in _coordination(service, serving):
             transitions[part.name] = part
     rest = net.rest
-    if rest is not None and net.services:  # the semaphores lie there, which no author writes
-        rest = (*rest, INPUT_SEMAPHORE, OUTPUT_SEMAPHORE)
+    if rest is not None:  # what no author writes lies there
+        semaphores = (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE) if net.services else ()
+        rest = (*rest, *semaphores, *(name for t in net.transitions.values() for name in _servers(t)))
     return replace(net, places=places, transitions=transitions, rest=rest)
 
 
@@ -111,15 +120,22 @@ def failure_arcs(net: Net, transition: Transition) -> Arcs:
     )
 
 
+def _servers(transition: Transition) -> Arcs:
+    """Return the place of a transition's idle servers, where they are counted, and the one that an action takes."""
+    counted = transition.action is not None and transition.at_once < LARGEST
+    return {servers_place(transition.name): 1} if counted else {}
+
+
 def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
     if transition.action is None:
         yield replace(transition, origin=transition.name)
         return
-    name = transition.name
+    name, servers = transition.name, _servers(transition)
     active, cancelling, in_doubt = ({phase(name): 1} for phase in (active_place, cancelling_place, doubt_place))
     yield replace(
         transition,
         name=f"{name}.start",
+        inputs={**transition.inputs, **servers},
         outputs=active,
         remote_outputs={},
         emit=(),
@@ -127,13 +143,13 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
         role=Role.START,
         origin=name,
     )
-    failure = failure_arcs(net, transition)
+    failure = {**failure_arcs(net, transition), **servers}
     # a cancel or a doubt decides no outcome: the action may still end either way
     for suffix, inputs in (("", active), (".cancelling", cancelling), (".in_doubt", in_doubt)):
         yield Transition(
             name=f"{name}.end{suffix}",
             inputs=inputs,
-            outputs=transition.outputs,
+            outputs={**transition.outputs, **servers},
             remote_outputs=transition.remote_outputs,
             emit=transition.emit,
             role=Role.END,
@@ -146,7 +162,7 @@ def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
     yield _phase(transition, "lost", active, in_doubt, Role.LOST)
     yield _phase(transition, "lost.cancelling", cancelling, in_doubt, Role.LOST)
     if transition.on_doubt:
-        yield _phase(transition, "given_up", in_doubt, transition.on_doubt, Role.GIVEN_UP)
+        yield _phase(transition, "given_up", in_doubt, {**transition.on_doubt, **servers}, Role.GIVEN_UP)
 
 
 def _phase(transition: Transition, name: str, inputs: Arcs, outputs: Arcs, role: Role) -> Transition:

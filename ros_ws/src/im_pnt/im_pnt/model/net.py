@@ -187,6 +187,8 @@ class Transition:
         acts_on: Resources that its action acts on; ``${arguments.NAME}`` in them is an argument. None: not said.
         title: Name for people, beside its own; empty: its own.
         says: What its action does, as a verb with its object, for progress and failures; empty: not said.
+        servers: How many of its tokens are worked on at once, :data:`LARGEST`: all; None: all with an action, one with
+            a delay alone.
     """
 
     name: str
@@ -220,6 +222,12 @@ class Transition:
     resets: tuple[str, ...] = ()
     title: str = ""
     says: str = ""
+    servers: int | None = None
+
+    @property
+    def at_once(self) -> int:
+        """How many of its tokens are worked on at once; :data:`LARGEST`: all."""
+        return self.servers or (1 if self.action is None else LARGEST)
 
 
 @dataclass(frozen=True, slots=True)

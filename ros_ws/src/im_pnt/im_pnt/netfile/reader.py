@@ -118,8 +118,20 @@ class _Reader:
             raise self._error(at, sentence, key=True)
         if self._foreign:
             self._require_names(net)
+        self._require_countable(net)
         check_net(net, NoTypes())
         return replace(net, transitions=dict(self._with_otherwise(net)))
+
+    def _require_countable(self, net: Net) -> None:
+        """Refuse to count tokens of commands that go together: arcs do not tell how many pairs they make."""
+        counted = [t for t in net.transitions.values() if t.action is None and t.at_once > 1]
+        if not counted or not (net.symbols() or net.services):
+            return
+        resources = resource_places(net)
+        for transition in counted:
+            if sum(weight for place, weight in transition.inputs.items() if place not in resources) > 1:
+                sentence = "counts tokens with a delay, and takes several that may belong to commands; one is allowed"
+                raise self._error(("transitions", transition.name, "servers"), sentence, key=True)
 
     def _with_otherwise(self, net: Net) -> Iterator[tuple[str, Transition]]:
         """Yield the transitions; a guard `otherwise` knows which guards it stands against."""
@@ -249,6 +261,8 @@ class _Reader:
                     sentence = f"'{place}' both enables and disables it; it could never fire"
                     raise self._error((*here, "inhibitors"), sentence)
         strategy, symbol = file.strategy, file.symbol
+        if file.servers is not None:
+            self._check_servers((*here, "servers"), file, action)
         return Transition(
             name,
             inputs,
@@ -280,7 +294,22 @@ class _Reader:
             resets=self._resets((*here, "resets"), file.resets),
             title=file.title,
             says=file.says,
+            servers=file.servers,
         )
+
+    def _check_servers(self, location: Location, file: TransitionFile, action: Action | None) -> None:
+        """Refuse servers that nothing could count."""
+        if action is not None:
+            if file.tries > 1:
+                sentence = "counts tokens of one try, and 'tries' makes several transitions; one of both is allowed"
+                raise self._error(location, sentence, key=True)
+        elif file.servers != 1:
+            other = next((key for key in ("guard", "symbol") if getattr(file, key) is not None), None)
+            if other is not None:
+                sentence = f"counts tokens with a delay, and '{other}' lets not all wait; one of both is allowed"
+                raise self._error(location, sentence, key=True)
+            if not file.inputs:
+                raise self._error(location, "counts input tokens with a delay, and there is no 'in'", key=True)
 
     def _resets(self, location: Location, names: tuple[str, ...]) -> tuple[str, ...]:
         """Check the emptied places of a transition: free tokens, and a bound."""

@@ -16,7 +16,19 @@ from im_pnt.model.action import (
 )
 from im_pnt.model.arguments import Argument, ArgumentSchema, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
-from im_pnt.model.net import Arcs, Assumption, Net, ObjectScope, Place, RemotePlace, Role, Service, Strategy, Transition
+from im_pnt.model.net import (
+    LARGEST,
+    Arcs,
+    Assumption,
+    Net,
+    ObjectScope,
+    Place,
+    RemotePlace,
+    Role,
+    Service,
+    Strategy,
+    Transition,
+)
 
 _BARE = re.compile(r"[A-Za-z_/][A-Za-z0-9_./]*( [A-Za-z0-9_./]+)*")
 _UNPRINTABLE = re.compile("[^\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]")
@@ -142,6 +154,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
             weight=None if t.weight == 1.0 else t.weight,
             strategy=None if t.strategy is None else _strategy_data(t.strategy),
             priority=t.priority or None,
+            servers="inf" if t.servers == LARGEST else t.servers,
         ),
     }
 

@@ -1,9 +1,10 @@
 """Times of transitions in PNML as delays, weights and priorities of ours.
 
 Of stochastic nets (PIPE, GreatSPN; Ajmone Marsan, Balbo, Conte, 1984) a timed transition has an exponential ``delay``;
-an immediate one has none, and its rate is its ``weight``. Of time Petri nets (Merlin, 1974; TINA) only ``[a,a]`` has a
-meaning here: a transition without a delay fires at once, and so none may wait as long as it likes while others are
-timed. TAPAAL's urgent transitions are those: no time passes while one is enabled.
+an immediate one has none, and its rate is its ``weight``. Infinite servers of a timed transition are our ``servers:
+inf``. Of time Petri nets (Merlin, 1974; TINA) only ``[a,a]`` has a meaning here: a transition without a delay fires at
+once, and so none may wait as long as it likes while others are timed. TAPAAL's urgent transitions are those: no time
+passes while one is enabled.
 """
 
 from collections.abc import Iterable
@@ -35,6 +36,7 @@ class Timing:
         interval: Times for which it must be enabled [s]; None: not said.
         weight: How often it is taken among contending immediate transitions, relative to the others.
         priority: Larger goes first among immediate transitions.
+        infinite: Whether the time of a timed transition runs for each of its tokens.
     """
 
     element: Element
@@ -42,6 +44,7 @@ class Timing:
     interval: TimeInterval | None = None
     weight: float = 1.0
     priority: int = 0
+    infinite: bool = False
 
 
 def timing_of(transition: Element) -> Timing:
@@ -61,9 +64,7 @@ def timing_of(transition: Element) -> Timing:
         timed = rate is not None
     if timed and rate is None:
         raise transition.error("is timed, and says no 'rate'")
-    if timed and label_flag(transition, "infiniteServer"):
-        sentence = "serves all of its tokens at once; allowed is false, one after another"
-        raise (find_label(transition, "infiniteServer") or transition).error(sentence)
+    infinite = label_flag(transition, "infiniteServer") is True
     if interval is not None and not interval.is_any:
         if timed:
             raise transition.error(f"has both the rate {rate:g} and the interval {interval.shown}; one is allowed")
@@ -74,7 +75,7 @@ def timing_of(transition: Element) -> Timing:
         if tool.attributes.get("tool") == _STOCHASTIC:
             weight, priority = _stochastic(tool)
     if timed:
-        return Timing(transition, rate)
+        return Timing(transition, rate, infinite=infinite)
     return Timing(transition, None, interval, weight * (rate or 1.0), priority)
 
 
@@ -98,7 +99,8 @@ def timing_keys(timings: Iterable[Timing]) -> list[dict[str, object]]:
             delay = each.interval.low
         weight = None if each.weight == 1.0 else each.weight
         priority = None if each.rate is not None else each.priority - lowest
-        keys.append({"delay": delay, "weight": weight, "priority": priority})
+        servers = "inf" if each.infinite else None
+        keys.append({"delay": delay, "weight": weight, "priority": priority, "servers": servers})
     return keys
 
 

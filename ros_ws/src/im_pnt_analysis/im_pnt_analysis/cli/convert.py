@@ -78,6 +78,7 @@ def _unseen(net: Net) -> Iterator[str]:
         "values that transitions return or store": [t.name for t in transitions if t.result or t.store],
         "failures of actions of transitions": [t.name for t in transitions if t.action],
         "delays of transitions": [t.name for t in transitions if t.delay],
+        "servers of transitions": [t.name for t in transitions if t.servers],
         "priorities of transitions": [t.name for t in transitions if t.priority],
         "services": list(net.services),
         "arguments of commands": list(net.commands),

@@ -13,8 +13,9 @@ from im_pnt_analysis.simulation.simulate import Estimate, Summary, simulate, sum
 
 _DESCRIPTION = """Plays nets, alone or composed, by their structure, delays and probabilities.
 
-Actions take their 'delay' and succeed with probability 'success'; alternatives are taken by priority and 'weight'
-(times the prior of a strategy); symbols and callers come when the nets have nothing else to do. Time is virtual.
+Actions take their 'delay', as many at once as 'servers' says, and succeed with probability 'success'; alternatives are
+taken by priority and 'weight' (times the prior of a strategy); symbols and callers come when the nets have nothing else
+to do. Time is virtual.
 --replay plays a counterexample as 'scripts/im pnt verify --counterexample FILE' writes it, a file with a transition a
 line, or a sequence 'a -> b -> c', and says what is enabled at its end."""
 

@@ -96,7 +96,8 @@ def _is_closed(composition: Composition) -> bool:
     constant = [t for t in transitions if t.delay is not None and t.delay.kind == "constant"]
     ranks = {(t.delay is None, t.priority if t.delay is None else 0) for t in transitions}
     single = len(set(composition.net_of.values())) <= 1
-    return plain and single and len(constant) <= 1 and len(ranks) > 1 and not composition.external
+    clocks = sum(min(t.at_once, 2) for t in constant)
+    return plain and single and clocks <= 1 and len(ranks) > 1 and not composition.external
 
 
 _FIRING = (Role.PLAIN, Role.START)

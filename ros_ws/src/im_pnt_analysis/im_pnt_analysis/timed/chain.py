@@ -116,7 +116,9 @@ class _Step:
         self.net = net
         self._ready = net.compiled.enabled
         self._exponential = [timer.delay.kind == "exponential" for timer in net.timers]
-        self._plain = [(i, timer.outcomes[0][0][0]) for i, timer in enumerate(net.timers) if timer.active is None]
+        self._plain = [
+            (i, timer.outcomes[0][0][0], timer.servers) for i, timer in enumerate(net.timers) if timer.active is None
+        ]
         self._actions = [(i, timer.active) for i, timer in enumerate(net.timers) if timer.active is not None]
 
     def firings(self, vector: Vector, rivals: set[int]) -> tuple[bool, list[tuple[int, int]]]:
@@ -125,7 +127,12 @@ class _Step:
         for level in self.net.levels:
             if firings := [(transition, 1) for transition in level if ready(vector, transition)]:
                 return False, firings
-        running = [(timer, 1) for timer, transition in self._plain if ready(vector, transition)]
+        degree = self.net.compiled.degree
+        running = [
+            (timer, 1 if servers == 1 else min(servers, degree(vector, transition)))
+            for timer, transition, servers in self._plain
+            if ready(vector, transition)
+        ]
         running += [(timer, vector[active]) for timer, active in self._actions if vector[active]]
         if running:
             if len(running) > 1 or running[0][1] > 1:

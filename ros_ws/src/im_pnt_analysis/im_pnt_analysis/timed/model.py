@@ -1,8 +1,9 @@
 """Composition as a stochastic process: delays, immediate firings, and frequencies of alternatives.
 
 Generalised stochastic Petri nets (Ajmone Marsan, Balbo, Conte, 1984) with actions. An action runs once for each token
-on its ``t.active`` place (infinite server), then ends or fails by its ``success``; a transition without an action is a
-single server whose time starts when it becomes enabled and is forgotten when it is disabled (race, enabling memory).
+on its ``t.active`` place, then ends or fails by its ``success``. The time of a transition without an action starts when
+it becomes enabled and is forgotten when it is disabled (race, enabling memory); with several ``servers`` such a time
+runs for each of its tokens, and where tokens leave the times that began last are forgotten.
 """
 
 import math
@@ -106,12 +107,14 @@ class TimedActivity:
         active: Place with a token for each running action; None: a transition without action, which runs while enabled.
         outcomes: What may come of it, each with its probability: of the transitions given the first that may fire does.
             Several where an action answers whoever has asked for it: one for each of them, and one for nobody.
+        servers: How many times run at once, of a transition without action.
     """
 
     name: str
     delay: Delay
     active: int | None
     outcomes: tuple[tuple[tuple[int, ...], float], ...]
+    servers: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +259,9 @@ class _Builder:
                     "resets to another transition, without delay"
                 )
             self.timer_of[index] = len(self.timers)
-            self.timers.append(TimedActivity(transition.name, transition.delay, None, (((index,), 1.0),)))
+            outcomes: tuple[tuple[tuple[int, ...], float], ...] = (((index,), 1.0),)
+            activity = TimedActivity(transition.name, transition.delay, None, outcomes, transition.at_once)
+            self.timers.append(activity)
             return
         if transition.role is Role.WITHDRAWN:
             self.withdrawn.append(index)

@@ -47,6 +47,8 @@ class Player:
         for number, timer in enumerate(net.timers):
             if timer.active is None:
                 self._plain[timer.outcomes[0][0][0]] = number
+        several = {timer.outcomes[0][0][0] for timer in net.timers if timer.servers > 1}
+        self._counted = [tuple(t for t, _ in arcs if t in several) for arcs in compiled.consumers]
         self._begins = [-1 if self._plain[t] >= 0 else timer for t, timer in enumerate(net.timer_of)]
         self.reset()
 
@@ -62,11 +64,10 @@ class Player:
         self._unmet = [len(arcs) for arcs in compiled.inputs]
         self._ready: list[list[int]] = [[] for _ in self._uniform]
         self._position = [0] * len(compiled.transitions)
-        self._queue: list[tuple[float, int, int, int, float, Ended | None]] = []
+        self._queue: list[tuple[float, int, int, float, Ended | None]] = []
         self._scheduled = 0
         self._stale = 0
-        self._turn = [0] * len(self.net.timers)
-        self._running = [False] * len(self.net.timers)
+        self._clocks: list[dict[int, None]] = [{} for _ in self.net.timers]
         self._instant = 0
         for transition, unmet in enumerate(self._unmet):
             if not unmet:
@@ -84,9 +85,9 @@ class Player:
                 return self._at_once(level)
         queue = self._queue
         while queue:
-            when, _, number, turn, since, cause = queue[0]
+            when, clock, number, since, cause = queue[0]
             timer = self.net.timers[number]
-            if timer.active is None and turn != self._turn[number]:  # disabled since: entries stay in the heap
+            if timer.active is None and clock not in self._clocks[number]:  # stopped: entries stay in the heap
                 heapq.heappop(queue)
                 self._stale -= 1
                 continue
@@ -101,11 +102,9 @@ class Player:
             if self._causes:  # a chain of causes, from which the critical path is read
                 self.last = (cause, number, since, when)
             if timer.active is None:
-                self._running[number] = False
-                self._turn[number] += 1
+                del self._clocks[number][clock]
                 transition = self._fire(timer.outcomes[0][0][0])
-                if not self._unmet[transition] and not self._running[number]:
-                    self._start(number)
+                self._keep_up(transition)
                 return transition
             outcomes = timer.outcomes
             failed = len(outcomes) > 1 and self._dice.random() >= outcomes[0][1]
@@ -175,6 +174,8 @@ class Player:
                         self._enable(transition)
                     elif step < 0 and unmet[transition] == 1:
                         self._disable(transition)
+            for transition in self._counted[place]:
+                self._keep_up(transition)
 
     def _enable(self, transition: int) -> None:
         group = self._group[transition]
@@ -183,7 +184,7 @@ class Player:
             self._position[transition] = len(ready)
             ready.append(transition)
         elif self._plain[transition] >= 0:
-            self._start(self._plain[transition])
+            self._keep_up(transition)
 
     def _disable(self, transition: int) -> None:
         group = self._group[transition]
@@ -194,27 +195,34 @@ class Player:
             if last != transition:
                 ready[position] = last
                 self._position[last] = position
-        elif (number := self._plain[transition]) >= 0 and self._running[number]:
-            self._running[number] = False
-            self._turn[number] += 1
+        elif self._plain[transition] >= 0:
+            self._keep_up(transition)
+
+    def _keep_up(self, transition: int) -> None:
+        """Run as many clocks of a transition without action as it has servers with tokens; the youngest stop first."""
+        number = self._plain[transition]
+        clocks, wanted = self._clocks[number], 0 if self._unmet[transition] else 1
+        if wanted and (servers := self.net.timers[number].servers) > 1:
+            wanted = min(servers, self.net.compiled.degree(self.tokens, transition))
+        while len(clocks) < wanted:
+            clocks[self._schedule(number)] = None
+        while len(clocks) > wanted:
+            clocks.popitem()
             self._stale += 1
             if self._stale > 64 and self._stale > len(self._queue) // 2:
                 self._forget_stale()
 
-    def _start(self, number: int) -> None:
-        self._running[number] = True
-        self._schedule(number)
-
-    def _schedule(self, number: int) -> None:
+    def _schedule(self, number: int) -> int:
         try:
             when = self.time + self.net.timers[number].delay.sample(self._dice)
         except (OverflowError, ZeroDivisionError):
             when = math.inf
         self._scheduled += 1
-        heapq.heappush(self._queue, (when, self._scheduled, number, self._turn[number], self.time, self.last))
+        heapq.heappush(self._queue, (when, self._scheduled, number, self.time, self.last))
+        return self._scheduled
 
     def _forget_stale(self) -> None:
-        timers, turn = self.net.timers, self._turn
-        self._queue = [e for e in self._queue if timers[e[2]].active is not None or e[3] == turn[e[2]]]
+        timers, clocks = self.net.timers, self._clocks
+        self._queue = [e for e in self._queue if timers[e[2]].active is not None or e[1] in clocks[e[2]]]
         heapq.heapify(self._queue)
         self._stale = 0

@@ -17,8 +17,9 @@ from im_pnt.model.expand import (
     doubt_place,
     expand,
     input_place,
+    servers_place,
 )
-from im_pnt.model.net import Arcs, Net, Place, Role, Transition
+from im_pnt.model.net import LARGEST, Arcs, Net, Place, Role, Transition
 from im_pnt_display.drawing.layout import Edge, NodeBox
 from im_pnt_display.drawing.references import far_edges
 
@@ -151,7 +152,7 @@ def _reference(name: str, node: DrawnNode) -> DrawnNode:
 def _folded(net: Net, whole: Net) -> Net:
     """The net as written, with the coordination structures of the expanded one."""
     structure = {name: t for name, t in whole.transitions.items() if t.role in _STRUCTURE}
-    phases = (active_place, cancelling_place, doubt_place)
+    phases = (active_place, cancelling_place, doubt_place, servers_place)
     hidden = {place(name) for name, t in net.transitions.items() if t.action is not None for place in phases}
     places = {name: place for name, place in whole.places.items() if name not in hidden}
     return Net(net.name, places, {**net.transitions, **structure}, escalate=net.escalate)
@@ -247,6 +248,8 @@ def _notes(transition: Transition) -> Iterator[str]:
         delay = transition.delay
         time = f"{delay.values[0]:g} s" if delay.kind == "constant" else str(delay)
         yield f"after {time}" if action is None else f"takes {time}"
+    if transition.servers is not None:
+        yield "all at once" if transition.servers == LARGEST else f"{transition.servers} at once"
     for symbol in transition.emit:
         yield f"!{symbol}"
 

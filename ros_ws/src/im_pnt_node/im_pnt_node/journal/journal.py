@@ -452,6 +452,7 @@ _ADDED: Mapping[str, object] = {
     "acts_on": None,
     "resets": (),
     "unless": (),
+    "servers": None,
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 

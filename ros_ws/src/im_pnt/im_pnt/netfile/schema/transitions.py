@@ -3,13 +3,14 @@
 from typing import Annotated, Literal, Self
 
 import pydantic
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from im_pnt.model.net import LARGEST
 from im_pnt.netfile.schema.actions import AwaitFile, GoalFile, RequestFile, ServiceCallFile, TopicFile
 from im_pnt.netfile.schema.delays import DelayFile
-from im_pnt.netfile.schema.scalars import WrongKeyError, as_whole
+from im_pnt.netfile.schema.scalars import WrongKeyError, as_whole, shown
 from im_pnt.netfile.schema.values import (
+    COUNT,
     FUNCTION,
     NAME_FORM,
     Arcs,
@@ -35,6 +36,16 @@ _EFFECTS = (*ACTIONS, "result", "store")
 
 _NEED_ACTION = ("on_failure", "on_doubt", "timeout", "tries", "success", "strategy", "acts_on", "says")
 MOST_TRIES = 100
+
+
+def _as_servers(value: object) -> int:
+    """Read a number of servers; ``inf`` is the largest."""
+    if value == "inf":
+        return LARGEST
+    try:
+        return as_whole(value)
+    except ValueError as error:
+        raise ValueError(f"{shown(value)} is neither a whole number nor inf") from error
 
 
 class StrategyFile(FilePart):
@@ -76,6 +87,7 @@ class TransitionFile(FilePart):
         json_schema_extra={
             "dependentSchemas": {
                 **{key: {"anyOf": [{"required": [effect]} for effect in _EFFECTS]} for key in _NEED_ACTION},
+                "servers": {"anyOf": [{"required": [key]} for key in (*_EFFECTS, "delay")]},
                 **{
                     action: {"not": {"anyOf": [{"required": [other]} for other in ACTIONS if other != action]}}
                     for action in ACTIONS
@@ -139,6 +151,18 @@ class TransitionFile(FilePart):
     tries: Annotated[int, Field(ge=1, le=MOST_TRIES), BeforeValidator(as_whole)] = Field(
         1, description="How often the action is tried before its tokens go to on_failure."
     )
+    servers: Given[
+        Annotated[
+            int,
+            Field(ge=1, le=LARGEST),
+            BeforeValidator(_as_servers),
+            WithJsonSchema({"anyOf": [COUNT | {"minimum": 1}, {"const": "inf"}]}),
+        ]
+    ] = Field(
+        None,
+        description="How many of its tokens are worked on at once; inf: all. Without this key all with an action, "
+        "and one with a delay alone.",
+    )
     retry_of: Given[Text] = Field(
         None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
     )
@@ -170,4 +194,6 @@ class TransitionFile(FilePart):
             for key in _NEED_ACTION:
                 if key in given:
                     raise WrongKeyError((key,), f"needs an action that can fail ({', '.join(_EFFECTS)})")
+            if "servers" in given and "delay" not in given:
+                raise WrongKeyError(("servers",), f"needs something that takes time ({', '.join(_EFFECTS)}, delay)")
         return self

@@ -19,7 +19,7 @@ from im_core.ros.messages.interfaces import interface_class
 from im_core.ros.messages.message_fields import filled
 from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.peers.servers import doubted, servers_of
+from im_core.ros.peers.servers import doubted, server_ends, servers_of
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
@@ -33,10 +33,10 @@ DISCOVERY_TIMEOUT_S = 20.0
 SETTLING_S = 2.0
 """Time in which a client and its server have certainly discovered each other, both ways [s]."""
 SUCCESSION_S = LEASE_S + 2.0
-"""How long a server that was killed stays in the graph of ROS, beside the one that was started in its place [s]."""
+"""How long a killed server of another host stays in the graph of ROS, beside the one started in its place [s]."""
 LATE_ANSWER_S = 30.0
 LOOK_S, GONE_LOOKS = 0.5, 4
-"""How often it is looked whether a node that sends no heartbeats is there [s]; so often in vain, and it is gone."""
+"""How often it is looked whether a server that sends no heartbeats is there [s]; so often in vain, and it is gone."""
 SERVICE_TIMEOUT_S = 30.0
 
 
@@ -49,6 +49,7 @@ class WatchedServer(Generic[ClientT]):
     Args:
         node: The node of the client.
         client: The client.
+        name: The name.
         ready: Whether the client has discovered a server.
 
     Attributes:
@@ -57,16 +58,20 @@ class WatchedServer(Generic[ClientT]):
         found: Whether a server has been there.
     """
 
-    def __init__(self, node: ManagedNode, client: ClientT, ready: Callable[[], bool]) -> None:
+    def __init__(self, node: ManagedNode, client: ClientT, name: str, ready: Callable[[], bool]) -> None:
         self.client, self.made, self.found = client, monotonic(), False
-        self._ready, self._alarms = ready, node.alarms
+        self._node, self._name, self._ready, self._alarms = node, name, ready, node.alarms
         self._alarm = self._alarms.after(LOOK_S, self._look)
 
     def ready(self) -> bool:
         """Return whether a server is there now."""
-        there = self._ready()
+        there = self._ready() and bool(self.ends())
         self.found = self.found or there
         return there
+
+    def ends(self) -> frozenset[bytes]:
+        """Return the identities of the servers that are there now: a server that is started again has a new one."""
+        return frozenset(bytes(end.endpoint_gid) for end in server_ends(self._node, self._name))
 
     def stop(self) -> None:
         """End the search, before the client is destroyed."""
@@ -107,9 +112,7 @@ class Surroundings:
         self._keep = keep
         self.waits_for_all = True
 
-    async def wait(
-        self, future: Any, task: str | None, timeout_s: float, what: str, there: Callable[[], bool] = lambda: True
-    ) -> Any:
+    async def wait(self, future: Any, task: str | None, timeout_s: float, what: str, server: WatchedServer[Any]) -> Any:
         """Await the work of another node, while the node lives.
 
         Args:
@@ -117,7 +120,7 @@ class Surroundings:
             task: The task, if it is one that tells that it lives.
             timeout_s: Longest wait [s].
             what: What is waited for.
-            there: Whether the node is there, as far as the graph of ROS knows; looked at where it is no task.
+            server: The server that was asked; looked for in the graph of ROS where it is no task.
 
         Raises:
             LinkError: It died.
@@ -125,12 +128,12 @@ class Surroundings:
         """
         if task is not None:
             return await self.heartbeats.wait(future, task, timeout_s, what)
-        alarms, missed = self.node.alarms, 0
+        alarms, missed, asked = self.node.alarms, 0, server.ends()
         alarm = alarms.after(LOOK_S, lambda: look())
 
         def look() -> None:
             nonlocal alarm, missed
-            missed = 0 if there() else missed + 1
+            missed = 0 if asked & server.ends() else missed + 1
             if missed < GONE_LOOKS:
                 alarm = alarms.after(LOOK_S, look)
             elif not future.done():
@@ -312,7 +315,7 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
             require_wanted(activity, action)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
             waited = f"an answer of {action.name} ({what})"
-            answer = await around.wait(client.call_async(request), task, limit, waited, client.service_is_ready)
+            answer = await around.wait(client.call_async(request), task, limit, waited, server)
             around.require_known_server(action, lambda: require_success(answer, str(action)))
             return answer
 
@@ -323,7 +326,7 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
     def _make(self, name: str, type_name: str) -> WatchedServer[Client]:
         node = self._surroundings.node
         client = node.create_client(interface_class(type_name), name)
-        return WatchedServer(node, client, client.service_is_ready)
+        return WatchedServer(node, client, name, client.service_is_ready)
 
     def _destroy(self, endpoint: WatchedServer[Client]) -> None:
         endpoint.stop()

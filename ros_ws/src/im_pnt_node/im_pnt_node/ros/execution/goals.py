@@ -18,7 +18,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from unique_identifier_msgs.msg import UUID
 
 from im_core.errors import ConfigError, ImError, LinkError, StateError
-from im_core.ros.calls import pause
+from im_core.ros.calls import pause, wait
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.messages.interfaces import interface_class
 from im_core.ros.peers.servers import doubted
@@ -92,14 +92,14 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
             require_wanted(activity, action)
             asked = f"an answer of {action.name} to the goal of transition {activity.transition}"
             accepting = client.send_goal_async(goal, goal_uuid=self._goal_id(activity))
-            handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, client.server_is_ready)
+            handle = await around.wait(accepting, task, ACCEPT_TIMEOUT_S, asked, server)
             # A server rejects a goal that it has already, of a former incarnation of this process that forgot it: that
             # counts.
             known = handle if handle.accepted else self._handle(client, activity)
             waited = f"the result of {action.name} (transition {activity.transition})"
             result = self._follow(activity, known)
             left = time_left(activity, GOAL_TIMEOUT_S)
-            answer = await around.wait(result, task, left, waited, client.server_is_ready)
+            answer = await around.wait(result, task, left, waited, server)
             if answer.status == GoalStatus.STATUS_UNKNOWN:
                 owner = task or "its server"
                 if not handle.accepted:
@@ -126,7 +126,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
             result = self._results[activity]
             over = around.node.promise()  # a wait that is given up must not take the result with it
             result.add_done_callback(lambda _: over.set_result(None))
-            await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}")
+            await around.wait(over, task, ASK_S, f"what became of the goal of {action.name}", server)
         except ImError as error:
             if activity in self._results and error.code == "timeout":
                 return Answer(Outcome.RUNNING, asked=error.message)
@@ -157,8 +157,8 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         """Cancel a goal, again and again until the server confirms the end or winding down."""
         while not result.done():
             try:
-                asked = self._surroundings.wait(handle.cancel_goal_async(), None, CANCEL_TIMEOUT_S, "a cancellation")
-                response = await asked
+                cancelling = handle.cancel_goal_async()
+                response = await wait(self._surroundings.node, cancelling, CANCEL_TIMEOUT_S, "a cancellation")
             except ImError:
                 continue
             if response.goals_canceling or response.return_code in _OVER:
@@ -178,7 +178,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
     def _make(self, name: str, type_name: str) -> WatchedServer[ActionClient]:
         node = self._surroundings.node
         client = GuardedActionClient(node, interface_class(type_name), name)
-        return WatchedServer(node, client, client.server_is_ready)
+        return WatchedServer(node, client, name, client.server_is_ready)
 
     def _destroy(self, endpoint: WatchedServer[ActionClient]) -> None:
         endpoint.stop()
