@@ -5,16 +5,19 @@ import threading
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
-from control_msgs.action import FollowJointTrajectory
+from control_msgs.action import FollowJointTrajectory, ParallelGripperCommand
 from control_msgs.srv import QueryTrajectoryState
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core import clock
+from im_msgs.srv import PutInJaws, SetGripper
 
 PATIENCE_S = 600.0
+SUCCEEDED, ABORTED = 4, 6
 
 
 class Stranger(Node):
@@ -110,3 +113,70 @@ def test_a_group_that_is_cold_has_no_state_to_ask_for(client, stranger):
     answer = query(stranger, 0)
     assert not answer.success
     assert "query is refused in state cold" in answer.message
+
+
+@pytest.fixture
+def grip(client, stranger):
+    """``grip(position, name=, effort=)``: a goal for the left gripper, which is wide open; its result and feedback."""
+    client.to_motion()
+    assert client.call(SetGripper, "set_gripper", gripper="left_gripper", close=False).success
+
+    def send(*position, **fields):
+        goal, told = ParallelGripperCommand.Goal(command=JointState(position=position, **fields)), []
+        name = "/left_gripper/parallel_gripper_action_controller/gripper_cmd"
+        handle = stranger.send(ParallelGripperCommand, name, goal, told.append)
+        return stranger.wait(handle.get_result_async()), told
+
+    return send
+
+
+@pytest.fixture
+def sponge(stranger):
+    """Something of 0.05 m between the left jaws, which is taken away in the end."""
+    given = {"gripper": "left_gripper", "stiffness": 1e4, "mass": 0.1}
+    assert stranger.call(PutInJaws, "/testbed/put_in_jaws", width=0.05, **given).success
+    yield
+    assert stranger.call(PutInJaws, "/testbed/put_in_jaws", width=0.0, **given).success
+
+
+def test_a_parallel_gripper_goes_where_it_is_told(grip):
+    """Name and effort are optional; MoveIt sends a velocity, which bounds nothing where there is no such interface."""
+    for position, more in (
+        (0.03, {}),
+        (0.08, {"name": ["left_gripper"], "effort": [5.0]}),
+        (0.05, {"velocity": [0.0], "effort": [0.0]}),
+    ):
+        answer, _ = grip(position, **more)
+        result = answer.result
+        assert (answer.status, result.reached_goal, result.stalled) == (SUCCEEDED, True, False)
+        assert list(result.state.name) == ["left_gripper"]
+        assert result.state.position[0] == pytest.approx(position, abs=1e-3)
+        assert len(result.state.effort) == 1
+        assert to_ns(result.state.header.stamp) > 0
+
+
+def test_what_a_parallel_gripper_holds_stalls_it_at_its_effort(grip, sponge):
+    answer, told = grip(0.0, effort=[20.0])
+    result = answer.result
+    assert (answer.status, result.reached_goal, result.stalled) == (SUCCEEDED, False, True)
+    assert result.state.position[0] == pytest.approx(0.048, abs=1e-3)
+    assert result.state.effort[0] == pytest.approx(20.0, abs=2.0)
+    assert all(list(message.feedback.state.name) == ["left_gripper"] for message in told)
+
+
+@pytest.mark.parametrize(
+    ("position", "more"),
+    [
+        ((), {}),
+        ((0.01, 0.01), {}),
+        ((0.5,), {}),
+        ((float("nan"),), {}),
+        ((0.01,), {"name": ["finger"]}),
+        ((0.01,), {"effort": [1.0, 1.0]}),
+        ((0.01,), {"effort": [-1.0]}),
+    ],
+)
+def test_a_command_that_no_parallel_gripper_has_moves_nothing(grip, position, more):
+    answer, _ = grip(*position, **more)
+    assert (answer.status, answer.result.reached_goal) == (ABORTED, False)
+    assert answer.result.state.position[0] == pytest.approx(0.08, abs=1e-3)
