@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory, ParallelGripperCommand
+from control_msgs.msg import DynamicJointState
 from control_msgs.srv import QueryTrajectoryState
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
@@ -180,3 +181,28 @@ def test_a_command_that_no_parallel_gripper_has_moves_nothing(grip, position, mo
     answer, _ = grip(*position, **more)
     assert (answer.status, answer.result.reached_goal) == (ABORTED, False)
     assert answer.result.state.position[0] == pytest.approx(0.08, abs=1e-3)
+
+
+def test_all_that_is_measured_is_there_by_joint_and_sensor(ready, stranger):
+    """As joint_state_broadcaster publishes it: what /joint_states has, and what it has no room for."""
+    dynamic, plain = [], []
+    stranger.create_subscription(DynamicJointState, "/dynamic_joint_states", dynamic.append, 10)
+    stranger.create_subscription(JointState, "/joint_states", plain.append, 10)
+    by_stamp = {}
+
+    def told():
+        by_stamp.update((to_ns(message.header.stamp), message) for message in plain)
+        return next((each for each in dynamic if to_ns(each.header.stamp) in by_stamp), None)
+
+    message = ready.until(told)
+    same = by_stamp[to_ns(message.header.stamp)]
+    values = [dict(zip(each.interface_names, each.values, strict=True)) for each in message.interface_values]
+    assert list(message.joint_names) == [*same.name, "left_force", "right_force"]
+    of = dict(zip(message.joint_names, values, strict=True))
+    for rank, name in enumerate(same.name):
+        for interface in ("position", "velocity", "effort"):
+            assert of[name][interface] == pytest.approx(getattr(same, interface)[rank], nan_ok=True)
+    assert of["left_j1"].keys() == {"position", "velocity", "effort", "age", "brake"}
+    assert (of["left_j1"]["brake"], of["right_j1"]["brake"]) == (0.0, 1.0)
+    assert of["left_gripper"].keys() == {"position", "velocity", "effort"}
+    assert list(of["left_force"]) == ["force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z"]
