@@ -28,7 +28,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 KEPT = 6
-"""Entries that stay, of 2 to 3 MB each."""
+"""Entries that stay, of 3 to 5 MB each."""
 
 # Folders of a clone that its built packages name, and what stands for them in the cache.
 PLACES = {"ros_ws": b"@IM_ROS_WS@", ".venv": b"@IM_VENV@"}

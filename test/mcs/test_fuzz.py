@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from control_msgs.action import FollowJointTrajectory, GripperCommand
+from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
 from trajectory_msgs.msg import JointTrajectory
 
 from im_core.ros.messages.interfaces import interface_class
@@ -104,6 +104,7 @@ def test_actions(still):
         (Move, "/transporter/move"),
         (FollowJointTrajectory, "/left/follow_joint_trajectory"),
         (GripperCommand, "/left_gripper/gripper_cmd"),
+        (ParallelGripperCommand, "/left_gripper/parallel_gripper_action_controller/gripper_cmd"),
     ):
         pending = [still.act(action_type, name, scrambled(action_type.Goal(), rng))[1] for _ in range(12)]
         for result in pending:

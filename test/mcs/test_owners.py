@@ -4,10 +4,11 @@ import contextlib
 
 import pytest
 import rclpy
-from control_msgs.action import FollowJointTrajectory, GripperCommand
+from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Inertia
 from rclpy.context import Context
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im_cell.robot import load_cell
@@ -78,6 +79,9 @@ def test_strangers_are_refused_and_the_owner_is_served(client, newcomer):
     assert sentence in stranger.call(SetGripper, "set_gripper", **jaws).message
     grip = GripperCommand.Goal()
     assert not stranger.act(GripperCommand, "/left_gripper/gripper_cmd", grip)[1]().result.reached_goal
+    grip = ParallelGripperCommand.Goal(command=JointState(position=[0.0]))
+    name = "/left_gripper/parallel_gripper_action_controller/gripper_cmd"
+    assert not stranger.act(ParallelGripperCommand, name, grip)[1]().result.reached_goal
     assert client.call(SetGripper, "set_gripper", **jaws).success
     assert newcomer("gripper_coordinator").call(SetGripper, "set_gripper", **jaws).success
     assert client.group_state().q_rest == before

@@ -1,19 +1,39 @@
-"""The interfaces of control_msgs as in Jazzy: their type hashes, computed by another implementation.
+"""The interfaces of control_msgs as in Jazzy: all are there, and those of /mcs have the type hashes of Jazzy's.
 
-The definitions below are the fields of the ``jazzy`` branch of ros-controls/control_msgs (5.x), written down apart from
-the files of ``ros_ws/standard_msgs``; ``rosbags`` computes RIHS01 from them with code of its own, and with its own
+The definitions below are the fields of the ``jazzy`` branch of ros-controls/control_msgs (5.8.0), written down apart
+from the files of ``ros_ws/standard_msgs``; ``rosbags`` computes RIHS01 from them with code of its own, and with its own
 definitions of everything that they contain. The hashes that the built packages carry, computed by rosidl, must be the
-same: else no peer of a standard Jazzy would talk to us.
+same: else no peer of a standard Jazzy would talk to us. Of the service, which ``rosbags`` names otherwise, the fields
+are compared.
 """
 
 import json
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_share_directory
-from control_msgs.action import FollowJointTrajectory, GripperCommand
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.srv import QueryTrajectoryState
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+JAZZY = {
+    "msg": {
+        *("AdmittanceControllerState", "BatteryStateArray", "DynamicInterfaceGroupValues", "DynamicInterfaceValues"),
+        *("DynamicJointState", "Float64Values", "GripperCommand", "InterfaceValue", "JointComponentTolerance"),
+        *("JointControllerState", "JointJog", "JointTolerance", "JointTrajectoryControllerState", "Keys"),
+        *("MecanumDriveControllerState", "MotionArgument", "MotionPrimitive", "MotionPrimitiveSequence"),
+        *("MultiDOFCommand", "MultiDOFStateStamped", "PidState", "SingleDOFState", "SingleDOFStateStamped"),
+        *("SpeedScalingFactor", "SteeringControllerStatus", "VDA5050SafetyState"),
+    },
+    "srv": {"QueryCalibrationState", "QueryTrajectoryState", "SetOdometry"},
+    "action": {
+        *("ExecuteMotionPrimitiveSequence", "FollowJointTrajectory", "GripperCommand", "JointTrajectory"),
+        *("ParallelGripperCommand", "PointHead", "SingleJointPosition"),
+    },
+}
+ACTIONS = ("FollowJointTrajectory", "GripperCommand", "ParallelGripperCommand")
+MESSAGES = ("JointTrajectoryControllerState", "DynamicJointState", "SpeedScalingFactor")
 DEFINITIONS = {
     "control_msgs/msg/JointTolerance": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n",
     "control_msgs/msg/JointComponentTolerance": """
@@ -73,6 +93,16 @@ trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
 trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
 """,
     "control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_effort\n",
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
+    "control_msgs/msg/DynamicJointState": (
+        "std_msgs/Header header\nstring[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values\n"
+    ),
+    "control_msgs/msg/SpeedScalingFactor": "float64 factor\n",
+    "control_msgs/action/ParallelGripperCommand_Goal": "sensor_msgs/JointState command\n",
+    "control_msgs/action/ParallelGripperCommand_Result": (
+        "sensor_msgs/JointState state\nbool stalled\nbool reached_goal\n"
+    ),
+    "control_msgs/action/ParallelGripperCommand_Feedback": "sensor_msgs/JointState state\n",
     "control_msgs/action/GripperCommand_Goal": "control_msgs/GripperCommand command\n",
     "control_msgs/action/GripperCommand_Result": (
         "float64 position\nfloat64 effort\nbool stalled\nbool reached_goal\n"
@@ -90,7 +120,7 @@ def store():
     event = "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\nint64 sequence_number\n"
     types.fielddefs.update(get_types_from_msg(event, "service_msgs/msg/ServiceEventInfo"))
     definitions = dict(DEFINITIONS)
-    for action in ("FollowJointTrajectory", "GripperCommand"):
+    for action in ACTIONS:
         definitions |= _with_services(f"control_msgs/action/{action}")
     for name, text in definitions.items():
         types.register(get_types_from_msg(text, name))
@@ -127,18 +157,39 @@ def _built_hashes(name, kind="action"):
     return {entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]}
 
 
-@pytest.mark.parametrize("action", [FollowJointTrajectory, GripperCommand])
+@pytest.mark.parametrize("kind", JAZZY)
+def test_every_interface_of_jazzy_is_there_and_no_other(kind):
+    folder = Path(get_package_share_directory("control_msgs")) / kind
+    assert {path.stem for path in folder.glob(f"*.{kind}")} == JAZZY[kind]
+    module = import_module(f"control_msgs.{kind}")
+    assert all(hasattr(module, name) for name in JAZZY[kind])
+
+
+@pytest.mark.parametrize("action", ACTIONS)
 def test_type_hashes_are_those_of_jazzy(store, action):
-    built = _built_hashes(action.__name__)
+    built = _built_hashes(action)
     ours = [name for name in built if name.startswith("control_msgs/")]
     assert len(ours) >= 13
     for name in ours:
         assert built[name] == store.hash_rihs01(name), name
 
 
-def test_the_type_hash_of_the_controller_state_is_that_of_jazzy(store):
-    name = "control_msgs/msg/JointTrajectoryControllerState"
-    assert _built_hashes("JointTrajectoryControllerState", "msg")[name] == store.hash_rihs01(name)
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_type_hashes_of_messages_are_those_of_jazzy(store, name):
+    full = f"control_msgs/msg/{name}"
+    assert _built_hashes(name, "msg")[full] == store.hash_rihs01(full)
+
+
+def test_the_query_of_a_trajectory_has_the_fields_of_jazzy():
+    assert QueryTrajectoryState.Request.get_fields_and_field_types() == {"time": "builtin_interfaces/Time"}
+    assert QueryTrajectoryState.Response.get_fields_and_field_types() == {
+        "success": "boolean",
+        "message": "string",
+        "name": "sequence<string>",
+        "position": "sequence<double>",
+        "velocity": "sequence<double>",
+        "acceleration": "sequence<double>",
+    }
 
 
 def test_the_hash_of_the_action_is_on_the_wire(store):

@@ -34,6 +34,7 @@ def arguments(event, q, state=None):
         Event.REPARTITION: {"preset": "3x6" if state is State.COLD else "2x9"},
         Event.MOVE: {"group": "left", "path": {"kind": "joint", "points": [(q + 0.05).tolist()]}, **BY},
         Event.STREAM: {"group": "left", "kind": "setpoint", "positions": q.tolist(), "owner": "tester", "lease_s": 0.1},
+        Event.QUERY: {"group": "left", "stamp_ns": 0},
         Event.CANCEL: {"goal": 77},
         Event.SET_SPEED: {"group": "left", "scale": 0.5, **BY},
         Event.SET_GRIPPER: {"gripper": "left_gripper", "opening": 0.01, **BY},
@@ -98,6 +99,11 @@ def test_a_request_with_a_row_leads_where_it_says(bench, cell, state, event):
     if event is Event.CANCEL:
         under_way = Event.MOVE if state is State.MOTION else Event.SET_GRIPPER
         given = {"goal": bench.send(under_way.value, **arguments(under_way, q))}
+    if event is Event.QUERY:
+        bench.send("move", **arguments(Event.MOVE, q))
+        for _ in range(5):
+            bench.mcs.tick([])
+        given = {"group": "left", "stamp_ns": bench.mcs.measured.stamp_ns}
     reply = bench.ask(event.value, **given)
     ended_by_lease = event is Event.STREAM  # nobody sends a second setpoint
     assert reply["success"] != ended_by_lease, reply

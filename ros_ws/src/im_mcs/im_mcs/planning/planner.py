@@ -5,15 +5,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core.errors import StateError
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.trajectories.follower import Ahead, PathFollower, Standing
 from im_mcs.planning.trajectories.polynomial import powers, quintic
-from im_mcs.planning.trajectories.scaling import least_rate
+from im_mcs.planning.trajectories.scaling import least_rate, scaled
 from im_mcs.planning.trajectories.trajectory import Setpoint, Trajectory
 
 
 class Follower(Protocol):
     """Mover of the setpoint, from knot to knot."""
+
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """What is followed; None where that is known for no time but now."""
+        ...
 
     @property
     def ahead(self) -> Ahead | None:
@@ -150,6 +156,21 @@ class GroupPlanner:
     def place(self) -> float:
         """Present time on the motion's own clock, for any rate [s]."""
         return self.follower.sigma
+
+    def at(self, seconds: float) -> Setpoint:
+        """Return the setpoint some time after the present one, or before it, if the rate stays [s].
+
+        Raises:
+            StateError: No trajectory is followed, or it has not begun or has ended then.
+        """
+        trajectory, rate = self.follower.trajectory, self.follower.rate
+        if trajectory is None or self.finished:
+            raise StateError("no trajectory is followed")
+        place = self.place + rate * (seconds - len(self._ready) * self.period_s)
+        if not 0.0 <= place < trajectory.duration:
+            last = trajectory.duration
+            raise StateError(f"the time is {place:.3f} s on the trajectory, which goes from 0 to {last:.3f} s")
+        return scaled(trajectory.at(place), rate, 0.0)
 
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""

@@ -289,6 +289,13 @@ class StreamRequest(ServoRequest):
     owner: Text = ""
 
 
+class QueryRequest(ServoRequest):
+    """Ask where the trajectory of a group is at a testbed time [ns]."""
+
+    group: Text
+    stamp_ns: Annotated[int, Field(ge=0, description="a whole number >= 0 [ns]")]
+
+
 class CancelRequest(ServoRequest):
     """End a goal, by the number of the request."""
 
@@ -370,6 +377,7 @@ REQUESTS: Mapping[str, type[ServoRequest]] = {
     "disable_motion": TransitionRequest,
     "move": MoveRequest,
     "stream": StreamRequest,
+    "query": QueryRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "resume": ResumeRequest,

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from builtin_interfaces.msg import Duration
+from control_msgs.msg import DynamicJointState, InterfaceValue
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Pose
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ from im_mcs.testbed.driver import PowerReading
 from im_msgs.msg import GroupPath, GroupStatus, McsState
 from im_msgs.msg import GroupState as GroupStateMessage
 
+_MOTION = ("position", "velocity", "effort")
+_JOINT = (*_MOTION, "age", "brake")
+_WRENCH = tuple(f"{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz")
 _SILENCE_S = 1.0
 # as many of the points of a trajectory are shown
 _MOST_SHOWN = 200
@@ -77,6 +81,27 @@ def joint_state(names: tuple[str, ...], sample: dict[str, Any], jaw_speeds: Sequ
     )
     message.header.stamp = to_stamp(int(sample["stamp_ns"]))
     return message
+
+
+def dynamic_joint_state(joints: JointState, sensors: Sequence[str], sample: dict[str, Any]) -> DynamicJointState:
+    """Return a ``control_msgs/DynamicJointState``: all that is measured, by joint, gripper and force-torque sensor.
+
+    Args:
+        joints: The joints, then the grippers, as :func:`joint_state` has them.
+        sensors: Names of the force-torque sensors.
+        sample: Of the servo; of a joint also the ``age`` of the reading [s], and ``brake``, 1 when it holds.
+    """
+    motions = list(zip(joints.position, joints.velocity, joints.effort, strict=True))
+    held = list(zip(sample["age"], sample["brakes"], strict=True))
+    values: list[tuple[Sequence[str], Iterable[float]]]
+    values = [(_JOINT, (*motion, *more)) for motion, more in zip(motions, held, strict=False)]
+    values += [(_MOTION, motion) for motion in motions[len(held) :]]
+    values += [(_WRENCH, wrench) for wrench in sample["wrench"]]
+    return DynamicJointState(
+        header=joints.header,
+        joint_names=[*joints.name, *sensors],
+        interface_values=[InterfaceValue(interface_names=names, values=map(float, row)) for names, row in values],
+    )
 
 
 def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> GroupPath:

@@ -58,8 +58,7 @@ class McsNode(ManagedNode):
         self._fresh = False
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
-        grippers = [slot.name for slot in config.gripper_slots]
-        self._topics = Publishers(self, cell, grippers, JointLimits(cell, config.limits, config.slots))
+        self._topics = Publishers(self, cell, config, JointLimits(cell, config.limits, config.slots))
         self._layers = Layers(self._mcs)
         self._controllers = ControllerStates(self._mcs)
         self._markers = PathMarkers(self._mcs)

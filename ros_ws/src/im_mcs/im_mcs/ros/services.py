@@ -1,9 +1,11 @@
 """Services of MCS: of the state manager, on motions under way, and kinematic questions."""
 
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
+from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
@@ -140,6 +142,8 @@ class StateServices:
 class MotionServices:
     """``/mcs/pause``, ``resume``, ``set_speed``, ``set_payload``, ``set_controller`` and ``set_gripper``.
 
+    ``/<group>/query_state`` of every group of every preset answers as that of ros2_control's trajectory controller.
+
     Args:
         access: MCS.
     """
@@ -152,6 +156,8 @@ class MotionServices:
         offer(access, SetPayload, "/mcs/set_payload", self._set_payload)
         offer(access, SetController, "/mcs/set_controller", self._set_controller)
         offer(access, SetGripper, "/mcs/set_gripper", self._set_gripper)
+        for group in access.group_names:
+            offer(access, QueryTrajectoryState, f"/{group}/query_state", partial(self._query_state, group))
 
     async def _pause(self, request: GroupCommand.Request, *_: object) -> str:
         """Anyone may: to stop is always allowed."""
@@ -199,6 +205,16 @@ class MotionServices:
         arguments = {"gripper": request.gripper, "opening": opening, "force": request.force, "sender": sender}
         results = await self._mcs.request(Event.SET_GRIPPER, arguments)
         response.opening = float(results["opening"])
+        return ""
+
+    async def _query_state(
+        self, group: str, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response, _: str
+    ) -> str:
+        joints, time = self._mcs.group(group).joints, request.time
+        arguments = {"group": group, "stamp_ns": time.sec * 1_000_000_000 + time.nanosec}
+        results = await self._mcs.request(Event.QUERY, arguments)
+        response.name = list(joints)
+        response.position, response.velocity, response.acceleration = (results[name] for name in ("q", "v", "a"))
         return ""
 
 

@@ -16,6 +16,7 @@ from im_mcs.protocol.requests import (
     MoveRequest,
     PauseRequest,
     ProtectiveStopRequest,
+    QueryRequest,
     ReleaseRequest,
     RenewRequest,
     RepartitionRequest,
@@ -160,6 +161,9 @@ class Dispatch:
                 self._require_jaws(request)
                 mcs.grippers.move(number, request, mcs.measured.gripper)
                 return True
+            case QueryRequest():
+                mcs.answers.reply(number, None, self._query(request))
+                return True
             case CancelRequest():
                 self._cancel(request.goal)
             case PauseRequest():
@@ -211,6 +215,19 @@ class Dispatch:
                 for name, group in mcs.groups.items():
                     if joint in group.index and reservations.of(name) is not None:
                         reservations.require_driver(name, request.sender)
+
+    def _query(self, request: QueryRequest) -> dict[str, object]:
+        """Return the state of the trajectory of a group at a time.
+
+        Raises:
+            StateError: There is none then.
+        """
+        group = self._mcs.groups[request.group]
+        if group.goal is not None and (fault := group.goal.fault) is not None:
+            raise StateError(f"group '{group.name}' leaves its trajectory: {fault.message}", group=group.name)
+        seconds = 1e-9 * (request.stamp_ns - self._mcs.measured.stamp_ns) + group.planner.period_s
+        at = group.planner.at(seconds)  # its setpoint is still that of the tick before
+        return {"q": at.q.tolist(), "v": at.v.tolist(), "a": at.a.tolist()}
 
     def _pause(self, groups: list[ControlledGroup]) -> None:
         """Pause all paths; a group driven by torques has none, and is named after all others halt.

@@ -44,6 +44,7 @@ class Event(StrEnum):
     DISABLE_MOTION = "disable_motion"
     MOVE = "move"
     STREAM = "stream"
+    QUERY = "query"
     CANCEL = "cancel"
     PAUSE = "pause"
     RESUME = "resume"
@@ -139,6 +140,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.TAKE_OVER, State.MOTION, _RESERVED),
     StateTransition(State.MOTION, Event.MOVE, State.MOTION, _HOLDS),
     StateTransition(State.MOTION, Event.STREAM, State.MOTION, _HOLDS),
+    StateTransition(State.MOTION, Event.QUERY, State.MOTION, "a trajectory is followed at that time"),
     StateTransition(State.MOTION, Event.CANCEL, State.MOTION, _UNDER_WAY),
     StateTransition(State.MOTION, Event.PAUSE, State.MOTION, _RESERVED),
     StateTransition(State.MOTION, Event.RESUME, State.MOTION, _HOLDS),

@@ -68,7 +68,7 @@ class StreamFollower:
 
     finished = False
     progress, point, sigma = 0.0, 0, 0.0
-    ahead = between = None
+    ahead = between = trajectory = None
 
     def __init__(
         self,

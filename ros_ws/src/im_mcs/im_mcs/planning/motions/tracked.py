@@ -54,6 +54,7 @@ class TrackingFollower:
     """Follower of a trajectory from any state.
 
     Attributes:
+        trajectory: What is followed.
         sigma: Present time on the trajectory's own clock [s].
         rate: Rate in force.
 
@@ -77,7 +78,7 @@ class TrackingFollower:
         tick_s: float,
         divisor: int,
     ) -> None:
-        self._state, self._trajectory, self._limits = start, trajectory, limits
+        self._state, self.trajectory, self._limits = start, trajectory, limits
         self._tick_s, self._divisor = tick_s, divisor
         self._clock, self._t = Clock(rate, trajectory.begin_s), 0.0
         self._way = PiecewisePolynomial.standing(start.q)
@@ -87,7 +88,7 @@ class TrackingFollower:
     @property
     def finished(self) -> bool:
         """Whether the trajectory has come to the end."""
-        return self._arrived and (self._over or self.sigma >= self._trajectory.duration)
+        return self._arrived and (self._over or self.sigma >= self.trajectory.duration)
 
     @property
     def still(self) -> bool:
@@ -97,17 +98,17 @@ class TrackingFollower:
     @property
     def end_setpoint(self) -> Setpoint:
         """Setpoint at the end, unless the motion is interrupted."""
-        return self._trajectory.end_setpoint
+        return self.trajectory.end_setpoint
 
     @property
     def progress(self) -> float:
         """Passed fraction of the trajectory's time, 0 to 1."""
-        return 1.0 if self.finished else min(self.sigma / max(self._trajectory.duration, _LEAST), 1.0)
+        return 1.0 if self.finished else min(self.sigma / max(self.trajectory.duration, _LEAST), 1.0)
 
     @property
     def point(self) -> int:
         """Index of the next point of the path."""
-        return self._trajectory.point(self.sigma)
+        return self.trajectory.point(self.sigma)
 
     @property
     def ahead(self) -> Ahead:
@@ -118,13 +119,13 @@ class TrackingFollower:
         later = self._passed + seconds
         if later < self._way.duration:
             return self._way.at(later).q
-        return self._trajectory.at(self.sigma + self.rate * seconds).q
+        return self.trajectory.at(self.sigma + self.rate * seconds).q
 
     def advance(self, rate: float) -> tuple[Setpoint, int]:
         """Return the setpoint some servo ticks ahead, and the number; ``rate`` is the wanted one from now on."""
         if rate != self._clock.rate and not self._over:
             self._change_rate(rate)
-        if self.sigma >= self._trajectory.end_s and not self._over:
+        if self.sigma >= self.trajectory.end_s and not self._over:
             self._way, self._passed, self._last, self._over = to_rest(self._state, self._limits), 0.0, True, True
         if not (self._arrived or self._over or (self._last and self._left() <= 0.0)):
             self._look_for_way()
@@ -148,10 +149,10 @@ class TrackingFollower:
 
     def _change_rate(self, rate: float) -> None:
         """Let the clock go over to another rate, as quickly as accelerations along the trajectory allow."""
-        speed = np.abs(self._trajectory.at(self.sigma).v)
+        speed = np.abs(self.trajectory.at(self.sigma).v)
         force = float((self._limits.acceleration / np.maximum(speed, _LEAST)).min())
         change = min(_FORCE * force, _QUICKEST)
-        begin = min(self.sigma, self._trajectory.duration), self.rate, float(np.clip(self._change, -change, change))
+        begin = min(self.sigma, self.trajectory.duration), self.rate, float(np.clip(self._change, -change, change))
         self._clock, self._t = Clock(rate, 0.0, ramp(begin, rate, change, change / _BUILD_UP_S)), 0.0
         self._last = False
 
@@ -159,14 +160,14 @@ class TrackingFollower:
         """Time until the trajectory rests for good, at its end or halted; infinite while its rate changes [s]."""
         if self._clock.rate == 0.0:
             return self._clock.ramp_s - self._t
-        if self._t < self._clock.ramp_s and self.sigma < self._trajectory.duration:
+        if self._t < self._clock.ramp_s and self.sigma < self.trajectory.duration:
             return math.inf
-        return (self._trajectory.duration - self.sigma) / self._clock.rate
+        return (self.trajectory.duration - self.sigma) / self._clock.rate
 
     def _wanted(self, seconds: float) -> Setpoint:
         """Where the trajectory is in some seconds, at speeds that limits allow."""
         sigma, rate, change = self._clock.at(self._t + seconds)
-        s = scaled(self._trajectory.at(sigma), rate, change)
+        s = scaled(self.trajectory.at(sigma), rate, change)
         fast = max(float((np.abs(s.v) / self._limits.velocity).max()), 1.0)
         strong = max(float((np.abs(s.a) / self._limits.acceleration).max()), 1.0)
         return Setpoint(s.q, s.v / fast, s.a / strong)
@@ -174,7 +175,7 @@ class TrackingFollower:
     def _look_for_way(self) -> None:
         """Find the way for the next moments; where no quintic keeps limits, go on as before while that leads on."""
         left, knot_s = self._left(), self._tick_s * self._divisor
-        times = np.maximum(_MEETINGS_S[: -1 if math.isinf(self._trajectory.end_s) else None], 2.0 * knot_s)
+        times = np.maximum(_MEETINGS_S[: -1 if math.isinf(self.trajectory.end_s) else None], 2.0 * knot_s)
         if 0.0 < left < times[-1]:
             times = np.sort(np.append(times, max(left, self._tick_s)))
         states = [s for time in times.tolist() for s in (self._state, self._wanted(time))]

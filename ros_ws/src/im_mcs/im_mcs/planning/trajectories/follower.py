@@ -238,6 +238,7 @@ class Standing:
     rate = 1.0
     ahead = None
     between = None
+    trajectory = None
 
     def __init__(self, q: NDArray[np.float64]) -> None:
         self.end_setpoint = Setpoint.at_rest(q)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from control_msgs.msg import DynamicJointState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from numpy.typing import NDArray
@@ -32,17 +33,20 @@ class Publishers:
     Args:
         node: The node that publishes.
         cell: The cell.
-        grippers: Names of the slots of grippers, in the order of the samples.
+        config: Names of the slots of grippers and force-torque sensors, in the order of the samples.
         limits: Those in force; ``/robot_description`` says what is enforced, not what the hardware could do.
     """
 
-    def __init__(self, node: Node, cell: Cell, grippers: Sequence[str], limits: JointLimits) -> None:
+    def __init__(self, node: Node, cell: Cell, config: McsConfig, limits: JointLimits) -> None:
+        grippers = [slot.name for slot in config.gripper_slots]
         self._names = (*cell.joint_names, *grippers)
+        self._sensors = [slot.name for slot in config.wrench_slots]
         description = robot_description(cell, limits.enforced())
         self._frames = Frames(description, self._names)
         self._jaws = JawSpeeds(len(grippers))
         self._state = node.create_publisher(McsState, "/mcs/state", qos.LATCHED)
         self._joints = node.create_publisher(JointState, "/joint_states", qos.EVENTS)
+        self._dynamic = node.create_publisher(DynamicJointState, "/dynamic_joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", qos.EVENTS)
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
@@ -57,12 +61,17 @@ class Publishers:
         self._state.publish(messages.mcs_state(config, state, reason, snapshot, past))
 
     def joints(self, samples: list[dict[str, Any]]) -> None:
-        """Publish ``/joint_states`` and ``/tf`` of every sample of the servo, for subscribers only."""
-        listened = self._joints.get_subscription_count() > 0
+        """Publish ``/joint_states``, ``/dynamic_joint_states`` and ``/tf`` of every sample, for subscribers only."""
+        plain, dynamic = (topic.get_subscription_count() > 0 for topic in (self._joints, self._dynamic))
         for sample in samples:
             speeds = self._jaws.take_sample(sample)
-            if listened:
-                self._joints.publish(messages.joint_state(self._names, sample, speeds))
+            if not plain and not dynamic:
+                continue
+            message = messages.joint_state(self._names, sample, speeds)
+            if plain:
+                self._joints.publish(message)
+            if dynamic:
+                self._dynamic.publish(messages.dynamic_joint_state(message, self._sensors, sample))
         if self._tf.get_subscription_count():
             for sample in samples:
                 positions = np.array([*sample["q"], *sample["gripper"]])
