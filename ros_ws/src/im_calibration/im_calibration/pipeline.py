@@ -17,7 +17,7 @@ from im_calibration.estimation.unknown_noise import find_noise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
-from im_calibration.judgement.causes import find_cause
+from im_calibration.judgement.causes import find_cause, find_slip
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error
 from im_calibration.judgement.lenses import LensFault, lens_faults
@@ -79,8 +79,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     if stated.noise_to_estimate:
         found = find_noise(stated.taking(order), layout, stated.noise_to_estimate)
         explanation = found.explanation
-        if _nonsense(explanation):
-            cause = find_cause(stated)
+        cause = find_cause(stated) if _nonsense(explanation) else find_slip(stated)
     else:
         ordered = stated.taking(order)
         explanation = Explanation(ordered, layout, first_explanation(ordered, layout))

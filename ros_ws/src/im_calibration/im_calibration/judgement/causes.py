@@ -1,36 +1,81 @@
-"""Possible causes of data fitting no camera: mirrored, other axes, other poses, a moved robot.
+"""Possible causes of data fitting no camera: slips in the data, an LED elsewhere, a moved robot.
 
-Each cause is tried: the data are changed as if it were so, and a robust fit shows whether the typical spot is then
-explained far better. What is named is a cause that explains the data, which is not to say that it is the only one.
+Each cause is tried: the data are changed as if it were so, and a robust fit shows whether the spots are then explained,
+and far better than otherwise. What is named is a cause that explains the data, which is not to say that it is the only
+one.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.projection import image
 from im_calibration.estimation.residuals import linearise, projectable
+from im_calibration.estimation.search import robust_start
 from im_calibration.estimation.solve import robust_fit, spot_distances
 from im_calibration.estimation.start import start
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
+from im_calibration.judgement.slips import slips_of, slips_of_cameras
 from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_MIRROR = np.diag([1.0, 1.0, -1.0])
-_GROSS = 3.0  # times the stated noise: less is noise rather than nonsense
-_BETTER = 3.0
-_HARDLY_BETTER = 1.3  # where wrists still have the axes of before, a mirror alone does not yet make the LED fit
+LARGEST_SPOT_PX, LARGEST_ARM_SHARE = 2.0, 3e-3
+"""Noise of no spot [px], and of no arm, as a share of the extent of its positions: neither repeats a place so badly."""
+MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))
+"""Median length of a vector of two coordinates of unit standard deviation."""
+
+_GROSS, _USUAL = 3.0, 1.5  # times the stated noise: less than gross is noise rather than nonsense
+_USUAL_SPOT_PX, _USUAL_ARM_SHARE = 0.5, 1e-3
+_BETTER, _FAR_BETTER, _RIVAL = 2.0, 4.0, 1.5
 _WIDE_SHARE = 0.3  # of the extent of the positions: how far an LED may be from where it is said to be
 _MANY = 25
 _FAR_SIGMAS, _LARGEST_OFFSET_M = 5.0, 1.0
 _EXPLAINED, _FEWEST, _GATE = 0.6, 6, 30.0
-_ROUNDS = 6
+_FIRST_ROUNDS, _PROMISING, _ROUNDS = 2, 1.3, 6
 _LARGEST_CELL_M = 50.0
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Robust fit, and the size of its residuals, of the camera where they are largest.
+
+    Attributes:
+        unknowns: The fit; None: there is no camera.
+        sigmas: Residual of the typical spot over the size explained by the stated noise.
+        px: Noise of each image coordinate by the typical spot [px].
+        share: The same at the light, as a share of the extent of the positions.
+        stated: Whether the noise is stated.
+    """
+
+    unknowns: Unknowns | None
+    sigmas: float
+    px: float
+    share: float
+    stated: bool
+
+    @property
+    def usual(self) -> bool:
+        """Whether the residuals are as small as usual noise."""
+        if self.stated:
+            return self.sigmas < _USUAL
+        return self.px < _USUAL_SPOT_PX or self.share < _USUAL_ARM_SHARE
+
+    @property
+    def possible(self) -> bool:
+        """Whether noise may explain the residuals."""
+        if self.stated:
+            return self.sigmas < _GROSS
+        return self.px < LARGEST_SPOT_PX or self.share < LARGEST_ARM_SHARE
+
+    def explains(self, other: "_Fitted") -> bool:
+        """Whether the residuals are noise, and far smaller than those of another fit."""
+        return self.possible and self.px * (_BETTER if self.usual else _FAR_BETTER) < other.px
 
 
 def strange_units(problem: CalibrationProblem) -> str:
@@ -41,103 +86,65 @@ def strange_units(problem: CalibrationProblem) -> str:
     return f"Half of the LED positions are {spread:.0f} m and more from their median: are they metres?"
 
 
+def find_slip(problem: CalibrationProblem) -> str:
+    """Return a sentence on the slip that explains residuals larger than usual; empty if there is none.
+
+    Args:
+        problem: The observations, in the order in which they were made.
+    """
+    return _slip(problem, _fit(problem, thoroughly=True))
+
+
 def find_cause(problem: CalibrationProblem) -> str:
     """Return a sentence on the cause of data fitting no camera unchanged; empty if no cause is found.
 
     Args:
         problem: The observations, in the order in which they were made.
     """
-    if sentence := strange_units(problem):
-        return sentence
-    unknowns = _fitted(problem)
-    alone = [_of_camera(problem, c) for c in range(len(problem.camera_names))]
-    typical = [_typical_of(each) for each in alone]
-    bad = [c for c, value in enumerate(typical) if value > _GROSS]
-    if bad:
-        everyone = len(bad) == len(alone)
-        names = ", ".join(problem.camera_names[c] for c in bad)
-        mirrored = max(_typical_of(_with_axes(alone[c], _MIRROR)) / typical[c] for c in bad)
-        if everyone and mirrored < 1.0 / _HARDLY_BETTER and (which := _axes_named(problem, -1.0)):
-            return f"The positions are mirrored: {which} the spots fit."
-        if mirrored < 1.0 / _BETTER:
-            return _mirrored(names, everyone=everyone)
-        for shift, where in ((1, "before"), (-1, "after")):
-            if all(_typical_of(_shifted(alone[c], shift)) < typical[c] / _BETTER for c in bad):
-                whose = "The spots" if everyone else f"The spots of {names}"
-                return f"{whose} are those of the pose {where}: shifted by one they fit."
-    whole = _typical(problem, unknowns)
-    if whole > _GROSS and (sentence := _wrists(problem, whole) or _led_elsewhere(problem, whole)):
+    found = _fit(problem, thoroughly=True)
+    if sentence := _slip(problem, found) or strange_units(problem) or _led_elsewhere(problem, found):
         return sentence
     if len(problem.positions) < _MANY:  # few poses with outliers can be bent to say so
         return ""
-    return _moved(problem, unknowns) or (_led_beyond(problem, unknowns) if whole < _GROSS else "")
+    return _moved(problem, found.unknowns) or ("" if found.sigmas > _GROSS else _led_beyond(problem, found.unknowns))
 
 
-def _shifted(problem: CalibrationProblem, shift: int) -> CalibrationProblem:
-    """Return the spots, paired with the positions of the poses ``shift`` places earlier."""
-    late = problem.taking(np.roll(np.arange(len(problem.positions)), shift))
-    return replace(late, spots=problem.spots, spot_covariances=problem.spot_covariances)
-
-
-def _mirrored(names: str, *, everyone: bool) -> str:
-    """Return the message for a mirror image of the positions, seen by some cameras or by all."""
-    if not everyone:
-        return f"The images of {names} are mirrored: with one coordinate reversed the spots fit."
-    return "The positions are mirrored, or all images are: with one axis reversed, or two exchanged, the spots fit."
-
-
-def _wrists(problem: CalibrationProblem, typical: float) -> str:
-    """Describe wrist rotations not matching the positions; detectable only with an unknown LED offset."""
-    if problem.led_offset_prior_sd == 0.0:
+def _slip(problem: CalibrationProblem, found: _Fitted) -> str:
+    """Describe the slip without which the data fit far better than with it, and than without any other."""
+    if found.usual:
         return ""
-    turned = replace(problem, wrist_rotations=np.swapaxes(problem.wrist_rotations, 1, 2))
-    if _typical_of(turned) < typical / _BETTER:
-        return "The wrist's rotations are the wrong way round: with their inverses (wrist -> base) the spots fit."
-    which = _axes_named(problem, 1.0)
-    return which and f"The positions have other axes than the wrist's rotations: {which} the spots fit."
-
-
-def _axes_named(problem: CalibrationProblem, handedness: float) -> str:
-    """Return the fitting change of axes, detectable only from wrist rotations; empty if not detectable."""
-    if problem.led_offset_prior_sd == 0.0:
+    bad = [c for c in range(len(problem.camera_names)) if not _fit(_of_camera(problem, c)).usual]
+    some = slips_of_cameras(problem, bad) if 0 < len(bad) < len(problem.camera_names) else ()
+    promising = [
+        slip for slip in chain(slips_of(problem), some) if _PROMISING * _fit(slip.problem, _FIRST_ROUNDS).px < found.px
+    ]
+    if not promising:
         return ""
-    tried = []
-    for name, axes in _axes(handedness):
-        changed = replace(problem, positions=problem.positions @ axes.T, joint_offset_prior_sd=0.0)
-        tried.append((_typical_of(changed), name))
-    tried.sort()
-    clear = tried[0][0] < _GROSS and tried[1][0] > _BETTER * tried[0][0]
-    return tried[0][1] if clear else ""
+    tried = sorted(((_fit(slip.problem), slip) for slip in promising), key=lambda one: one[0].px)
+    best, slip = tried[0]
+    if not best.explains(found):
+        return ""
+    rivals = [other for fitted, other in tried[1:] if fitted.px < _RIVAL * best.px]
+    if not all(other.mirror and slip.mirror for other in rivals):
+        return ""
+    if rivals:
+        slip = next(other for _, other in tried if other.mirror)
+    before = f" instead of {_two_digits(found.px)} px" if np.isfinite(found.px) else ""
+    return f"{slip.sentence} the residual is {_two_digits(best.px)} px{before}."
 
 
-def _axes(handedness: float) -> Iterator[tuple[str, Array]]:
-    """Yield reversals and exchanges of axes with the given determinant."""
-    unit, letters = np.eye(3), "xyz"
-    if handedness < 0.0:
-        for i, letter in enumerate(letters):
-            yield f"with {letter} reversed", unit - 2.0 * np.outer(unit[i], unit[i])
-        for order in ((1, 0, 2), (2, 1, 0), (0, 2, 1)):
-            first, second = (letters[i] for i in range(3) if order[i] != i)
-            yield f"with {first} and {second} exchanged", unit[list(order)]
-        return
-    for order in ((1, 2, 0), (2, 0, 1)):
-        yield f"with x, y, z taken from {', '.join(letters[i] for i in order)}", unit[list(order)]
-    for i in range(3):
-        first, second = (letter for k, letter in enumerate(letters) if k != i)
-        yield f"with {first} and {second} reversed", 2.0 * np.outer(unit[i], unit[i]) - unit
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
 
 
-def _led_elsewhere(problem: CalibrationProblem, typical: float) -> str:
+def _led_elsewhere(problem: CalibrationProblem, found: _Fitted) -> str:
     """Describe an LED farther from the nominal place than stated."""
     turned = problem.wrist_rotations - problem.wrist_rotations.mean(axis=0)
-    if np.abs(turned).max() < 0.1:
+    if found.sigmas < _GROSS or np.abs(turned).max() < 0.1:
         return ""
     extent = float(np.std(problem.positions, axis=0).max())
-    free = replace(problem, led_offset_prior_sd=max(_WIDE_SHARE * extent, problem.led_offset_prior_sd))
-    unknowns = _fitted(free)
-    if unknowns is None or _typical(free, unknowns) > typical / _BETTER:
-        return ""
-    return _led_at(problem, unknowns.led_offset)
+    free = _fit(replace(problem, led_offset_prior_sd=max(_WIDE_SHARE * extent, problem.led_offset_prior_sd)))
+    return _led_at(problem, free.unknowns.led_offset) if free.unknowns and free.explains(found) else ""
 
 
 def _led_beyond(problem: CalibrationProblem, unknowns: Unknowns | None) -> str:
@@ -166,10 +173,10 @@ def _moved(problem: CalibrationProblem, whole: Unknowns | None) -> str:
     n = len(problem.positions)
     for half in (np.arange(n // 2), np.arange(n // 2, n)):
         part = problem.taking(half)
-        unknowns = _fitted(part)
-        if unknowns is None:
+        fitted = _fit(part)
+        if (unknowns := fitted.unknowns) is None:
             continue
-        tolerance = _GATE * max(1.0, _typical(part, unknowns)) ** 2
+        tolerance = _GATE * max(1.0, fitted.sigmas) ** 2
         stay = _explained(problem, unknowns, tolerance)
         others = problem.detected.any(axis=0) & ~stay
         if others.sum() < _FEWEST or (whole is not None and _explained(problem, whole, tolerance).sum() > stay.sum()):
@@ -212,16 +219,31 @@ def _explained(problem: CalibrationProblem, unknowns: Unknowns, tolerance: float
     return np.asarray(problem.detected.any(axis=0) & (~problem.detected | (distances < tolerance)).all(axis=0))
 
 
-def _typical_of(problem: CalibrationProblem) -> float:
-    return _typical(problem, _fitted(problem))
+def _fit(problem: CalibrationProblem, rounds: int = _ROUNDS, *, thoroughly: bool = False) -> _Fitted:
+    """Return a robust fit, just precise enough to see whether a fit is possible, or the best that there is."""
+    layout, stated = ParameterLayout.of(problem), not problem.noise_to_estimate
+    try:
+        if thoroughly:
+            unknowns = robust_start(problem, layout)
+        else:
+            unknowns = robust_fit(start(problem, layout), problem, layout, problem.detected, rounds).unknowns
+    except (DegenerateDataError, InconsistentDataError, np.linalg.LinAlgError):
+        return _Fitted(None, np.inf, np.inf, np.inf, stated)
+    extent = float(np.sqrt(problem.positions.var(axis=0).sum()))
+    still = replace(unknowns, displacements=np.zeros_like(problem.positions))
+    points = still.robot_positions(problem)
+    lengths = np.linalg.norm(problem.spots - image(still, points), axis=2) / MEDIAN_LENGTH
+    depths = np.einsum("cx,nx->cn", still.rotations[:, 2], points) + still.translations[:, 2, None]
+    shares = lengths * depths / still.intrinsics[:, :1] / max(extent, 1e-300)
+    seen = list(problem.detected)
+    px, share = (max(_median(row[c]) for row, c in zip(values, seen, strict=True)) for values in (lengths, shares))
+    median = max(_median(row[c]) for row, c in zip(_distances(problem, unknowns), seen, strict=True))
+    return _Fitted(unknowns, float(np.sqrt(median / scipy.stats.chi2.median(2))), px, share, stated)
 
 
-def _typical(problem: CalibrationProblem, unknowns: Unknowns | None) -> float:
-    """Return the residual of the median spot over the size explained by stated noise; infinite without a camera."""
-    if unknowns is None:
-        return float("inf")
-    median = float(np.median(_distances(problem, unknowns)[problem.detected]))
-    return float(np.sqrt(median / scipy.stats.chi2.median(2)))
+def _median(values: Array) -> float:
+    """Return the median; what is behind the camera is infinitely far off."""
+    return float(np.median(np.where(np.isfinite(values), values, np.inf)))
 
 
 def _distances(problem: CalibrationProblem, unknowns: Unknowns) -> Array:
@@ -230,15 +252,6 @@ def _distances(problem: CalibrationProblem, unknowns: Unknowns) -> Array:
     visible = problem.detected & projectable(still, problem)
     distances = spot_distances(linearise(still, problem, ParameterLayout.of(problem), visible))
     return np.where(visible, distances, np.inf)
-
-
-def _fitted(problem: CalibrationProblem) -> Unknowns | None:
-    """Return a robust fit, just precise enough to see whether a fit is possible; None if there is none."""
-    layout = ParameterLayout.of(problem)
-    try:
-        return robust_fit(start(problem, layout), problem, layout, problem.detected, _ROUNDS).unknowns
-    except (DegenerateDataError, InconsistentDataError, np.linalg.LinAlgError):
-        return None
 
 
 def _of_camera(problem: CalibrationProblem, c: int) -> CalibrationProblem:
@@ -251,16 +264,4 @@ def _of_camera(problem: CalibrationProblem, c: int) -> CalibrationProblem:
         spots=problem.spots[c : c + 1],
         spot_covariances=problem.spot_covariances[c : c + 1],
         lengths=None,
-    )
-
-
-def _with_axes(problem: CalibrationProblem, axes: Array) -> CalibrationProblem:
-    """Return the problem in a world of other axes; for left-handed axes, the LED offset is mirrored as well."""
-    jacobians = problem.joint_jacobians
-    return replace(
-        problem,
-        positions=problem.positions @ axes.T,
-        position_covariances=axes @ problem.position_covariances @ axes.T,
-        wrist_rotations=axes @ problem.wrist_rotations @ axes.T,
-        joint_jacobians=None if jacobians is None else axes @ jacobians,
     )

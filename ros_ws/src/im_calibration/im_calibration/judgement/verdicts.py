@@ -7,10 +7,16 @@ from numpy.typing import NDArray
 from im_calibration.estimation.covariance import Covariance
 from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE
 from im_calibration.estimation.start import FLAT, core_extent, robust_extent
-from im_calibration.estimation.unknowns import LENS_RADIUS, ParameterLayout, camera_parameters, lens_reach
+from im_calibration.estimation.unknowns import (
+    CENTRE_PRIOR_SD,
+    LENS_RADIUS,
+    ParameterLayout,
+    camera_parameters,
+    lens_reach,
+)
 from im_calibration.judgement.agreement import CameraAgreement
 from im_calibration.judgement.calibration import Calibration, Verdict
-from im_calibration.judgement.causes import strange_units
+from im_calibration.judgement.causes import LARGEST_ARM_SHARE, LARGEST_SPOT_PX, MEDIAN_LENGTH, strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
 from im_calibration.problem.arm_error import ArmError
@@ -31,8 +37,7 @@ _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outlie
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _FAR_RATIO = 2.0
 _NEAR_LARGEST, _LARGEST_ERROR_M = 0.9, 0.02
-_LARGEST_SPOT_PX, _LARGEST_ARM_SHARE = 2.0, 3e-3
-_MEDIAN_LENGTH = float(np.sqrt(2.0 * np.log(2.0)))  # of a vector of two coordinates of unit standard deviation
+_FAR_CENTRE, _NEAR_CENTRE = 2.0, 0.5  # standard deviations of the principal point from the middle of its image
 _RIM_PX = 1.5  # from the centre of the outermost pixel
 _FOCAL_LIMIT = 0.07
 _TURN_LIMIT = 0.15
@@ -249,17 +254,31 @@ def _wrong_lens(calibration: Calibration, layout: ParameterLayout, fault: LensFa
 
 
 def _outside_image(calibration: Calibration, problem: CalibrationProblem) -> list[str]:
-    """Return cameras with spots outside of the image that agree, or with most there: the image size must be wrong."""
+    """Return cameras with a wrong image size: spots outside agree, most lie there, or the sides are exchanged."""
     strange = []
     for c, (name, size) in enumerate(zip(problem.camera_names, problem.image_sizes, strict=True)):
         outside = _outside(problem.spots[c], size)
         if not (outside & calibration.used[c]).any() and 2 * outside.sum() <= problem.detected[c].sum():
+            strange += _exchanged(calibration.cameras[c].model, name)
             continue
         text = f"{outside.sum()} of {problem.detected[c].sum()} spots of {name} are not in its image of "
         turned = not _outside(problem.spots[c], size[::-1]).any()
         advice = ": with width and height exchanged they are" * turned
         strange.append(f"{text}{size[0]} x {size[1]} px{advice}.")
     return strange
+
+
+def _exchanged(model: CameraModel, name: str) -> list[str]:
+    """Return a sentence on a principal point that is usual only in an image of exchanged width and height, if it is."""
+    size, focal = (model.width, model.height), float(model.K[0, 0])
+    deviation = CENTRE_PRIOR_SD * max(size) / lens_reach(focal, size)
+    off, then = (float(np.abs(model.K[:2, 2] - (np.array(sides) - 1.0) / 2.0).max()) for sides in (size, size[::-1]))
+    if off < _FAR_CENTRE * deviation or then > _NEAR_CENTRE * deviation:
+        return []
+    return [
+        f"The principal point of {name} is {off:.0f} px from the middle of its image of {size[0]} x {size[1]} px: with "
+        f"width and height exchanged it is {then:.0f} px from it."
+    ]
 
 
 def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -283,11 +302,17 @@ def _beyond_spots_and_arms(calibration: Calibration, problem: CalibrationProblem
     if not problem.noise_to_estimate:
         return ""
     extent = float(np.sqrt(problem.positions.var(axis=0).sum()))
+    least_m = calibration.noise.factors.robot.low * calibration.noise.robot_m
+    if least_m > LARGEST_ARM_SHARE * extent:
+        return (
+            f"The robot's positions scatter by {1e3 * least_m:.1f} mm or more: no arm repeats a place so badly, so "
+            "that something else is wrong."
+        )
     for camera, residuals, used in zip(calibration.cameras, calibration.residuals, calibration.used, strict=True):
         depths = calibration.led_positions[used] @ camera.model.R_cam_base[2] + camera.model.t_cam_base[2]
-        lengths = np.linalg.norm(residuals[used], axis=1) / _MEDIAN_LENGTH
+        lengths = np.linalg.norm(residuals[used], axis=1) / MEDIAN_LENGTH
         off_px, off_m = float(np.median(lengths)), float(np.median(lengths * depths)) / float(camera.model.K[0, 0])
-        if off_px > _LARGEST_SPOT_PX and off_m > _LARGEST_ARM_SHARE * extent:
+        if off_px > LARGEST_SPOT_PX and off_m > LARGEST_ARM_SHARE * extent:
             return (
                 f"The spots of {camera.name} are off by {off_px:.1f} px in each coordinate, {1e3 * off_m:.1f} mm at "
                 "the light: neither spots nor an arm have such a noise, so that something else is wrong."
