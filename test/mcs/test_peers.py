@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory, ParallelGripperCommand
-from control_msgs.msg import DynamicJointState
+from control_msgs.msg import DynamicJointState, JointTrajectoryControllerState, SpeedScalingFactor
 from control_msgs.srv import QueryTrajectoryState
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core import clock
-from im_msgs.srv import PutInJaws, SetGripper
+from im_msgs.srv import PutInJaws, ReserveGroup, SetGripper, SetSpeed
 
 PATIENCE_S = 600.0
 SUCCEEDED, ABORTED = 4, 6
@@ -206,3 +208,59 @@ def test_all_that_is_measured_is_there_by_joint_and_sensor(ready, stranger):
     assert (of["left_j1"]["brake"], of["right_j1"]["brake"]) == (0.0, 1.0)
     assert of["left_gripper"].keys() == {"position", "velocity", "effort"}
     assert list(of["left_force"]) == ["force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z"]
+
+
+@pytest.fixture
+def scale(ready, stranger):
+    """``scale(factor)`` as ``ros2 topic pub --qos-durability transient_local --once`` does; whole speed in the end."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = stranger.create_publisher(SpeedScalingFactor, "/left/speed_scaling_input", latched)
+    ready.until(publisher.get_subscription_count)
+    yield lambda factor: publisher.publish(SpeedScalingFactor(factor=factor))
+    stranger.destroy_publisher(publisher)
+    assert ready.call(SetSpeed, "set_speed", group="left", scale=1.0).success
+
+
+def refusals(told):
+    """Refused messages of the topic of speeds."""
+    values = [value for message in told for status in message.status for value in status.values]
+    return max((int(value.value) for value in values if value.key == "/left/speed_scaling_input"), default=0)
+
+
+def test_a_factor_on_a_topic_scales_the_speed_down_to_a_halt(ready, stranger, scale):
+    rates, diagnostics = [], ready.listen(DiagnosticArray, "/diagnostics")
+    topic = "/left/controller_state"
+    listening = stranger.create_subscription(
+        JointTrajectoryControllerState, topic, lambda told: rates.append(told.speed_scaling_factor), 10
+    )
+    ready.until(lambda: rates and rates[-1] == 1.0)
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.joint_names = ready.joints
+    far = (np.array(ready.home) + 0.1).tolist()
+    goal.trajectory.points = [JointTrajectoryPoint(positions=far, time_from_start=Duration(sec=20))]
+    handle = stranger.send(FollowJointTrajectory, "/left/follow_joint_trajectory", goal)
+    for factor in (0.5, 0.0):
+        scale(factor)
+        ready.until(lambda factor=factor: rates[-1] == pytest.approx(factor))
+    ready.until(lambda: diagnostics and ready.status().paused)
+    before = refusals(diagnostics)
+    scale(-0.5)
+    ready.until(lambda: refusals(diagnostics) > before)
+    assert rates[-1] == 0.0
+    answer = ready.call(SetSpeed, "set_speed", group="left", scale=0.0)
+    assert answer.message == "left does not move at 0 of the planned speed; pause it (/mcs/pause)"
+    scale(1.0)
+    result = stranger.wait(handle.get_result_async())
+    assert (result.status, result.result.error_code) == (SUCCEEDED, 0)
+    stranger.destroy_subscription(listening)
+
+
+def test_a_group_with_an_owner_does_not_obey_a_topic(ready, scale):
+    diagnostics = ready.listen(DiagnosticArray, "/diagnostics")
+    assert ready.call(ReserveGroup, "take_over", group="left", owner="listener").success
+    ready.until(lambda: diagnostics and ready.status().owner == "listener")
+    before = refusals(diagnostics)
+    scale(0.5)
+    ready.until(lambda: refusals(diagnostics) > before)
+    assert ready.status().speed == 1.0
+    assert ready.call(ReserveGroup, "take_over", group="left").success

@@ -91,7 +91,7 @@ class Rates:
     """Causes of the rate of motions.
 
     Attributes:
-        override: Of the client, above 0 up to 1.
+        override: Of the client, above 0 up to 1; 0 halts.
         ceiling: Of the collision monitor, above 0 up to 1.
         paused: By the client.
         protective: Fault of a protective stop in force.
@@ -104,7 +104,8 @@ class Rates:
 
     def of(self, current: Current | None, share: float | None = None) -> float:
         """Rate wanted of a motion."""
-        if self.paused or self.protective is not None or (current is not None and current.goal.fault is not None):
+        halted = self.paused or self.override == 0.0 or self.protective is not None
+        if halted or (current is not None and current.goal.fault is not None):
             return 0.0
         if share is None:
             share = 1.0 if current is None else current.share

@@ -252,6 +252,12 @@ class ResetRequest(ServoRequest):
     """End an emergency stop."""
 
 
+def _share(scale: float) -> float:
+    if scale != 0.0 and not SLOWEST <= scale <= 1.0:
+        raise ValueError("out of range")
+    return scale
+
+
 class MoveRequest(ServoRequest):
     """Follow a path; a scale of 0 stands for 1."""
 
@@ -263,10 +269,8 @@ class MoveRequest(ServoRequest):
 
     @field_validator("speed_scale")
     @classmethod
-    def _share(cls, scale: float) -> float:
-        if scale != 0.0 and not SLOWEST <= scale <= 1.0:
-            raise ValueError("out of range")
-        return scale or 1.0
+    def _full(cls, scale: float) -> float:
+        return _share(scale) or 1.0
 
 
 class StreamRequest(ServoRequest):
@@ -319,7 +323,9 @@ class SetSpeedRequest(ServoRequest):
     """Set the share of the planned speed, for the current motion and later ones."""
 
     group: Text
-    scale: Annotated[float, Field(ge=SLOWEST, le=1, description=f"a number from {SLOWEST:g} to 1")]
+    scale: Annotated[
+        float, AfterValidator(_share), Field(description=f"a number from {SLOWEST:g} to 1, or 0, which halts")
+    ]
     sender: By = NOBODY
 
 

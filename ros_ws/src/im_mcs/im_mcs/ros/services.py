@@ -9,7 +9,7 @@ from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
-from im_core.errors import ImError, StateError
+from im_core.errors import DataError, ImError, StateError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.status import ok_status, to_status
 from im_mcs.client.groups import best_positions, group_state
@@ -175,6 +175,8 @@ class MotionServices:
 
     async def _set_speed(self, request: SetSpeed.Request, _: object, client: str) -> str:
         self._mcs.group(request.group)
+        if request.scale == 0.0:
+            raise DataError(f"{request.group} does not move at 0 of the planned speed; pause it (/mcs/pause)")
         arguments = {"group": request.group, "scale": request.scale, "sender": await self._mcs.sender(client)}
         await self._mcs.request(Event.SET_SPEED, arguments)
         return f"{request.group} moves at {request.scale:g} of the planned speed"

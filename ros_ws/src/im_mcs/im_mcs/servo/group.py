@@ -100,8 +100,8 @@ class ControlledGroup:
 
     @property
     def paused(self) -> bool:
-        """Whether the client has paused the group."""
-        return self._rates.paused
+        """Whether the client has paused the group, or scaled its speed to 0."""
+        return self._rates.paused or self._rates.override == 0.0
 
     @property
     def protective(self) -> ImError | None:
@@ -137,7 +137,7 @@ class ControlledGroup:
         if not self.still or self._rates.protective is not None or self.gate.closed:
             return True
         waits = self._queue and self._end_known()
-        if waits and (not self._rates.paused or any(queued.trajectory is None for queued in self._queue)):
+        if waits and (not self.paused or any(queued.trajectory is None for queued in self._queue)):
             return True
         current = self._current
         if current is not None and (
@@ -163,8 +163,8 @@ class ControlledGroup:
 
     def disengage(self) -> None:
         """End setpoint and torque; the next user begins without the pause of the former one."""
-        self.engaged = False
-        self._rates.paused = False
+        self.engaged = self._rates.paused = False
+        self._rates.override = self._rates.override or 1.0
         self.gate.open()
         self.monitor.restart()
 
@@ -297,7 +297,7 @@ class ControlledGroup:
         self._rates.protective = self.held = None
 
     def set_speed(self, scale: float) -> None:
-        """Set the share of the planned speed, above 0 and up to 1, for the current motion and later ones."""
+        """Set the share of the planned speed, up to 1, for the current motion and later ones; 0 halts on the path."""
         self._rates.override = scale
 
     def set_ceiling(self, scale: float) -> None:

@@ -230,3 +230,17 @@ def test_what_is_prepared_while_nothing_waits_for_it_changes_no_setpoint(make_ri
     assert [plain.code(goal) for goal in plain.results] == [ahead.code(goal) for goal in ahead.results] == [None]
     for before, after in ((plain.q, ahead.q), (plain.v, ahead.v), (plain.a, ahead.a)):
         np.testing.assert_array_equal(before, after)
+
+
+def test_at_no_speed_a_motion_halts_on_its_path_until_there_is_some(rig, way):
+    goal = rig.move(rig.home + way)
+    rig.ticks(60)
+    rig.group.set_speed(0.0)
+    rig.run()
+    assert (rig.group.paused, rig.group.speed, goal in rig.results) == (True, 0.0, False)
+    assert 0.01 < np.abs(rig.trace[-1].q - rig.home).max() < np.abs(way).max()
+    rig.group.set_speed(1.0)
+    rig.run()
+    assert rig.code(goal) is None
+    np.testing.assert_allclose(rig.trace[-1].q, rig.home + way, atol=1e-9)
+    rig.check_motion()
