@@ -9,7 +9,7 @@ import pytest
 from bench.calibration.kinds import HARD
 from bench.calibration.lenses import LensDesign, make_lens_scene
 from bench.calibration.score import errors
-from bench.calibration.synthetic import Design, make_scene
+from bench.calibration.synthetic import Design, bent, make_scene
 from im_calibration import calibrate, dataset_of
 from im_calibration.commands.calibrate_dataset import main
 from im_calibration.estimation.covariance import Covariance
@@ -61,6 +61,22 @@ def test_a_model_that_fits_is_not_doubted(lens, view):
     for seed in range(4):
         calibration = calibrate(make_lens_scene(LensDesign(view, lens=lens, depth_m=1.0), seed).problem)
         assert calibration.success, calibration.message
+
+
+@pytest.mark.parametrize("kind", ["quadratic", "links"])
+@pytest.mark.parametrize(("size_m", "seed"), [(3e-4, 0), (1e-3, 1), (2e-3, 0)])
+def test_the_error_of_an_arm_is_not_blamed_on_the_lens(kind, size_m, seed):
+    design = LensDesign(60.0, 80, cameras=1, depth_m=0.6, sigma_m=5e-5, lens="barrel")
+    problem = bent(make_lens_scene(design, seed), kind, size_m, seed).problem
+    calibration = calibrate(replace(problem, noise_to_estimate=("image", "robot")))
+    assert "lens model" not in calibration.message
+
+
+@pytest.mark.parametrize(("lens", "view"), [("k3", 60.0), ("fisheye", 80.0)])
+def test_a_wrong_lens_is_not_taken_for_the_error_of_an_arm(lens, view):
+    problem = make_lens_scene(LensDesign(view, 80, cameras=1, lens=lens, depth_m=1.0), 1).problem
+    calibration = calibrate(replace(problem, noise_to_estimate=("image", "robot")))
+    assert "The lens model plumb_bob does not fit camera_0" in calibration.message
 
 
 def test_a_model_that_predicts_hardly_better_is_not_proposed():
