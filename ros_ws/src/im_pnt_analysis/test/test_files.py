@@ -10,6 +10,8 @@ from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.cli import main
 from im_pnt_analysis.cli.terminal import BAD_INPUT, OK
 from im_pnt_analysis.verify.files import check_files
+from im_pnt_analysis.verify.report import readable
+from im_pnt_analysis.verify.verdict import verify
 
 NET = """net: n
 places: {a: 1}
@@ -87,3 +89,28 @@ def test_a_fault_in_an_included_file_is_named_there(tmp_path):
     net = load_net(tmp_path / "n.yaml")
     with pytest.raises(ImError, match=r"part\.yaml:3: transitions\.go: action function 'no_such:act' cannot be loaded"):
         check_files([net], ())
+
+
+LOOP = """
+net: loop
+places: {free: {tokens: 1, resource: true}, opened: , home: , missed: , arm: {tokens: 1, resource: true}}
+escalate: missed
+transitions:
+  begin: {symbol: present, in: [free, arm], out: opened}
+  go_home: {in: opened, out: %s, request: {to: motion_coordinator.move_robot}}
+  give_up: {in: missed, out: [free, arm], emit: present_failed}
+  acknowledge: {in: home, out: [free, arm], emit: present_done}
+"""
+
+
+@pytest.mark.parametrize("end", ["home", "opened"])
+def test_a_command_whose_acknowledgement_nothing_enables_is_refused(end):
+    report = verify([parse_net(LOOP % end)])
+    said = [refusal.reason for refusal in report.refusals]
+    assert said == ([] if end == "home" else ["command present never ends well: nothing enables acknowledge"])
+    assert report.ok == (end == "home")
+
+
+def test_nets_that_are_asked_and_not_given_are_named_before_the_answers():
+    text = readable(verify([parse_net(LOOP % "home")]), {}).splitlines()
+    assert text[1] == "  not looked at absent nets asked by loop: motion_coordinator"

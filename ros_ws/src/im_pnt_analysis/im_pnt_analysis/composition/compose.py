@@ -27,13 +27,11 @@ from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net, Role, Transition
 from im_pnt_analysis.composition.arguments import check_arguments
 from im_pnt_analysis.composition.assumptions import Assumptions
-from im_pnt_analysis.composition.flat_net import FlatNet
+from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
 from im_pnt_analysis.guards.coverage import decide_guards
 
-NOT_LOOKED_AT = "not looked at: "
-"""Begins the assumptions by which a proof knows less than the nets say; the first lines of a verdict have them."""
 _BOUNDED = ("constant", "uniform", "triangular")
 """Delays of which not every one may be over before every other one."""
 _DISTURBANCES = (Role.WITHDRAWN, Role.CANCEL, Role.LOST)

@@ -6,6 +6,9 @@ from dataclasses import replace
 from im_pnt.errors import NetError
 from im_pnt.model.net import Arcs, Net, Place, Role, Transition
 
+NOT_LOOKED_AT = "not looked at: "
+"""Begins the assumptions by which a proof knows less than the nets say; the first lines of a verdict have them."""
+
 
 class FlatNet:
     """Places and transitions of several nets and the environment.

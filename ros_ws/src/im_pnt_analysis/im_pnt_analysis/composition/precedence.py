@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from im_pnt.model.net import Net, Role, Transition
 from im_pnt.model.resources import resource_places
-from im_pnt_analysis.composition.compose import NOT_LOOKED_AT, Composition
+from im_pnt_analysis.composition.compose import Composition
+from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT
 
 MOST_WAYS = 256
 """Ways of a transition at which its precedence is left out."""

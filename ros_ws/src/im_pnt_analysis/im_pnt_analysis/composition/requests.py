@@ -18,7 +18,7 @@ from im_pnt.execution.jobs import ends
 from im_pnt.model.action import RequestAction
 from im_pnt.model.expand import cancelling_place, doubt_place, input_place
 from im_pnt.model.net import Net, Place, Role, Transition
-from im_pnt_analysis.composition.flat_net import FlatNet
+from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +134,8 @@ class ServiceCalls:
         self._callers: dict[tuple[str, str], list[Caller]] = {}
         self._commands = TapeCommands(flat)
         for net in flat.nets.values():
+            if absent := sorted(net.partners() - flat.nets.keys()):
+                flat.assume(f"{NOT_LOOKED_AT}absent nets asked by {net.name}: {', '.join(absent)}")
             for start in net.transitions.values():
                 action = _request_of(start)
                 if action is not None and start.role is Role.START and self._offered(net, start, action):

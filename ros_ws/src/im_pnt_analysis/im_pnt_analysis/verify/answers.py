@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import chain, islice
 
 from im_core.clock import thread_cpu
+from im_pnt.execution.jobs import DONE_SUFFIX
 from im_pnt.model.net import Net
 from im_pnt.verification import Counterexample
 from im_pnt_analysis.composition.resource_proof import UndecidedError, unheld
@@ -389,6 +390,23 @@ def _never(report: Report, problem: Problem, method: str, found: tuple[str, ...]
         disabled, named = {*found}, problem.compiled.transitions
         names = [name for name, ways in problem.ways.items() if all(named[way] in disabled for way in ways)]
         report.answer(method, quasi_live=not names, never_enabled=names, never_enabled_transitions=len(names))
+
+
+def refuse_endless(report: Report, problem: Problem) -> None:
+    """Refuse a command that can begin and can never end well: nothing enables a transition that acknowledges it.
+
+    Args:
+        report: Has the transitions that are never enabled, if they were found; gets the refusals.
+        problem: The nets.
+    """
+    never, ways = {*(report.never_enabled or ())}, problem.composition.ways
+    named = [(ways.get(each.name, each.name), each) for each in problem.compiled.net.transitions.values()]
+    for symbol in dict.fromkeys(symbol for net in problem.nets for symbol in net.begun_symbols()):
+        ends = {name for name, each in named if f"{symbol}{DONE_SUFFIX}" in each.emit}
+        begins = {name for name, each in named if each.symbol == symbol}
+        if ends and ends <= never and begins - never:
+            reason = f"command {symbol} never ends well: nothing enables {', '.join(sorted(ends))}"
+            report.refuse(Counterexample("lost_command", reason, (), {}))
 
 
 def refuse_overflow(report: Report, problem: Problem) -> None:

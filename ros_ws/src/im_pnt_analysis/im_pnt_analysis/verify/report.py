@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from im_pnt.errors import VerificationError
 from im_pnt.model.net import Net
 from im_pnt.verification import KINDS, Counterexample
-from im_pnt_analysis.composition.compose import NOT_LOOKED_AT
+from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT
 
 Progress = Callable[[str], None]
 """Is told now and then what goes on."""

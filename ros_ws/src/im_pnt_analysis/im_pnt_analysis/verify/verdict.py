@@ -25,6 +25,7 @@ from im_pnt_analysis.verify.answers import (
     answer_holding,
     conserve,
     describe,
+    refuse_endless,
     refuse_overflow,
     solve_bounds,
 )
@@ -136,6 +137,7 @@ class _Verification:
             answer_from_stubborn_sets(self.report, self.problem, self.limits.states, self.deadline)
         if not self.report.refusals:
             refuse_overflow(self.report, self.problem)
+            refuse_endless(self.report, self.problem)
         if self.report.refusals:
             self.report.leave(REFUSED, "resources_return")
         self.report.leave(reason if self.report.bounded is not False else "the net is unbounded")
