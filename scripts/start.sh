@@ -4,8 +4,10 @@
 #   scripts/start.sh                             the default deployment, in real time
 #   scripts/start.sh my_deployment.yaml          another one
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
+#   scripts/start.sh --factor 0.5                half as fast as real time, for a computer that is slow or busy
 #   scripts/start.sh --port 8081                 another port for the display (a web page); the next free one if in use
 #   scripts/start.sh --control                   the page may also operate the machine: commands, nets, stops
+#   scripts/start.sh --foxglove                  Foxglove may connect, to ws://localhost:8765 or another port
 #   scripts/start.sh --unproved                  even where nobody can tell in time whether its nets may run together
 #   scripts/start.sh --resume                    commands that had not ended go on; without it they come back paused
 #   scripts/start.sh --fresh                     set unfinished commands of a former run aside

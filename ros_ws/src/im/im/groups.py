@@ -56,7 +56,7 @@ class Group:
 
     @property
     def tool_pose(self) -> Pose:
-        """Measured pose of the wrist frame, the tool's, in the world."""
+        """Measured pose of the wrist frame in the world; the middle of the jaws is further along the z axis."""
         return Pose.of(self.state.wrist)
 
     @contextlib.contextmanager

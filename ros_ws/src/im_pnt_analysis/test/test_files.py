@@ -113,4 +113,4 @@ def test_a_command_whose_acknowledgement_nothing_enables_is_refused(end):
 
 def test_nets_that_are_asked_and_not_given_are_named_before_the_answers():
     text = readable(verify([parse_net(LOOP % "home")]), {}).splitlines()
-    assert text[1] == "  not looked at absent nets asked by loop: motion_coordinator"
+    assert text[1] == "  not looked at motion_coordinator (asked by loop)"

@@ -284,7 +284,8 @@ class OverrunWatch:
         """Count single overruns, and return a protective stop for several in a row."""
         if now.overruns < self._bound:
             return None
-        fault = ImError(f"{now.overruns} servo deadlines in a row were missed", code="overrun", missed=now.overruns)
+        told = f"{now.overruns} servo deadlines in a row were missed: this computer is too busy for the clock factor"
+        fault = ImError(told, code="overrun", missed=now.overruns)
         return SafetyFinding(Reaction.PROTECTIVE_STOP, fault)
 
 

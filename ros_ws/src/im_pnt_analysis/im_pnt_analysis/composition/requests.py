@@ -135,7 +135,7 @@ class ServiceCalls:
         self._commands = TapeCommands(flat)
         for net in flat.nets.values():
             if absent := sorted(net.partners() - flat.nets.keys()):
-                flat.assume(f"{NOT_LOOKED_AT}absent nets asked by {net.name}: {', '.join(absent)}")
+                flat.assume(f"{NOT_LOOKED_AT}{', '.join(absent)} (asked by {net.name})")
             for start in net.transitions.values():
                 action = _request_of(start)
                 if action is not None and start.role is Role.START and self._offered(net, start, action):

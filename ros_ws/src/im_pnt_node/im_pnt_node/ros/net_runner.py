@@ -150,6 +150,7 @@ class RunNode(PntNode):
         super().phase_start()
         self.offer_commands()
         self._look_for_objects()
+        self._name_absent()
         if self._order is not None:
             self.spawn(self._obey(self._order))
         else:
@@ -225,6 +226,15 @@ class RunNode(PntNode):
 
     def _tell(self, text: str) -> None:
         print(f"{monotonic() - self._began:8.2f} s  {text}", flush=True)
+
+    def _name_absent(self) -> None:
+        """Warn of nets that other processes must run: the machine reserves nothing for a net outside."""
+        nets = [executor.written for executor in self.exchange.nets.values()]
+        if absent := sorted(frozenset[str]().union(*(net.partners() for net in nets)) - self.exchange.nets.keys()):
+            told = (
+                f"other processes must run {', '.join(absent)}; a running machine holds nothing of 'needs' for this net"
+            )
+            self.get_logger().warning(f"{told}: scripts/im load gives it the net")
 
     def _look_for_objects(self) -> None:
         nets = [executor.written for executor in self.exchange.nets.values()]
