@@ -303,3 +303,12 @@ def test_growth_can_be_repeated_for_ever(spec):
         assert totals == sorted(set(totals))
     elif report.bounded:
         assert report.states is None or not Reference(net, report.states).over
+
+
+@pytest.mark.parametrize(("tokens", "why"), [("", "; u waits for permit, which nothing marks"), ("1", "; siphon {")])
+def test_a_deadlock_names_a_place_that_nothing_marks(tokens, why):
+    net = parse_net(
+        f"net: n\nplaces: {{a: 1, b: , permit: {tokens}, c: }}\ntransitions:\n"
+        "  t: {symbol: go, in: a, out: b}\n  u: {in: [b, permit], out: c}\n  v: {in: c, out: a, emit: go_done}"
+    )
+    assert why in verify([net]).refusals[0].reason

@@ -72,13 +72,26 @@ def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...
     if waits:
         reason = f"it waits for its tape or a caller away from rest with {held}"
         return Counterexample("deadlock", reason, sequence, marking)
-    siphon = emptied_siphon(compiled, problem.initial, vector)
-    why = ""
+    why = _waits_in_vain(problem, vector)
+    siphon = () if why else emptied_siphon(compiled, problem.initial, vector)
     if siphon:
         names = ", ".join(siphon[:_NAMED_PLACES])
         more = f" and {len(siphon) - _NAMED_PLACES} more" if len(siphon) > _NAMED_PLACES else ""
         why = f"; siphon {{{names}{more}}} was emptied, and can never be marked again"
     return Counterexample("deadlock", f"it is stuck with {held}{why}", sequence, marking)
+
+
+def _waits_in_vain(problem: Problem, vector: tuple[int, ...]) -> str:
+    """Return a clause on a transition that waits with tokens under way for a place which nothing marks."""
+    compiled = problem.compiled
+    places = compiled.net.places
+    marked = {name for transition in compiled.net.transitions.values() for name in transition.outputs}
+    barren = {i for i, name in enumerate(compiled.places) if name not in marked and not places[name].tokens}
+    for name, inputs in zip(compiled.transitions, compiled.inputs, strict=True):
+        lacking = [compiled.places[place] for place, _ in inputs if place in barren]
+        if lacking and any(vector[place] >= weight for place, weight in inputs if place in problem.busy):
+            return f"; {problem.names.get(name, name)} waits for {', '.join(lacking)}, which nothing marks"
+    return ""
 
 
 def lost_entries(
