@@ -4,8 +4,8 @@ import json
 import numpy as np
 import pytest
 
-from im_bringup.calibration.summary import summary
 from im_bringup.calibration.truth import add_to_report, truth_error
+from im_cell.calibration_summary import brief_summary
 from im_cell.robot.truth import CellTruth
 from im_core.errors import DataError, NotFoundError
 
@@ -77,7 +77,7 @@ def test_the_report_file_gets_it(tmp_path):
     add_to_report(path, TRUTH)
     read = json.loads(path.read_text())
     assert set(read["truth_error"]) == {"triangulation_mm", "reprojection_px", "led_offset_mm"}
-    assert "true error       0.000 px reprojection, 0.000 mm triangulation" in summary(read)
+    assert "true error       0.000 px reprojection, 0.000 mm triangulation" in brief_summary(read)
     assert [file.name for file in tmp_path.iterdir()] == ["report.json"]
 
 
@@ -96,10 +96,10 @@ def test_what_cannot_be_compared_is_refused(tmp_path):
 
 
 def test_the_summary_is_short():
-    text = summary(report())
-    assert "expected error   - px reprojection, 1.000 mm triangulation" in text
+    text = brief_summary(report())
+    assert "expected error   unknown px reprojection, 1.000 mm triangulation" in text
     assert "20.0 s for 300.0 s of the cell (15.0 times real time)" in text
     assert len(text.splitlines()) < 12
     alone = report()
     alone["expected_error"] = {"reprojection_px": 0.022, "triangulation_mm": None}
-    assert "expected error   0.022 px reprojection, RMS over the workspace" in summary(alone)
+    assert "expected error   0.022 px reprojection, RMS over the workspace" in brief_summary(alone)

@@ -1,4 +1,4 @@
-"""Report of a calibration of cameras as text for people, ``summary.txt``."""
+"""Report of a calibration of cameras as text for people: whole, ``summary.txt``, and in a few lines."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,6 +25,44 @@ def summary(report: Mapping[str, Any]) -> str:
         raise DataError(f"the report of the calibration is not whole: {error!r}") from error
 
 
+def brief_summary(report: Mapping[str, Any]) -> str:
+    """Return cameras, errors and time of a report in a few lines, for a terminal.
+
+    Args:
+        report: Content of ``report.json``; ``truth_error`` is shown if it is there.
+    """
+    lines = [
+        f"{'camera':<16}{'fx':>9}{'fy':>9}{'cx':>8}{'cy':>8}{'k1':>9}{'residuals':>12}",
+        *(_brief_camera(camera) for camera in report["cameras"]),
+        "",
+        f"points           {report['points_used']} used, {len(report['points_rejected'])} left out; "
+        f"chi2/dof {_text(report['chi2_per_dof'], '.3f')}",
+        f"light            ({', '.join(f'{1e3 * value:.2f}' for value in report['led_offset_m'])}) mm from the wrist",
+        error_lines(report),
+    ]
+    timing = report.get("timing", {})
+    if timing.get("wall_s"):
+        lines.append(
+            f"time             {timing['wall_s']:.1f} s for {timing['simulated_s']:.1f} s of the cell "
+            f"({timing['simulated_s'] / timing['wall_s']:.1f} times real time)"
+        )
+    return "\n".join(lines)
+
+
+def error_lines(report: Mapping[str, Any]) -> str:
+    """Return the expected error of a report, and the true error if present."""
+    lines = [f"expected error   {_errors(report['expected_error'])}"]
+    if "truth_error" in report:
+        lines.append(f"true error       {_errors(report['truth_error'])}")
+    return "\n".join(lines)
+
+
+def _brief_camera(camera: Mapping[str, Any]) -> str:
+    K, D = camera["K"], camera["D"]
+    values = f"{K[0][0]:9.2f}{K[1][1]:9.2f}{K[0][2]:8.2f}{K[1][2]:8.2f}{D[0]:9.4f}"
+    return f"{camera['name']:<16}{values}{_text(camera['rms_px'], '.3f'):>9} px"
+
+
 def _lines(report: Mapping[str, Any]) -> list[str]:
     lines = ["Camera calibration", "==================", "", report["message"], ""]
     lines += [
@@ -32,7 +70,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
         f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')}"
         f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
-        f"expected error      {_expected(report['expected_error'])}, RMS over the workspace",
+        f"expected error      {_errors(report['expected_error'])}",
         f"held-out poses      {_found(report['checks'], 'held_out')}",
         f"far half            {_found(report['checks'], 'far_half')}",
         f"neighbours          {_neighbours_text(report['neighbours'])}",
@@ -95,11 +133,11 @@ def _lens_rows(model: str, D: Sequence[float]) -> list[tuple[str, list[float], t
     return rows
 
 
-def _expected(errors: dict[str, Any]) -> str:
-    """The errors to expect; one camera has none of triangulation."""
-    reprojection = f"{_text(errors['reprojection_px'], '.3f')} px reprojection"
+def _errors(errors: Mapping[str, Any]) -> str:
+    """Format errors of images and points; one camera has none of triangulation."""
     triangulation = errors["triangulation_mm"]
-    return reprojection if triangulation is None else f"{reprojection}, {triangulation:.2f} mm triangulation"
+    second = f", {triangulation:.3f} mm triangulation" if triangulation is not None else ""
+    return f"{_text(errors['reprojection_px'], '.3f')} px reprojection{second}, RMS over the workspace"
 
 
 def _found(checks: Mapping[str, float | None], name: str) -> str:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from im import Command, Machine, UnreachableError
-from im_bringup.calibration.summary import summary
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
@@ -272,9 +271,11 @@ def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) ->
 
 def show_calibration(results: Mapping[str, Any], who: str) -> int:
     """Print the results of a calibration; return the exit code."""
+    from im_cell.calibration_summary import brief_summary  # most commands need no numpy
+
     report = results["report"]
     print(f"\n{who}: done: {'; but '.join(filter(None, (report['message'], results.get('message'))))}")
-    print(summary(report))
+    print(brief_summary(report))
     print(f"report and pictures: {results['directory']}")
     return DONE
 

@@ -4,9 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from im_bringup.calibration.summary import error_lines
 from im_bringup.calibration.truth import add_to_report
 from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
+from im_cell.calibration_summary import error_lines
 from im_cell.robot.truth import CellTruth
 from im_core.errors import StateError
 from im_core.names import results_dir

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from im_calibration.problem.problem import CalibrationProblem
 
@@ -72,6 +71,8 @@ def slips_of_cameras(problem: CalibrationProblem, cameras: list[int]) -> Iterato
 
 def _slips_of_wrists(problem: CalibrationProblem) -> Iterator[Slip]:
     """Yield wrist rotations that were read wrongly; they show in the LED's offset alone."""
+    from scipy.spatial.transform import Rotation  # loads for a third of a second, and few data sets have slips
+
     given = problem.wrist_rotations
     text = "The wrist's rotations are the wrong way round: with their inverses (wrist -> base)"
     yield Slip(text, _with_wrists(problem, np.swapaxes(given, 1, 2)))
