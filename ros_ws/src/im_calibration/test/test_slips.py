@@ -90,7 +90,7 @@ def test_the_nominal_offset_is_turned_with_the_rotations():
     assert "quaternions are x, y, z, w" in find_slip(wrong)
 
 
-@pytest.mark.parametrize("seed", range(400, 406))
+@pytest.mark.parametrize("seed", range(400, 403))
 def test_what_is_no_slip_gets_no_such_name(seed):
     rng = np.random.default_rng(seed)
     design = Design(
