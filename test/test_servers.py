@@ -38,7 +38,7 @@ def server(client, wait_until):
     """A process with a server that the node has discovered."""
     with subprocess.Popen([sys.executable, "-c", SERVER]) as child:
         try:
-            wait_until(lambda: servers_of(client, "/bake"), "the server")
+            wait_until(lambda: servers_of(client, "/bake") == ["/oven"], "the server, and its name, which comes later")
             yield child
         finally:
             child.kill()

@@ -1,5 +1,6 @@
 """What users of ros2_control type: plain rclpy, with the names and types that its controllers have."""
 
+import queue
 import threading
 
 import numpy as np
@@ -61,7 +62,13 @@ class Stranger(Node):
             self._actions[name] = ActionClient(self, kind, name)
             assert self._actions[name].wait_for_server(PATIENCE_S), name
             clock.sleep(0.5)  # the server must have discovered the client, too
-        return self.wait(self._actions[name].send_goal_async(goal, feedback_callback=feedback))
+        return self.ask(lambda: self._actions[name].send_goal_async(goal, feedback_callback=feedback))
+
+    def ask(self, question):
+        """The answer to a question asked in the loop: rclpy drops one that comes before the question is noted."""
+        asked = queue.SimpleQueue()
+        self._executor.create_task(lambda: asked.put(question()))
+        return self.wait(asked.get(timeout=PATIENCE_S))
 
 
 @pytest.fixture(scope="module")
@@ -107,8 +114,8 @@ def test_a_trajectory_is_asked_where_it_is_at_a_time(ready, stranger):
         assert len(answer.velocity) == len(answer.acceleration) == len(ready.joints)
     assert not query(stranger, begin_ns - close_ns).success
     assert "which goes from 0 to 300.000 s" in query(stranger, end_ns + close_ns).message
-    stranger.wait(handle.cancel_goal_async())
-    stranger.wait(handle.get_result_async())
+    stranger.ask(handle.cancel_goal_async)
+    stranger.ask(handle.get_result_async)
     assert query(stranger, end_ns - close_ns).message == "no trajectory is followed"
 
 
@@ -128,7 +135,7 @@ def grip(client, stranger):
         goal, told = ParallelGripperCommand.Goal(command=JointState(position=position, **fields)), []
         name = "/left_gripper/parallel_gripper_action_controller/gripper_cmd"
         handle = stranger.send(ParallelGripperCommand, name, goal, told.append)
-        return stranger.wait(handle.get_result_async()), told
+        return stranger.ask(handle.get_result_async), told
 
     return send
 
@@ -250,7 +257,7 @@ def test_a_factor_on_a_topic_scales_the_speed_down_to_a_halt(ready, stranger, sc
     answer = ready.call(SetSpeed, "set_speed", group="left", scale=0.0)
     assert answer.message == "left does not move at 0 of the planned speed; pause it (/mcs/pause)"
     scale(1.0)
-    result = stranger.wait(handle.get_result_async())
+    result = stranger.ask(handle.get_result_async)
     assert (result.status, result.result.error_code) == (SUCCEEDED, 0)
     stranger.destroy_subscription(listening)
 
