@@ -19,6 +19,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
+from im.waits import wait_for
 
 ResultT = TypeVar("ResultT")
 
@@ -144,7 +145,7 @@ class Connection:
         """
         done = threading.Event()
         self.inside(lambda: future.add_done_callback(lambda _: done.set()))
-        if not done.wait(timeout):
+        if not wait_for(done, timeout):
             raise UnreachableError(f"waited {timeout:g} s in vain for {what}")
         return future.result()
 

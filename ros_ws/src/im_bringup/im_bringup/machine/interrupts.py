@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-from im_core.processes.end_signals import END_SIGNALS, handle_end_signals
+from im_core.processes.end_signals import END_SIGNALS, handle_end_signals, no_action
 
 
 def interrupt_once() -> None:
@@ -41,12 +41,8 @@ def interrupts_held() -> Iterator[None]:
 def ignore_interrupts() -> None:
     """Ignore interrupts until the end of the command; for commands of at most a few seconds."""
     for number in END_SIGNALS:
-        signal.signal(number, _nothing)  # not SIG_IGN: Python complains of a signal that came just before
+        signal.signal(number, no_action)  # not SIG_IGN: Python complains of a signal that came just before
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # also while the interpreter ends, when handlers are gone
-
-
-def _nothing(number: int, frame: FrameType | None) -> None:
-    pass
 
 
 def _raise(number: int, frame: FrameType | None = None) -> NoReturn:

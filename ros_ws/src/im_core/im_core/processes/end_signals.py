@@ -20,18 +20,34 @@ def heed_end_signals(act: Callable[[signal.Signals], object]) -> None:
     Args:
         act: Takes the signal.
     """
+
+    def act_on_end(number: int) -> None:
+        if number in END_SIGNALS:
+            act(signal.Signals(number))
+
+    signal.set_wakeup_fd(signal_pipe(act_on_end), warn_on_full_buffer=False)
+    handle_end_signals(no_action)
+
+
+def signal_pipe(act: Callable[[int], object]) -> int:
+    """Return a file descriptor for ``signal.set_wakeup_fd``; a thread calls a function for each signal written there.
+
+    The thread ends when the descriptor is closed.
+
+    Args:
+        act: Takes the signal's number.
+    """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
 
     def watch() -> None:
         while numbers := os.read(reading, 64):
             for number in numbers:
-                if number in END_SIGNALS:
-                    act(signal.Signals(number))
+                act(number)
+        os.close(reading)
 
-    threading.Thread(target=watch, name="end signals", daemon=True).start()
-    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    handle_end_signals(_nothing)
+    threading.Thread(target=watch, name="signals", daemon=True).start()
+    return writing
 
 
 def handle_end_signals(handler: Callable[[int, FrameType | None], object]) -> None:
@@ -48,13 +64,13 @@ def handle_end_signals(handler: Callable[[int, FrameType | None], object]) -> No
             signal.signal(number, handler)
 
 
-def _nothing(number: int, frame: FrameType | None) -> None:
-    pass
+def no_action(number: int, frame: FrameType | None) -> None:
+    """Do nothing: a handler for signals that a thread or nobody is to act on."""
 
 
 def _end_by_signals() -> None:
     """Let end signals end a copy of the process, until the copy heeds the signals itself."""
-    if signal.getsignal(signal.SIGTERM) is _nothing:
+    if signal.getsignal(signal.SIGTERM) is no_action:
         signal.set_wakeup_fd(-1)
         handle_end_signals(signal.SIG_DFL)  # type: ignore[arg-type]  # the default is no function
 

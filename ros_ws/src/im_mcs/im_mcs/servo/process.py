@@ -85,7 +85,7 @@ class ServoProcess:
             self._channel.close()
             scheduling.release()
 
-    def stop(self, _: signal.Signals | None = None) -> None:
+    def stop(self) -> None:
         """End :meth:`run` soon; from any thread."""
         self._running = False
 
@@ -224,7 +224,7 @@ class ServoProcess:
 def run(instance: str, config: McsConfig) -> int:
     """Run the servo until a signal asks to end; exit code."""
     process = ServoProcess(instance, config)
-    heed_end_signals(process.stop)
+    heed_end_signals(lambda _: process.stop())
     process.run()
     signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # while the interpreter ends, when handlers are gone
     return 0

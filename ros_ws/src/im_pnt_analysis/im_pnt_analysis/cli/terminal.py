@@ -13,6 +13,7 @@ from typing import Self
 from im_core.clock import monotonic
 from im_core.errors import ImError
 from im_core.files import write_whole
+from im_core.processes.end_signals import no_action, signal_pipe
 from im_pnt.model.net import Net
 
 OK, REFUSED, BAD_INPUT, UNPROVED = 0, 1, 2, 3
@@ -107,11 +108,9 @@ class EndOnInterrupt:
 
     def __enter__(self) -> None:
         if self._active:
-            reading, self._writing = os.pipe()
-            os.set_blocking(self._writing, False)
+            self._writing = signal_pipe(self._act)
             self._fd_before = signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
-            self._handler_before = signal.signal(signal.SIGINT, lambda number, frame: None)
-            threading.Thread(target=self._watch, args=(reading,), daemon=True).start()
+            self._handler_before = signal.signal(signal.SIGINT, no_action)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -121,11 +120,9 @@ class EndOnInterrupt:
             signal.set_wakeup_fd(self._fd_before)
             os.close(self._writing)
 
-    def _watch(self, reading: int) -> None:
-        while numbers := os.read(reading, 64):
-            if signal.SIGINT in numbers:
-                try:
-                    print(self._word, file=sys.stderr, flush=True)
-                finally:  # also where nobody can be told
-                    os._exit(INTERRUPTED)
-        os.close(reading)
+    def _act(self, number: int) -> None:
+        if number == signal.SIGINT:
+            try:
+                print(self._word, file=sys.stderr, flush=True)
+            finally:  # also where nobody can be told
+                os._exit(INTERRUPTED)

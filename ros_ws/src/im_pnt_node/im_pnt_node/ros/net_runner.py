@@ -227,18 +227,21 @@ class RunNode(PntNode):
     def _tell(self, text: str) -> None:
         print(f"{monotonic() - self._began:8.2f} s  {text}", flush=True)
 
+    def _written(self) -> list[Net]:
+        return [executor.written for executor in self.exchange.nets.values()]
+
     def _name_absent(self) -> None:
         """Warn of nets that other processes must run: the machine reserves nothing for a net outside."""
-        nets = [executor.written for executor in self.exchange.nets.values()]
-        if absent := sorted(frozenset[str]().union(*(net.partners() for net in nets)) - self.exchange.nets.keys()):
+        partners = {partner for net in self._written() for partner in net.partners()}
+        if absent := sorted(partners - self.exchange.nets.keys()):
             told = (
                 f"other processes must run {', '.join(absent)}; a running machine holds nothing of 'needs' for this net"
             )
             self.get_logger().warning(f"{told}: scripts/im load gives it the net")
 
     def _look_for_objects(self) -> None:
-        nets = [executor.written for executor in self.exchange.nets.values()]
-        names = sorted({p.data_object for net in nets for p in net.places.values() if p.data_object is not None})
+        places = [place for net in self._written() for place in net.places.values()]
+        names = sorted({place.data_object for place in places if place.data_object is not None})
         if names:
             self.spawn(self._find_objects(", ".join(names)))
 
