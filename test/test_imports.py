@@ -235,6 +235,7 @@ def test_signals_that_ask_to_end_are_heeded_in_one_way(package):
     """A handler of its own would forget SIGHUP, or heed it under ``nohup``."""
     allowed = {
         "im_core/processes/end_signals.py",
+        "im_core/rate_groups/budget.py",  # SIGALRM
         "im_bringup/machine/interrupts.py",
         "im_pnt_analysis/cli/terminal.py",
     }

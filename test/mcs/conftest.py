@@ -197,6 +197,12 @@ def machine(tmp_path_factory, owner_silence_s):
 
 
 @pytest.fixture
+def run_machine():
+    """What runs a machine with a configuration of the test's own, until the end of a ``with`` block."""
+    return lambda config: _machine(TestbedNode, McsNode, parameters={"testbed:factor": 0.0, "mcs:config": config})
+
+
+@pytest.fixture
 def without_testbed():
     """Starts MCS alone, with parameters; a client."""
     with contextlib.ExitStack() as stack:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar, overload
 
-from im_core.errors import FOREIGN, ConfigError
+from im_core.errors import FOREIGN, ConfigError, ImError
 
 ClassT = TypeVar("ClassT")
 
@@ -52,6 +52,33 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
     if contract is not None and not (isinstance(found, type) and issubclass(found, contract)):
         raise ConfigError(f"{what} '{reference}' is no {contract.__name__}", what=what, reference=reference)
     return found
+
+
+def make(reference: str, what: str, *arguments: object) -> object:
+    """Call the class or function named by a reference.
+
+    Args:
+        reference: As of :func:`load`.
+        what: As of :func:`load`.
+        *arguments: What to call it with.
+
+    Raises:
+        ConfigError: It cannot be loaded or called, or refuses the arguments; the message names it.
+    """
+    factory = load(reference, None, what)
+    try:
+        if not callable(factory):
+            raise TypeError("a class or a function is needed, not a value")
+        return factory(*arguments)
+    except ConfigError as error:
+        refused = ConfigError(f"{what} '{reference}': {error.message}", reference=reference)
+        refused.facts.update(error.facts)
+        raise refused from error
+    except ImError:
+        raise
+    except FOREIGN as error:
+        sentence = f"{what} '{reference}' cannot be made: {type(error).__name__}: {error}"
+        raise ConfigError(sentence, reference=reference) from error
 
 
 def find_beside(files: Iterable[str | Path]) -> None:

@@ -11,6 +11,7 @@ from im_mcs.inverse import Arm, ArmTracker, InverseKinematics
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.line.line import LinePreparation
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove
 
 A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
@@ -81,7 +82,9 @@ def line(other, ranges, config, q, way):
     context = SimpleNamespace(
         model=other, limits=ranges, index=np.arange(6), frame=FRAME, q_all=lambda: q, period_s=0.009, config=config
     )
-    preparation = LinePreparation(context, q, LineMove(poses=[pin.SE3ToXYZQUAT(target).tolist()]))
+    preparation = LinePreparation(
+        context, LineMove(poses=[pin.SE3ToXYZQUAT(target).tolist()]), lambda: Setpoint.at_rest(q)
+    )
     while (motion := preparation.step()) is None:
         pass
     return target, other.pose(motion.end_setpoint.q, FRAME)

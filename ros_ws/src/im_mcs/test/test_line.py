@@ -7,6 +7,7 @@ from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.planner import GroupPlanner
+from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove
 
 PERIOD = 0.0045
@@ -30,7 +31,9 @@ class Lines:
     def prepare(self, index, poses, speed=0.25, blend=0.0, frame="left_wrist", start=None):
         q = self.start if start is None else start
         context = PlanContext(self.model, self.limits, index, frame, lambda: q, 2 * PERIOD, self.config)
-        preparation = LinePreparation(context, q[index], LineMove(poses=poses, speed=speed, blend=blend))
+        preparation = LinePreparation(
+            context, LineMove(poses=poses, speed=speed, blend=blend), lambda: Setpoint.at_rest(q[index])
+        )
         for _ in range(2000):
             trajectory = preparation.step()
             if trajectory is not None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from im_core import clock
 from im_core.errors import ImError, LinkError
+from im_core.rate_groups import RateStatistics
 from im_mcs.client.time_source import TimeSource
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.protocol.evidence import Records
@@ -68,6 +69,9 @@ class ServoClient:
         channel: Created by the caller, who owns it.
         time: The testbed's clock, asked for time when a request must be heard; closed with the client.
         on_state: Told of every change of state, of MCS or of a group.
+
+    Attributes:
+        rates: Timing of the functions of the servo loop, as told last.
     """
 
     def __init__(
@@ -76,6 +80,7 @@ class ServoClient:
         self._channel = channel
         self._time = time
         self._on_state = on_state
+        self.rates: tuple[RateStatistics, ...] = ()
         self._newest = channel.snapshot.record()
         self._records = Records(channel.evidence)
         self._lock = threading.Lock()
@@ -200,6 +205,9 @@ class ServoClient:
         if message["event"] == "state":
             state, groups = State(message["state"]), dict(message["groups"])
             self._on_state(state, groups, str(message["reason"]), bool(message["lost"]))
+            return
+        if message["event"] == "rates":
+            self.rates = tuple(RateStatistics(**each) for each in message["functions"])
             return
         number = int(message["id"])
         with self._lock:

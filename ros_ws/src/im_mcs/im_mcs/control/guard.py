@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core import plugins
-from im_core.errors import ConfigError, ImError
+from im_core.errors import ImError
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 
 
@@ -84,17 +84,5 @@ def load_controller(name: str, setup: ControllerSetup) -> Controller:
     Raises:
         ConfigError: There is no such module or class, or it refuses its parameters; names the law.
     """
-    factory = plugins.load(name, None, "controller")
-    try:
-        if not callable(factory):
-            raise TypeError("a class is needed, not a value")
-        return GuardedLaw(name, factory(setup))
-    except ConfigError as error:
-        refused = ConfigError(f"controller '{name}': {error.message}", controller=name)
-        refused.facts.update(error.facts)
-        raise refused from error
-    except ImError:
-        raise
-    except Exception as error:  # a law of the user's may raise anything
-        sentence = f"controller '{name}' cannot be loaded: {type(error).__name__}: {error}"
-        raise ConfigError(sentence, controller=name) from error
+    law: Controller = plugins.make(name, "controller", setup)  # type: ignore[assignment]  # calls are guarded
+    return GuardedLaw(name, law)

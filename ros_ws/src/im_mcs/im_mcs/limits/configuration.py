@@ -7,8 +7,12 @@ from pydantic import Field, ValidationError, model_validator
 
 from im_core.config import FieldError, Model, faults, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
+from im_core.rate_groups import Overrun
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
 from im_mcs.limits.slots import Slot, Testbed, check_slots
+
+REFERENCE = r"^[\w.]+:\w+$"
+"""Pattern of ``module:Class``."""
 
 
 class Settle(Model):
@@ -84,7 +88,7 @@ class Safety(Model):
 class Control(Model):
     """Control law and the parameters."""
 
-    controller: str = Field(pattern=r"^[\w.]+:\w+$")
+    controller: str = Field(pattern=REFERENCE)
     parameters: dict[str, Any] = Field(default_factory=dict)
 
 
@@ -104,6 +108,26 @@ class LawProcesses(Model):
     laws: tuple[str, ...] = Field(default=(), description="module:Class, of those under control and switching")
     patience: float = Field(default=0.4, gt=0, le=0.8, description="share of the period that a tick waits for torques")
     max_late: int = Field(default=5, ge=1, description="late answers in a row that count as an error of the law")
+
+
+class ServoFunction(Model):
+    """Function of the user's at servo rate, in the servo process."""
+
+    function: str = Field(pattern=REFERENCE, description="module:name of what makes the function")
+    every: int = Field(default=1, ge=1, description="servo ticks between two calls")
+    times: int = Field(default=1, ge=1, description="calls in one servo tick")
+    phase: int = Field(default=0, ge=0, description="tick of the first call, below `every`")
+    overrun: Overrun = Field(default=Overrun.SKIP, description="what becomes of calls that a late loop has missed")
+    budget_s: float = Field(gt=0, description="most that a call may take; a longer call is the last one [s]")
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.every > 1 and self.times > 1:
+            raise ValueError(f"every {self.every} and times {self.times}: one of them is 1")
+        if self.phase >= self.every:
+            raise FieldError(("phase",), f"{self.phase} is not from 0 to {self.every - 1}")
+        return self
 
 
 class PayloadLimits(Model):
@@ -138,6 +162,13 @@ class NoiseSettings(Model):
     m: float = Field(default=1e-3, gt=0, description="largest change of a track's position [m]")
 
 
+class Generators(Model):
+    """Trajectory generators by kind of motion."""
+
+    joint: str = Field(default="im_mcs.planning.motions.joint:JointPreparation", pattern=REFERENCE)
+    line: str = Field(default="im_mcs.planning.line.line:LinePreparation", pattern=REFERENCE)
+
+
 class Planning(Model):
     """Defaults of the motion planning layer."""
 
@@ -149,6 +180,7 @@ class Planning(Model):
     max_trajectory_points: int = Field(ge=1, description="most points of one trajectory with times")
     goal: GoalSettings = GoalSettings()
     noise: NoiseSettings = NoiseSettings()
+    generators: Generators = Generators()
     line: Line
 
 
@@ -166,6 +198,7 @@ class Collision(Model):
     stop_m: float = Field(gt=0, description="distance after braking below which a protective stop begins [m]")
     slowest: float = Field(gt=0, lt=1, description="share of full speed that is left at stop_m")
     reaction_ticks: int = Field(ge=0, description="servo ticks until a motion begins to brake")
+    monitor: str = Field(default="im_mcs.collision.monitor:CollisionMonitor", pattern=REFERENCE)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -189,6 +222,7 @@ class McsConfig(Model):
     group_control: dict[str, Control] = Field(default_factory=dict)
     switching: Switching
     law_processes: LawProcesses = Field(default_factory=LawProcesses)
+    functions: dict[str, ServoFunction] = Field(default_factory=dict, description="functions at servo rate, by name")
     payload: PayloadLimits
     model_error: float = Field(
         default=0.0, gt=-1, le=10, description="relative error of masses and inertias in the controller's model"

@@ -7,7 +7,9 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from im_core.rate_groups import RateStatistics
 from im_core.ros import run as ros_run
+from im_core.ros.messages.rates import rate_status
 from im_core.ros.node import ManagedNode
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
@@ -56,6 +58,7 @@ class McsNode(ManagedNode):
             config = config.at_sample_rate(rate)
         self._last: dict[str, Any] | None = None
         self._fresh = False
+        self._rates: tuple[RateStatistics, ...] = ()
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
         self._topics = Publishers(self, cell, config, JointLimits(cell, config.limits, config.slots))
@@ -127,9 +130,21 @@ class McsNode(ManagedNode):
         taken_over = messages.take_overs_status(mcs.take_overs.newest())
         self._topics.diagnostics(stamp_ns, (servo, lifecycle, refused, taken_over))
         if mcs.keeper.running:
+            self._publish_rates(stamp_ns)
             if self._last is not None and not self._fresh:  # testbed time may stand still: once more, for latecomers
                 self._show([self._last])
             self._fresh = False
+
+    def _publish_rates(self, stamp_ns: int) -> None:
+        rates = self._mcs.client().rates
+        if rates != self._rates:
+            for each in rates:
+                if each.ended and each.ended not in (
+                    before.ended for before in self._rates if before.name == each.name
+                ):
+                    self.get_logger().error(f"function '{each.name}' of the servo is called no more: {each.ended}")
+            self._rates = rates
+            self._topics.rates(stamp_ns, [rate_status("mcs", each) for each in rates])
 
     def _servo_status(self) -> tuple[int, DiagnosticStatus]:
         """When [ns], and how the servo is."""

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.collision import CollisionMonitor, Proximity
+from im_mcs.collision import Proximity
+from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
@@ -103,7 +104,7 @@ class ControlLoop:
             return [_estop(fault, m.tick)]
         return []
 
-    def look_around(self, m: Measured, v: NDArray[np.float64], collision: CollisionMonitor) -> list[SafetyFinding]:
+    def look_around(self, m: Measured, v: NDArray[np.float64], collision: GuardedMonitor) -> list[SafetyFinding]:
         """Check the distances along the current tick's setpoints as a bound for the setpoints of the next tick.
 
         The slots need not wait for it, nor for what can be prepared of these.
@@ -141,7 +142,7 @@ class ControlLoop:
                 group.cut(Setpoint(*(row[group.index] for row in wanted)), cut, m.tick)
 
     def _look_around(
-        self, m: Measured, v: NDArray[np.float64], wanted: NDArray[np.float64], collision: CollisionMonitor
+        self, m: Measured, v: NDArray[np.float64], wanted: NDArray[np.float64], collision: GuardedMonitor
     ) -> list[SafetyFinding]:
         velocity = wanted[1]
         if self.torque_streams:

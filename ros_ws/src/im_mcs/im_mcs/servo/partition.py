@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.collision import CollisionMonitor
+from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.control import LawSource
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -37,13 +37,13 @@ class Partitions:
     ) -> None:
         self._config, self._model, self._limits, self._laws, self._q_all = config, model, limits, laws, q_all
         self._groups: dict[tuple[str, ...], ControlledGroup] = {}
-        self._monitors: dict[str, CollisionMonitor] = {}
+        self._monitors: dict[str, GuardedMonitor] = {}
 
-    def enter(self, preset: str) -> tuple[dict[str, ControlledGroup], CollisionMonitor]:
+    def enter(self, preset: str) -> tuple[dict[str, ControlledGroup], GuardedMonitor]:
         """Return groups of a preset, and the collision monitor; a common group of two presets is one.
 
         Raises:
-            ConfigError: A control law cannot be loaded.
+            ConfigError: A control law, a trajectory generator or the collision monitor cannot be loaded.
         """
         config = self._config.with_preset(preset)
         groups = {}
@@ -55,8 +55,8 @@ class Partitions:
             groups[name].monitor.restart()
         if preset not in self._monitors:
             joints = [group.index for group in groups.values()]
-            self._monitors[preset] = CollisionMonitor(
-                self._model, self._limits.motion, config.collision, joints, config.servo.period_s
+            self._monitors[preset] = GuardedMonitor(
+                config.collision, self._model, self._limits.motion, joints, config.servo.period_s
             )
         return groups, self._monitors[preset]
 
@@ -73,6 +73,7 @@ class Partitions:
             period_s=servo.period_s * servo.planning_divisor,
             config=config,
         )
+        assert context.generators  # loaded now, not at the first motion
         return ControlledGroup(
             name=name,
             planner=GroupPlanner(self._q_all()[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),

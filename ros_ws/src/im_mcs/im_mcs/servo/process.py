@@ -2,6 +2,7 @@
 
 import math
 import signal
+from dataclasses import asdict
 from typing import Any
 
 from im_cell.robot import load_cell
@@ -11,6 +12,7 @@ from im_core.patience import Silence
 from im_core.processes import scheduling
 from im_core.processes.end_signals import END_SIGNALS, heed_end_signals
 from im_core.processes.startup import patience_s
+from im_core.rate_groups import RateGroups, RateLoop
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel, channel_name
@@ -19,7 +21,7 @@ from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.safety.stop_mark import StopLatch, StopMark
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.realtime import Pacer
+from im_mcs.servo.functions import ServoFunctions
 from im_mcs.servo.report import Reporter
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface
@@ -29,7 +31,10 @@ _WAIT_S = 0.05
 _LOOK_S = 0.02
 _SNAPSHOT_TICKS = 4
 _ORPHAN_S = 5.0
-# Share of the ring of events from which on progress is left out: the rest is for what must not be lost.
+_RATES_S = 1.0
+# What is left out where there is no room.
+_UNIMPORTANT = ("progress", "rates")
+# Share of the ring of events from which on this is left out: the rest is for what must not be lost.
 _CROWDED = 0.5
 
 
@@ -63,8 +68,14 @@ class ServoProcess:
         awaited = AwaitedOwners(config.servo.owner_patience_s) if self._on_demand else None
         latch = StopLatch(StopMark(), StopCircuits(config.testbed.drivers, instance))
         self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited, latch)
-        self._pacer = Pacer(self._testbed.wall_period_s)
-        self._reporter = Reporter(self._channel, self._mcs, self._pacer, config.servo.sample_rate_hz)
+        rates = RateGroups(config.servo.period_s)
+        rates.register("control", self._control)
+        rates.register("report", self._report)
+        self._loop = RateLoop(rates, self._testbed.wall_period_s)
+        self._pacer = self._loop.pacer
+        self._reporter = Reporter(self._channel, self._mcs, self._loop, config.servo.sample_rate_hz)
+        self._functions = ServoFunctions(config.functions, self._mcs, rates)
+        self._rates_told, self._next_rates = "", 0.0
         self._powered = False
         self._orphaned = math.inf
         self._owner_runs, self._next_look = True, 0.0
@@ -80,6 +91,7 @@ class ServoProcess:
             while self._running and (self._owner_alive() or self._orphan_moves()):
                 self._turn()
         finally:
+            self._functions.close()
             self._mcs.close()
             self._testbed.close()
             self._channel.close()
@@ -122,7 +134,8 @@ class ServoProcess:
                 self._pacer.restart()
             self._pacer.wait()  # before the testbed's tick, which is there by then: one sleep a tick, not two
             if self._wait():
-                self._tick()
+                self._loop.turn()
+                self._tell_rates()
         except LinkError as error:
             self._lose(error)
 
@@ -164,16 +177,13 @@ class ServoProcess:
         self._send_events()
         clock.sleep(_WAIT_S)
 
-    def _tick(self) -> None:
-        began = clock.monotonic()
+    def _control(self, _: float) -> None:
         situation = self._mcs.situation
         situation.overruns = self._pacer.missed_in_row
         situation.owner_silence_s = self._channel.heartbeat.silence_s() if self._owner_alive() else math.inf
         self._mcs.tick(self._channel.requests.receive_all())
-        self._reporter.computed(clock.monotonic() - began)
-        self._report()
 
-    def _report(self) -> None:
+    def _report(self, _: float) -> None:
         """Report the results of the tick to the owner.
 
         An answer after which time stands still is given only when the testbed has completed the tick: what the owner
@@ -204,19 +214,28 @@ class ServoProcess:
             told |= {"reason": manager.cause, "lost": manager.lost}
             self._pending.insert(self._left, told)
 
+    def _tell_rates(self) -> None:
+        """Send the timing of the functions once a second, and at once where one has ended."""
+        now, told = clock.monotonic(), self._loop.groups.statistics()
+        ended = "".join(each.ended for each in told)
+        if now >= self._next_rates or ended != self._rates_told:
+            self._next_rates, self._rates_told = now + _RATES_S, ended
+            self._pending.append({"event": "rates", "functions": [asdict(each) for each in told]})
+            self._send_events()
+
     def _send_events(self) -> None:
-        """Send pending events; without room, all but progress is sent later."""
+        """Send pending events; without room, all but progress and timing is sent later."""
         if not self._pending:
             return
         events, taken = self._channel.events, 0
         for message in self._pending:
-            if message["event"] != "progress" or events.filled < _CROWDED:
+            if message["event"] not in _UNIMPORTANT or events.filled < _CROWDED:
                 try:
                     events.send(message)
                 except LinkError:
                     break
             taken += 1
-        self._pending[:] = [message for message in self._pending[taken:] if message["event"] != "progress"]
+        self._pending[:] = [message for message in self._pending[taken:] if message["event"] not in _UNIMPORTANT]
         self._left = len(self._pending)
         self._channel.bell.post()
 

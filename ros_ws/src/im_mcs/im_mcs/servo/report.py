@@ -2,12 +2,10 @@
 
 import numpy as np
 
+from im_core.rate_groups import RateLoop
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.servo.core import Mcs
-from im_mcs.servo.realtime import Pacer
 from im_mcs.state.table import STATES
-
-_SMOOTHING = 0.01
 
 
 class Reporter:
@@ -20,23 +18,18 @@ class Reporter:
     Args:
         channel: Where to.
         mcs: What of.
-        pacer: How the loop keeps time.
+        loop: How the loop keeps time; its first function is the tick.
         sample_rate_hz: How often a sample is due, by testbed time [1/s]; never more than one a tick.
     """
 
-    def __init__(self, channel: ServoChannel, mcs: Mcs, pacer: Pacer, sample_rate_hz: float) -> None:
+    def __init__(self, channel: ServoChannel, mcs: Mcs, loop: RateLoop, sample_rate_hz: float) -> None:
         self.real_time = False
         self.linked = True
-        self._channel, self._mcs, self._pacer = channel, mcs, pacer
+        self._channel, self._mcs, self._loop = channel, mcs, loop
         self._record = channel.snapshot.record()
         self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
         self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
-        self._compute_s = 0.0
         self._next_sample_ns, self._sample_period_ns = 0, round(1e9 / sample_rate_hz)
-
-    def computed(self, seconds: float) -> None:
-        """Note the duration of a tick [s]."""
-        self._compute_s += _SMOOTHING * (seconds - self._compute_s)
 
     def sample(self) -> None:
         """Write a sample, if due."""
@@ -55,7 +48,7 @@ class Reporter:
 
     def snapshot(self) -> None:
         """The newest state."""
-        mcs, m, pacer = self._mcs, self._mcs.measured, self._pacer
+        mcs, m, pacer = self._mcs, self._mcs.measured, self._loop.pacer
         near = mcs.loop.proximity
         for field, value in (
             ("tick", m.tick),
@@ -82,7 +75,7 @@ class Reporter:
             ("missed_deadlines", pacer.missed),
             ("max_lateness_s", pacer.max_lateness_s),
             ("mean_period_s", pacer.mean_period_s),
-            ("mean_compute_s", self._compute_s),
+            ("mean_compute_s", self._loop.groups.statistics()[0].mean_s),
             ("real_time", self.real_time),
             ("linked", self.linked),
         ):

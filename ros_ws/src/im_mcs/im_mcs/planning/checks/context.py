@@ -2,10 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core import plugins
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -36,3 +39,13 @@ class PlanContext:
     q_all: Callable[[], NDArray[np.float64]]
     period_s: float
     config: McsConfig
+
+    @cached_property
+    def generators(self) -> dict[str, Callable[..., Any]]:
+        """Return the configured makers of motions, by kind, each called with context, move and start.
+
+        Raises:
+            ConfigError: One cannot be loaded.
+        """
+        named: dict[str, str] = self.config.planning.generators.model_dump()
+        return {kind: plugins.load(name, None, "trajectory generator") for kind, name in named.items()}  # type: ignore[misc]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError, StateError
 from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.context import PlanContext, Start
 from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.line.carriers import CarrierChoice
 from im_mcs.planning.line.curve import JointCurve, LineCurve
@@ -45,14 +45,14 @@ class LinePreparation:
 
     Args:
         context: What to plan with.
-        start: Where the group is, at rest, shape (n,) [rad or m].
         move: Poses of the wrist in ``world``, its speed, and how corners are rounded.
+        start: Gives the state it begins with, at rest.
 
     Raises:
         StateError: The group has no wrist, or not all joints of its arm.
     """
 
-    def __init__(self, context: PlanContext, start: NDArray[np.float64], move: LineMove) -> None:
+    def __init__(self, context: PlanContext, move: LineMove, start: Start) -> None:
         if context.frame is None:
             raise StateError("the group has no wrist; a straight line needs one")
         self._context, self._frame = context, context.frame
@@ -63,7 +63,7 @@ class LinePreparation:
             raise StateError(f"a straight line of {context.frame} needs {', '.join(missing)}, not in the group")
         self._tracker = ArmTracker(context.model, self._arm, context.frame)
         self._start = context.q_all().copy()
-        self._start[context.index] = start
+        self._start[context.index] = start().q
         self._poses = [pin.XYZQUATToSE3(np.array(values)) for values in move.poses]
         self._speed, self._blend = move.speed or np.inf, move.blend
         self._choice = CarrierChoice(

@@ -4,8 +4,6 @@ from collections.abc import Callable
 from typing import Protocol
 
 from im_mcs.planning.checks.context import PlanContext, Start
-from im_mcs.planning.line.line import LinePreparation
-from im_mcs.planning.motions.joint import JointPreparation
 from im_mcs.planning.motions.spline import SplinePreparation
 from im_mcs.planning.motions.window import WindowPreparation
 from im_mcs.planning.trajectories.trajectory import Trajectory
@@ -44,9 +42,9 @@ def prepare(
         ImError: It is refused at once.
     """
     if isinstance(move, JointMove):
-        return JointPreparation(context, move, start)
+        return context.generators["joint"](context, move, start)  # type: ignore[no-any-return]
     if isinstance(move, LineMove):
-        return LinePreparation(context, start().q, move)
+        return context.generators["line"](context, move, start)  # type: ignore[no-any-return]
     if move.stream or move.points.times[-1] == 0.0:
         return WindowPreparation(context, move, start, passed_s)
     return SplinePreparation(context, move, start, at_once=at_once)

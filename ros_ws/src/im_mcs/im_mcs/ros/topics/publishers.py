@@ -49,6 +49,7 @@ class Publishers:
         self._dynamic = node.create_publisher(DynamicJointState, "/dynamic_joint_states", qos.EVENTS)
         self._tf = node.create_publisher(TFMessage, "/tf", qos.EVENTS)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", qos.EVENTS)
+        self._rates = node.create_publisher(DiagnosticArray, "/mcs/rates", qos.LATCHED)
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
         self._tf_static.publish(TFMessage(transforms=self._frames.fixed()))
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
@@ -79,9 +80,17 @@ class Publishers:
 
     def diagnostics(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
         """Publish ``/diagnostics``."""
-        message = DiagnosticArray(status=list(statuses))
-        message.header.stamp = to_stamp(stamp_ns)
-        self._diagnostics.publish(message)
+        self._diagnostics.publish(_array(stamp_ns, statuses))
+
+    def rates(self, stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> None:
+        """Publish ``/mcs/rates``: the timing of the functions of the servo loop."""
+        self._rates.publish(_array(stamp_ns, statuses))
+
+
+def _array(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = to_stamp(stamp_ns)
+    return message
 
 
 class JawSpeeds:

@@ -1,7 +1,7 @@
 import pytest
 
-from im_mcs.servo import realtime
-from im_mcs.servo.realtime import Pacer
+from im_core.rate_groups import pacer as pacer_module
+from im_core.rate_groups.pacer import Pacer
 
 
 class Clock:
@@ -26,7 +26,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch):
     made = Clock()
-    monkeypatch.setattr(realtime, "clock", made)
+    monkeypatch.setattr(pacer_module, "clock", made)
     return made
 
 

@@ -9,6 +9,15 @@ class Pacer:
     A deadline is missed if the loop comes to it more than a period late; the ticks in between are skipped, so that the
     loop does not run behind the clock for ever.
 
+    Attributes:
+        period_s: Wall time between ticks [s].
+        ticks: Ticks so far.
+        skipped: Deadlines skipped by the last :meth:`wait`.
+        due_s: Deadline of the current tick by the monotonic clock [s]; 0: the loop is not paced.
+        missed: Missed deadlines so far.
+        missed_in_row: Missed deadlines since the last one in time.
+        max_lateness_s: Largest lateness so far [s].
+
     Args:
         period_s: Wall time between ticks [s]; 0: the loop is not paced.
     """
@@ -18,6 +27,8 @@ class Pacer:
         self.ticks = 0
         self.missed = 0
         self.missed_in_row = 0
+        self.skipped = 0
+        self.due_s = 0.0
         self.max_lateness_s = 0.0
         self._first = 0.0
         self._last = 0.0
@@ -41,19 +52,19 @@ class Pacer:
         if self.period_s == 0.0:
             self.ticks += 1
             return
-        now = clock.monotonic()
+        now, self.skipped = clock.monotonic(), 0
         if self._deadline == 0.0:
             self._deadline = now
         late = now - self._deadline
         if late > self.period_s:
-            skipped = int(late / self.period_s)
-            self.missed += skipped
-            self.missed_in_row += skipped
-            self._deadline += skipped * self.period_s
+            self.skipped = int(late / self.period_s)
+            self.missed += self.skipped
+            self.missed_in_row += self.skipped
+            self._deadline += self.skipped * self.period_s
         else:
             self.missed_in_row = 0
         self.max_lateness_s = max(self.max_lateness_s, clock.sleep_until(self._deadline))
-        self._last = clock.monotonic()
+        self._last, self.due_s = clock.monotonic(), self._deadline
         if self.ticks == 0:
             self._first = self._last
         self.ticks += 1
