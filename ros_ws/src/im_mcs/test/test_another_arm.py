@@ -80,7 +80,7 @@ def line(other, ranges, config, q, way):
     begin = other.pose(q, FRAME)
     target = pin.SE3(begin.rotation, begin.translation + way)
     context = SimpleNamespace(
-        model=other, limits=ranges, index=np.arange(6), frame=FRAME, q_all=lambda: q, period_s=0.009, config=config
+        model=other, limits=ranges, index=np.arange(6), frames=(FRAME,), q_all=lambda: q, period_s=0.009, config=config
     )
     preparation = LinePreparation(
         context, LineMove(poses=[pin.SE3ToXYZQUAT(target).tolist()]), lambda: Setpoint.at_rest(q)

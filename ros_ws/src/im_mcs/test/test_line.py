@@ -28,9 +28,9 @@ class Lines:
         rotation = self.pose.rotation @ pin.exp3(np.array(turn))
         return [*(self.pose.translation + step), *pin.Quaternion(rotation).coeffs()]
 
-    def prepare(self, index, poses, speed=0.25, blend=0.0, frame="left_wrist", start=None):
+    def prepare(self, index, poses, speed=0.25, blend=0.0, frames=("left_wrist",), start=None):
         q = self.start if start is None else start
-        context = PlanContext(self.model, self.limits, index, frame, lambda: q, 2 * PERIOD, self.config)
+        context = PlanContext(self.model, self.limits, index, frames, lambda: q, 2 * PERIOD, self.config)
         preparation = LinePreparation(
             context, LineMove(poses=poses, speed=speed, blend=blend), lambda: Setpoint.at_rest(q[index])
         )
@@ -242,7 +242,7 @@ def test_a_wrist_that_must_turn_over_is_refused(lines):
 def test_groups_without_an_arm_have_no_lines(lines):
     target = [lines.target([0.1, 0.0, 0.0])]
     with pytest.raises(StateError, match="no wrist"):
-        lines.prepare(np.array([0, 1, 2]), target, frame=None)
+        lines.prepare(np.array([0, 1, 2]), target, frames=())
     with pytest.raises(StateError, match="needs left_j5, left_j6, not in the group"):
         lines.prepare(np.arange(3, 7), target)
 

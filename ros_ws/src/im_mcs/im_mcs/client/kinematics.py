@@ -50,8 +50,10 @@ class Kinematics:
         self._collision = CollisionChecker(model, config.collision.clearance_m)
         for preset, groups in config.presets.items():
             for name, group in groups.items():
-                if group.wrist is not None and not model.pin.existFrame(group.wrist):
-                    raise ConfigError(f"presets.{preset}.{name}.wrist: there is no frame '{group.wrist}'")
+                for wrist in group.frames:
+                    if not model.pin.existFrame(wrist):
+                        where = f"presets.{preset}.{name}.{'pair' if group.pair else 'wrist'}"
+                        raise ConfigError(f"{where}: there is no frame '{wrist}'")
         self._lock = threading.Lock()
         self._paths = CollisionChecker(model, config.collision.clearance_m)  # of their own: they may take long
         self._paths_lock = threading.Lock()

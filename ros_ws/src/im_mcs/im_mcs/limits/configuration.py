@@ -52,6 +52,20 @@ class Group(Model):
 
     joints: tuple[str, ...] = Field(min_length=1)
     wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
+    pair: tuple[str, str] | None = Field(
+        default=None, description="two wrists, in place of one: on straight lines of the first the second goes along"
+    )
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Wrists that straight lines move: none, one, or the pair."""
+        return self.pair or (() if self.wrist is None else (self.wrist,))
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.wrist is not None and self.pair is not None:
+            raise ValueError("a group has a wrist or a pair of wrists, not both")
+        return self
 
 
 class LimitShares(Model):

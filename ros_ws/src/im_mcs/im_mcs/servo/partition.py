@@ -68,7 +68,7 @@ class Partitions:
             model=self._model,
             limits=limits,
             index=index,
-            frame=config.groups[name].wrist,
+            frames=config.groups[name].frames,
             q_all=self._q_all,
             period_s=servo.period_s * servo.planning_divisor,
             config=config,

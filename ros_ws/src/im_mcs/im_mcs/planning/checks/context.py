@@ -26,7 +26,7 @@ class PlanContext:
         model: Kinematics and dynamics.
         limits: Limits of all joints.
         index: Joints of the group among all, shape (n,).
-        frame: Frame whose pose the group controls, if it has one.
+        frames: Wrists that straight lines move: the second one keeps its pose to the first.
         q_all: Gives the positions of all joints now, shape (18,) [rad or m].
         period_s: Time between two evaluations of a trajectory: a multiple of the servo period [s].
         config: Configuration.
@@ -35,7 +35,7 @@ class PlanContext:
     model: CellModel
     limits: JointLimits
     index: NDArray[np.intp]
-    frame: str | None
+    frames: tuple[str, ...]
     q_all: Callable[[], NDArray[np.float64]]
     period_s: float
     config: McsConfig

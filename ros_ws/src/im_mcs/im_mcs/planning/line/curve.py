@@ -50,6 +50,26 @@ class JointCurve:
         )
 
 
+class JointCurves:
+    """Curves of several arms over one path parameter; other joints stand still.
+
+    Args:
+        q: Positions of all joints of the group, shape (n,) [rad or m].
+        curves: For each arm the ranks of its joints in the group, and its curve.
+    """
+
+    def __init__(self, q: NDArray[np.float64], curves: Sequence[tuple[NDArray[np.intp], JointCurve]]) -> None:
+        self._q, self._curves = q, curves
+
+    def at(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Value and three derivatives at ``s``, shape (m,): shape (4, m, n)."""
+        whole = np.zeros((4, len(s), len(self._q)))
+        whole[0] = self._q
+        for ranks, curve in self._curves:
+            whole[:, :, ranks] = curve.at(s)
+        return whole
+
+
 class LineCurve:
     """Walks along a path of the wrist and makes the joints' curve.
 

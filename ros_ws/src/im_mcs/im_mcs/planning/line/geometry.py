@@ -113,6 +113,35 @@ class LinePath:
         return PathPlace(pose, twist, twist_rate, carriers)
 
 
+class CarriedPath(LinePath):
+    """Path of what keeps its pose to a wrist on a straight line.
+
+    Args:
+        poses: Of the wrist, as of :class:`LinePath`.
+        carriers: Positions of the joints that carry the arm of what is carried, likewise.
+        blend: As of :class:`LinePath` [m].
+        lever: As of :class:`LinePath` [m].
+        relative: Its pose in the frame of the wrist.
+    """
+
+    def __init__(
+        self, poses: Sequence[pin.SE3], carriers: NDArray[np.float64], blend: float, lever: float, relative: pin.SE3
+    ) -> None:
+        super().__init__(poses, carriers, blend, lever)
+        self._relative = relative
+
+    def at(self, s: float) -> PathPlace:
+        """The place at path parameter ``s``, 0 to ``size`` [m]."""
+        place = super().at(s)
+        pose, omega, alpha = place.pose * self._relative, place.twist[3:], place.twist_rate[3:]
+        arm = pose.translation - place.pose.translation
+        swing = np.cross(omega, arm)
+        twist, twist_rate = place.twist.copy(), place.twist_rate.copy()
+        twist[:3] += swing
+        twist_rate[:3] += np.cross(alpha, arm) + np.cross(omega, swing)
+        return PathPlace(pose, twist, twist_rate, place.carriers)
+
+
 def parameter_length(a: pin.SE3, b: pin.SE3, lever: float) -> float:
     """Size of the path parameter from one pose to another [m].
 

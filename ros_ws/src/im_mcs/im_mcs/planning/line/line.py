@@ -13,8 +13,8 @@ from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.checks.context import PlanContext, Start
 from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.line.carriers import CarrierChoice
-from im_mcs.planning.line.curve import JointCurve, LineCurve
-from im_mcs.planning.line.geometry import LinePath, parameter_length
+from im_mcs.planning.line.curve import JointCurves, LineCurve
+from im_mcs.planning.line.geometry import CarriedPath, LinePath, parameter_length
 from im_mcs.planning.line.speed import Profile, fit
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 from im_mcs.protocol.requests import LineMove
@@ -31,8 +31,23 @@ _PIECES_A_STEP = 100
 _SLOWER = 1.0 + 1e-9
 
 
+class _LineArm:
+    """One arm on a line, with its joints in the group: shape (n,); a group of one arm has all its joints there."""
+
+    def __init__(self, context: PlanContext, frame: str) -> None:
+        self.frame, self.arm = frame, Arm(context.model, frame)
+        missing = [context.model.names[i] for i in self.arm.joints if i not in context.index]
+        if missing:
+            raise StateError(f"a straight line of {frame} needs {', '.join(missing)}, not in the group")
+        below = context.model.joints_below(frame)
+        self.index = context.index if len(context.frames) == 1 else context.index[np.isin(context.index, below)]
+        self.tracker = ArmTracker(context.model, self.arm, frame)
+        lever = context.config.planning.line.rotation_lever_m
+        self.choice = CarrierChoice(context.model, context.limits, self.index, self.arm, self.tracker, frame, lever)
+
+
 class LinePreparation:
-    """Maker of the motion of a wrist along straight lines through poses.
+    """Maker of the motion of a wrist along straight lines through poses, or of two that keep their relative pose.
 
     Joints are found by inverse kinematics along the line, at places as close as it takes to keep the line, and joined
     by quintics. A one-dimensional profile of the path parameter sets the speed, with one bound of velocity,
@@ -53,28 +68,16 @@ class LinePreparation:
     """
 
     def __init__(self, context: PlanContext, move: LineMove, start: Start) -> None:
-        if context.frame is None:
+        if not context.frames:
             raise StateError("the group has no wrist; a straight line needs one")
-        self._context, self._frame = context, context.frame
+        self._context = context
         self._settings = context.config.planning.line
-        self._arm = Arm(context.model, context.frame)
-        missing = [context.model.names[i] for i in self._arm.joints if i not in context.index]
-        if missing:
-            raise StateError(f"a straight line of {context.frame} needs {', '.join(missing)}, not in the group")
-        self._tracker = ArmTracker(context.model, self._arm, context.frame)
         self._start = context.q_all().copy()
         self._start[context.index] = start().q
+        self._arms = [_LineArm(context, frame) for frame in context.frames]
+        self._tracker = self._arms[0].tracker
         self._poses = [pin.XYZQUATToSE3(np.array(values)) for values in move.poses]
         self._speed, self._blend = move.speed or np.inf, move.blend
-        self._choice = CarrierChoice(
-            context.model,
-            context.limits,
-            context.index,
-            self._arm,
-            self._tracker,
-            context.frame,
-            self._settings.rotation_lever_m,
-        )
         self._work = self._prepare()
 
     def step(self) -> PiecewisePolynomial | None:
@@ -97,17 +100,22 @@ class LinePreparation:
         q, parts = self._start, list[PiecewisePolynomial]()
         limits = self._context.limits.motion.of(self._context.index)
         for numbers in self._runs():
-            poses = [self._poses[number - 1] for number in numbers]
-            carriers, there = [q[self._arm.carriers]], q
-            for pose in poses:
-                there = yield from self._choice.choose(there, pose)
-                carriers.append(there[self._arm.carriers])
-            corners = [self._tracker.pose(q), *poses]
-            path = LinePath(corners, np.array(carriers), self._blend, self._settings.rotation_lever_m)
-            curve, q = yield from self._line_curve(path, numbers).walk(q)
+            corners = [self._tracker.pose(q), *(self._poses[number - 1] for number in numbers)]
+            curves, begin = [], q
+            for arm in self._arms:
+                relative = self._relative(arm)
+                carriers, there = [q[arm.arm.carriers]], q
+                for pose in corners[1:]:
+                    there = yield from arm.choice.choose(there, pose if relative is None else pose * relative)
+                    carriers.append(there[arm.arm.carriers])
+                settings = corners, np.array(carriers), self._blend, self._settings.rotation_lever_m
+                path = LinePath(*settings) if relative is None else CarriedPath(*settings, relative)
+                curve, q = yield from self._line_curve(arm, path, numbers).walk(q)
+                curves.append((np.flatnonzero(np.isin(self._context.index, arm.index)), curve))
             self._require_end(path)
-            profile = yield from fit(curve, path.size, limits, self._fastest(path), path.rounded)
-            parts.append((yield from self._timed(path, curve, profile, numbers, limits)))
+            whole = JointCurves(begin[self._context.index], curves)
+            profile = yield from fit(whole, path.size, limits, self._fastest(path), path.rounded)
+            parts.append((yield from self._timed(path, whole, profile, numbers, limits)))
         if not parts:
             return PiecewisePolynomial.standing(q[self._context.index])
         return parts[0].followed_by(parts[1:])
@@ -140,14 +148,20 @@ class LinePreparation:
             before = after
         return runs
 
-    def _line_curve(self, path: LinePath, numbers: list[int]) -> LineCurve:
+    def _relative(self, arm: "_LineArm") -> pin.SE3 | None:
+        """Pose in the first wrist at the begin, which is kept; None of the first itself."""
+        if arm is self._arms[0]:
+            return None
+        return self._tracker.pose(self._start).actInv(arm.tracker.pose(self._start))
+
+    def _line_curve(self, arm: "_LineArm", path: LinePath, numbers: list[int]) -> LineCurve:
         return LineCurve(
-            self._tracker,
-            self._arm,
+            arm.tracker,
+            arm.arm,
             self._context.limits,
-            self._context.index,
+            arm.index,
             path,
-            self._frame,
+            arm.frame,
             self._settings.singular_value,
             self._settings.deviation_m,
             self._settings.rotation_lever_m,
@@ -172,7 +186,7 @@ class LinePreparation:
             )
 
     def _timed(
-        self, path: LinePath, curve: JointCurve, profile: Profile, numbers: list[int], limits: MotionLimits
+        self, path: LinePath, curve: JointCurves, profile: Profile, numbers: list[int], limits: MotionLimits
     ) -> Generator[None, None, PiecewisePolynomial]:
         """Return the motion between two rests, slowed down as a whole for excesses of the quintics between knots."""
         motion = profile.sampled(_KNOT_S, path.edges[1:-1], _KNOT_M)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError
 from im_mcs.limits.motion_limits import MotionLimits
-from im_mcs.planning.line.curve import JointCurve
+from im_mcs.planning.line.curve import JointCurves
 from im_mcs.planning.trajectories.profile import along, transition_distance
 
 _SHORTEST_S = 1e-7
@@ -164,7 +164,7 @@ def _reached(
 
 
 def fit(
-    curve: JointCurve, size: float, limits: MotionLimits, speed: float, corners: Sequence[tuple[float, float]]
+    curve: JointCurves, size: float, limits: MotionLimits, speed: float, corners: Sequence[tuple[float, float]]
 ) -> Generator[None, None, Profile]:
     """Find a profile within all limits, one round a step.
 
@@ -222,7 +222,7 @@ class Terms:
         limits: Of the joints.
     """
 
-    def __init__(self, curve: JointCurve, motion: Motion, limits: MotionLimits) -> None:
+    def __init__(self, curve: JointCurves, motion: Motion, limits: MotionLimits) -> None:
         self._s = np.concatenate([motion.s - _ASIDE_M, motion.s + _ASIDE_M])
         _, d1, d2, d3 = curve.at(np.clip(self._s, 0.0, motion.s[-1]))
         v, a = (np.tile(x, 2)[:, None] for x in (motion.v, motion.a))
