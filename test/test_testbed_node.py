@@ -138,13 +138,17 @@ def test_a_dead_physics_process_is_a_failed_task(run_folder):
 @pytest.mark.parametrize(("parameters", "message"), [
     ({"factor": -1.0}, "factor -1.0 of /testbed is not between 0 and inf"),
     ({"factor": "fast"}, "parameter factor of /testbed is 'fast', not a number"),
-    ({"cell": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
 ])  # fmt: skip
 def test_wrong_parameters_are_one_sentence(run_folder, parameters, message):
     node = start(parameters)
     with spin_in_thread(node):
         until(lambda: node.ready or node.failed)
         assert message in node.failed
+
+
+def test_a_missing_cell_is_one_sentence(run_folder, monkeypatch):
+    monkeypatch.setenv("IM_CELL", "nowhere.yaml")
+    test_wrong_parameters_are_one_sentence(run_folder, {}, "nowhere.yaml: cannot be read")
 
 
 def test_services_of_an_unconfigured_testbed_answer(run_folder):

@@ -19,6 +19,7 @@ VALUES = {
     "seed": "seed of all random numbers; empty: as in the deployment",
     "port": "TCP port of the display, the next free one if in use; empty: as in the deployment",
     "foxglove": "TCP port that Foxglove connects to, e.g. 8765; empty: as in the deployment",
+    "cell": "file of robot, cameras, lights and scenery; empty: as in the deployment",
     "calibration": "folder of calibrations to start with; empty: as in the deployment",
     "timeout": "longest wait for the machine [s]; empty: 60",
 }

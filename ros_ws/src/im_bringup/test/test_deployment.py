@@ -1,9 +1,13 @@
+import os
 import re
+import subprocess
+import sys
 
 import pytest
 
-from im_bringup.tasks import deployment
-from im_core.config import parse_model
+from im_bringup.machine import start
+from im_bringup.tasks import agent, deployment
+from im_core.config import package_file, parse_model
 from im_core.errors import ConfigError, DataError, NotFoundError
 
 TASK = "{package: im_dom, executable: dom, node: /%s, parameters: %s}"
@@ -288,6 +292,31 @@ def test_what_a_start_was_given_reaches_other_hosts_as_it_is():
 def test_what_is_told_of_a_start_and_is_none_is_refused(text, error, message):
     with pytest.raises(error, match=message):
         deployment.with_options_text(parsed(machine({"localhost": {"a": {"one": "{}"}}})), text)
+
+
+def test_the_cell_is_named_once_for_all_tasks(tmp_path):
+    shipped = (package_file("im_cell", "robot/cell.yaml")).read_text(encoding="utf-8")
+    (tmp_path / "my_cell.yaml").write_text(shipped.replace("period: 0.0045", "period: 0.005", 1), encoding="utf-8")
+    text = package_file("im_bringup", "deployments/default.yaml").read_text(encoding="utf-8")
+    (tmp_path / "machine.yaml").write_text(text.replace('cell: ""', "cell: my_cell.yaml"), encoding="utf-8")
+    read = deployment.load(tmp_path / "machine.yaml")
+    assert read.cell == str(tmp_path / "my_cell.yaml")
+    environment = agent.environment({}, tmp_path, read)
+    code = "from im_cell.robot import load_cell; print(load_cell().period)"
+    command = [sys.executable, "-c", code]
+    told = subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=True)
+    assert told.stdout == "0.005\n"
+    assert "IM_CELL" not in agent.environment({}, tmp_path, deployment.load(deployment.default_path()))
+
+
+def test_a_wrong_cell_is_refused_before_anything_starts(tmp_path):
+    (tmp_path / "my_cell.yaml").write_text("period: 0.0045\n", encoding="utf-8")
+    one = parsed(machine({"localhost": {"a": {"vss": "{}"}}}))
+    with pytest.raises(ConfigError, match=r"my_cell.yaml:1: substeps: Field required"):
+        start.check_cell(one.with_values(None, None, None, cell=str(tmp_path / "my_cell.yaml")), None)
+    two = parsed(machine({"near": {"a": {"vss": "{}"}}, "far": {"b": {"mcs": "{}"}}}))
+    with pytest.raises(ConfigError, match="--cell is for one host"):
+        start.check_cell(two, "/a/cell.yaml")
 
 
 def test_a_folder_of_calibrations_of_this_host_is_not_for_a_task_of_another():

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +86,6 @@ class FrameSourceSetup:
 
     Attributes:
         cell: Where the cameras are and what sizes their images have.
-        cell_file: File that `cell` was read from; None: the shipped one.
         cameras: Names of the cameras in use.
         sensor: Their data sheet.
         nominal_exposure_s: Usual length of an exposure [s].
@@ -96,7 +94,6 @@ class FrameSourceSetup:
     """
 
     cell: Cell
-    cell_file: Path | None
     cameras: tuple[str, ...]
     sensor: SensorNoise
     nominal_exposure_s: float

@@ -13,6 +13,10 @@ from im_core.ownership import make_private
 RUN, RESUMES = "IM_RUN", "IM_RESUMES"
 
 
+#: Environment variable: the file of the cell, for every process of a machine; the shipped one where it is not set.
+CELL = "IM_CELL"
+
+
 def instance() -> str:
     """Prefix of every shared memory and semaphore name.
 

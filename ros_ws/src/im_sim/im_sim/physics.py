@@ -1,8 +1,7 @@
-"""The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0 [--config cell.yaml]``."""
+"""The physics process: ``python -m im_sim.physics --instance NAME --factor 1.0 --seed 0``."""
 
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from im_cell.link import HostEnd
 from im_cell.robot import load_cell
@@ -25,27 +24,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = NumberParser(prog="im_sim.physics", description="Physics of the simulated testbed.")
     parser.add_argument("--instance", required=True, help="name of the machine on this host")
-    parser.add_argument("--config", type=Path, help="parameters of the cell (default: the shipped ones)")
     parser.add_argument("--period", type=float, default=0.0, help="period of a tick [s]; 0: the cell's")
     parser.add_argument("--factor", type=float, default=1.0, help="clock factor; 0: as fast as time is asked for")
     parser.add_argument("--seed", type=int, default=0, help="seed of the encoder noise")
     options = parser.parse_args(arguments)
     try:
-        simulate(options.instance, options.config, options.period, options.factor, options.seed)
+        simulate(options.instance, options.period, options.factor, options.seed)
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1
     return 0
 
 
-def simulate(instance: str, config: Path | None, period: float, factor: float, seed: int) -> None:
+def simulate(instance: str, period: float, factor: float, seed: int) -> None:
     """Create the link and run the tick loop until a signal ends the loop.
 
     Raises:
         ConfigError: The cell's parameters are wrong.
         LinkError: Another testbed of that instance runs.
     """
-    cell = load_cell(config)
+    cell = load_cell()
     if period != 0.0:
         cell = cell.at_period(period)
     n_joints = len(cell.joints)

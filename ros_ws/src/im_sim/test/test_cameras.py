@@ -114,7 +114,7 @@ def test_noise_has_the_variance_of_the_data_sheet():
 
 
 def test_settings_of_the_cameras_own_are_checked():
-    setup = FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 1.0, {"renderer": "elg"})
+    setup = FrameSourceSetup(CELL, ("wall",), SETTINGS.sensor, 0.018, 1.0, {"renderer": "elg"})
     with pytest.raises(ConfigError, match=r"frame_source\.settings\.renderer: 'elg': .*'egl'"):
         CameraHost(setup)
     with pytest.raises(ConfigError, match=r"frame_source\.settings\.render: .*'renderer'"):
@@ -131,7 +131,7 @@ def test_cameras_that_hang_at_their_start_are_ended_and_started_again(monkeypatc
 
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     monkeypatch.setattr(ChildProcess, "of_module", hanging)
-    host = CameraHost(FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "auto"}))
+    host = CameraHost(FrameSourceSetup(CELL, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "auto"}))
     host.start()
     try:
         with pytest.raises(WaitTimeoutError, match="the camera process to be ready"):
@@ -147,7 +147,7 @@ def test_cameras_that_hang_at_their_start_are_ended_and_started_again(monkeypatc
 def test_cameras_that_cannot_be_started_again_at_once_are_later(monkeypatch, tmp_path):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     monkeypatch.setattr(ChildProcess, "of_module", lambda *_, **__: ChildProcess(["sleep", "60"]))
-    host = CameraHost(FrameSourceSetup(CELL, None, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "tiny"}))
+    host = CameraHost(FrameSourceSetup(CELL, ("wall",), SETTINGS.sensor, 0.018, 0.2, {"renderer": "tiny"}))
     host.start()
     os.kill(host._child.pid, signal.SIGKILL)
     assert host._child.await_end(60.0)

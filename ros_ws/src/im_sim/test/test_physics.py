@@ -135,8 +135,9 @@ def test_a_killed_machine_is_replaced_and_a_living_one_is_not():
             assert new.wait_tick(new.request_time(5), timeout_s=60.0) == 5
 
 
-def test_a_wrong_cell_file_is_one_sentence(tmp_path):
-    with physics("--config", str(tmp_path / "none.yaml")) as process:
+def test_a_wrong_cell_file_is_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_CELL", str(tmp_path / "none.yaml"))
+    with physics() as process:
         _, errors = process.communicate(timeout=60.0)
         assert process.returncode == 1
         assert "none.yaml: cannot be read" in errors.splitlines()[-1]

@@ -77,6 +77,12 @@ def parser() -> argparse.ArgumentParser:
         "results/vss (default: cameras and laser scanner as drawn)",
     )
     parser.add_argument(
+        "--cell",
+        metavar="FILE",
+        type=os.path.abspath,
+        help="robot, cameras, lights and scenery, for all tasks (default: the deployment's, else the shipped cell.yaml)",
+    )
+    parser.add_argument(
         "--foxglove",
         nargs="?",
         type=whole,
@@ -119,6 +125,7 @@ def main() -> int:
     try:
         deployment = deployments.with_options(deployments.load(path), arguments)
         check_programs(deployment, path)
+        check_cell(deployment, arguments.cell)
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
         failure = 1
@@ -157,6 +164,24 @@ def check_programs(deployment: Deployment, path: Path) -> None:
         raise config.fault_in(path, where, error.message) from error
 
 
+def check_cell(deployment: Deployment, given: str | None) -> None:
+    """Read the cell of a deployment, if it names one.
+
+    Args:
+        deployment: What is to be started.
+        given: The file on the command line; None: none.
+
+    Raises:
+        ConfigError: It is missing or wrong, or other hosts do not know of it.
+    """
+    if given is not None and len(deployment.hosts) > 1:
+        raise ConfigError("--cell is for one host; with several write `cell: FILE` into the deployment file of each")
+    if deployment.cell:
+        from im_cell.robot import load_cell  # half a second that few starts need
+
+        load_cell(deployment.cell)
+
+
 def check_calibration(deployment: Deployment, path: Path) -> None:
     """Read the calibrations for tasks of the local host, if there are any, and print a summary.
 
@@ -178,7 +203,7 @@ def check_calibration(deployment: Deployment, path: Path) -> None:
         raise ConfigError(f"calibration: {deployment.calibration}: no task has '${{calibration}}' among its parameters")
     for taker in takers:
         if taker.host == deployment.local_host():
-            cell = load_cell(str(taker.task.parameters.get("cell", "")) or None)
+            cell = load_cell(deployment.cell or None)
             files = read_calibration(Path(deployment.calibration), cell)
             say(f"start: {taker.name} starts with {files.folder}: {files.summary()}")
         elif deployment.calibration != deployments.load(path).calibration:

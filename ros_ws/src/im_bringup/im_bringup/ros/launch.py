@@ -48,6 +48,7 @@ def main() -> int:
     parser.add_argument("--control", action="store_true", default=None)
     parser.add_argument("--unproved", action="store_true", default=None)
     parser.add_argument("--calibration")
+    parser.add_argument("--cell")
     arguments = parser.parse_args()
     if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
         os.execve(sys.executable, sys.orig_argv, {**os.environ, MARKER: names.instance()})

@@ -383,8 +383,10 @@ def defaults() -> dict[str, str]:
 
 
 def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) -> dict[str, str]:
-    """Return the environment of the machine's processes: mark, folder, DDS, servo core, proof of nets required."""
+    """Return the environment of the machine's processes: mark, folder, cell, DDS, servo core, proof required."""
     core = scheduling.reserve() if deployment.clock_factor > 0.0 else {}
     dds, unproved = middleware(base, deployment), str(int(deployment.unproved))
     given = {**defaults(), "ROS_LOG_DIR": str(run_dir / "ros")}
-    return {**given, **base, **core, **dds, MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}
+    cell = {names.CELL: deployment.cell} if deployment.cell else {}
+    own = {MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}
+    return {**given, **base, **core, **dds, **cell, **own}

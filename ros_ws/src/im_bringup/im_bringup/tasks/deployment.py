@@ -118,6 +118,7 @@ class Deployment(Model):
         port: TCP port of the display; the next free one is taken where it is in use.
         foxglove: TCP port that Foxglove connects to, which adds a bridge as a process of the first host; 0: none.
         control: Whether the display may operate nets; if not, it only shows them.
+        cell: File of the cell, for all tasks, as read from a file relative to it; empty: the shipped one.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
         unproved: Whether it may start where it cannot be decided in time whether its nets may run.
@@ -135,6 +136,7 @@ class Deployment(Model):
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     foxglove: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     control: bool = False
+    cell: str = ""
     calibration: str = ""
     commands: tuple[
         Annotated[
@@ -257,6 +259,7 @@ class Deployment(Model):
         control: bool | None = None,
         unproved: bool | None = None,
         foxglove: int | None = None,
+        cell: str | None = None,
     ) -> "Deployment":
         """Return the same deployment with some values replaced; None leaves a value unchanged.
 
@@ -265,6 +268,7 @@ class Deployment(Model):
         """
         given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
         given |= {"calibration": calibration, "control": control, "unproved": unproved, "foxglove": foxglove}
+        given["cell"] = cell
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
@@ -288,7 +292,7 @@ _EVERYWHERE = {
 
 def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
     """Return the deployment with the values of a command line; arguments and errors as of ``with_values``."""
-    return deployment.with_values(**{name: getattr(options, name) for name in (*_EVERYWHERE, "calibration")})
+    return deployment.with_values(**{name: getattr(options, name) for name in (*_EVERYWHERE, "calibration", "cell")})
 
 
 def options_text(deployment: Deployment) -> str:
@@ -335,7 +339,7 @@ def default_path() -> Path:
 
 
 def load(path: str | Path) -> Deployment:
-    """Read a deployment file; the folder of calibrations and the net files are relative to the deployment file.
+    """Read a deployment file; cell, folder of calibrations and net files are relative to the deployment file.
 
     Raises:
         ConfigError: It cannot be read or is not a deployment; names file, line and field.
@@ -346,8 +350,6 @@ def load(path: str | Path) -> Deployment:
     for rank, name in enumerate(named):
         if "," in name:
             raise config.fault_in(Path(path), ("commands", rank), f"{name}: {_NO_COMMA}")
-    deployment = deployment.model_copy(update={"commands": tuple(named)})
-    if not deployment.calibration:
-        return deployment
-    folder = (here / deployment.calibration).resolve()
-    return deployment.model_copy(update={"calibration": str(folder)})
+    given = {"cell": deployment.cell, "calibration": deployment.calibration}
+    paths = {name: str((here / path).resolve()) for name, path in given.items() if path}
+    return deployment.model_copy(update={"commands": tuple(named), **paths})

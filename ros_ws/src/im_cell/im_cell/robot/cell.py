@@ -1,5 +1,6 @@
 """The cell: parameters of ``cell.yaml`` and derived values."""
 
+import os
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -28,6 +29,7 @@ from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import CART_LINKS, Joint, LinkInertia, joints_of, links_of
 from im_core.config import FieldError, Model, load_model, package_file
 from im_core.errors import ConfigError
+from im_core.names import CELL
 from im_core.text.yamltext import Location
 
 SIDES = ("left", "right")
@@ -173,7 +175,10 @@ class Cell(Model):
 
 
 def load_cell(path: Path | str | None = None) -> Cell:
-    """Read a cell's parameter file; the shipped one by default.
+    """Read a cell's parameter file.
+
+    Args:
+        path: The file; None: the one named by the environment variable ``IM_CELL``, else the shipped one.
 
     Raises:
         ConfigError: The file is missing or wrong; the message names file, line and value.
@@ -182,4 +187,5 @@ def load_cell(path: Path | str | None = None) -> Cell:
     Traceback (most recent call last):
     im_core.errors.ConfigError: nowhere.yaml: cannot be read: No such file or directory
     """
-    return load_model(Path(path) if path else package_file("im_cell", "robot/cell.yaml"), Cell)
+    named = path or os.environ.get(CELL)
+    return load_model(Path(named) if named else package_file("im_cell", "robot/cell.yaml"), Cell)

@@ -16,11 +16,10 @@ def main() -> int:
     parser.add_argument("--instance", required=True, help="prefix of the machine's shared memory, e.g. im0")
     parser.add_argument("--truth", type=Path, required=True, help="the testbed's truth.json")
     parser.add_argument("--settings", required=True, help="cameras in use, sensor and renderer, as JSON")
-    parser.add_argument("--cell", type=Path, default=None, help="a cell.yaml; the shipped one by default")
     arguments = parser.parse_args()
     try:
         settings = parse_model(arguments.settings, CameraSettings, "--settings")
-        run(arguments.instance, arguments.truth, arguments.cell, settings)
+        run(arguments.instance, arguments.truth, settings)
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1

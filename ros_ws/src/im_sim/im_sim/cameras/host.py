@@ -43,7 +43,6 @@ class CameraHost(FrameSource):
         except ValidationError as error:
             first = faults(error, CameraSettings)[0]
             raise ConfigError(f"frame_source.settings.{first.field}: {first.sentence}", field=first.field) from error
-        self._cell_file = setup.cell_file
         self._start_timeout_s = setup.start_timeout_s
         self._layout = CameraChannel.layout(setup.cell)
         self._lock = threading.Lock()
@@ -152,7 +151,6 @@ class CameraHost(FrameSource):
         run_dir = names.run_dir()
         arguments = ["--instance", names.instance(), "--truth", str(run_dir / FILE_NAME)]
         arguments += ["--settings", self._settings.model_dump_json()]
-        arguments += ["--cell", str(self._cell_file)] if self._cell_file else []
         with ExitStack() as shared:
             channel = CameraChannel.create(channel_name(names.instance()), self._layout)
             self._channel = shared.enter_context(closing(channel))

@@ -128,14 +128,14 @@ class CameraProcess:
         self._channel.replied.post()
 
 
-def run(instance: str, truth: Path, cell_file: Path | None, settings: CameraSettings) -> None:
-    """Run the camera process until the host is gone; the shipped cell by default.
+def run(instance: str, truth: Path, settings: CameraSettings) -> None:
+    """Run the camera process until the host is gone.
 
     Raises:
         ImError: It cannot start.
     """
     os.nice(_NICENESS)
-    CameraProcess(instance, truth, load_cell(cell_file), settings).run()
+    CameraProcess(instance, truth, load_cell(), settings).run()
 
 
 def _await_truth(path: Path, seed: int) -> CellTruth:

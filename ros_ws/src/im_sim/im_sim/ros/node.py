@@ -53,7 +53,6 @@ class TestbedNode(ManagedNode):
         fast = "simulated seconds a second of wall time; 0: as fast as it goes"
         self._factor = declare("factor", 1.0, fast, span=(0.0, math.inf))
         self._seed = declare("seed", 0, "of everything that is drawn at random", span=(0, 2**31 - 1))
-        self._cell_file = declare("cell", "", "file of robot, cameras and scenery; empty: the package's cell.yaml")
         self._period = declare("period", 0.0, "of a tick of the testbed [s]; 0: the cell's", span=(0.0, 0.1))
         self._clock_publisher = self.create_publisher(Clock, "/clock", qos.CLOCK)
         self._lights_publisher = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
@@ -66,7 +65,7 @@ class TestbedNode(ManagedNode):
 
     def phase_configure(self) -> None:
         """Draw the truth, start the physics process and attach to the link."""
-        self._cell = load_cell(self._cell_file or None)
+        self._cell = load_cell()
         if self._period != 0.0:
             self._cell = self._cell.at_period(self._period)
         self._truth = draw_truth(self._cell, self._seed)
@@ -75,8 +74,6 @@ class TestbedNode(ManagedNode):
         arguments = ["--instance", names.instance(), "--factor", repr(self._factor)]
         arguments += ["--seed", str(self._seed)]
         arguments += ["--period", repr(self._cell.period)]
-        if self._cell_file:
-            arguments += ["--config", self._cell_file]
         self._child = ChildProcess.of_module("im_sim.physics", arguments, log=run_dir / "physics.log")
         self._link = self._attach(self._child)
 

@@ -56,7 +56,6 @@ class VssNode(ManagedNode):
         declare = self.declared.declare
         self._files = {
             "settings": declare("settings", "", "file of the Services in use and their settings; empty: the package's"),
-            "cell": declare("cell", "", "file of robot, cameras and scenery; empty: the package's cell.yaml"),
             "catalogue": declare("catalogue", "", "file of all Services that exist; empty: the package's"),
             "calibration": declare("calibration", "", "folder of calibrations to start with; empty: as drawn"),
         }
@@ -67,8 +66,7 @@ class VssNode(ManagedNode):
 
     def phase_configure(self) -> None:
         """Load the Services in use and start the cameras."""
-        cell_file = self._file("cell")
-        cell = load_cell(cell_file)
+        cell = load_cell()
         settings = load_settings(cell, self._file("settings"))
         self._kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
         self._book = CameraBook(cell, settings.cameras, self._kept, settings.stereo.pairs)
@@ -82,7 +80,6 @@ class VssNode(ManagedNode):
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
             cell,
-            cell_file,
             settings.cameras,
             settings.sensor,
             settings.exposure.nominal,
