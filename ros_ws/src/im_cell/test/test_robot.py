@@ -213,6 +213,7 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
     (lambda data: data["cart"]["capsules"][0].update(link="link1"), r"cart.capsules\[0\].link: .*'link1' is not"),
     (lambda data: data["arm_models"]["puma_560"]["capsules"][3].update(link="link9"),
      r":\d+: arm_models.puma_560.capsules\[3\].link: .*'link9' is not one of link1, link2"),
+    (lambda data: data["cameras"].update({"the wall": data["cameras"]["wall"]}), "'the wall' names topics"),
     (lambda data: data["cameras"]["wall"].update(parent="left_wirst"), r"cameras.wall.parent: .*'left_wirst' is not"),
     (lambda data: data["mirrors"][0].update(link="wrld"), r"mirrors\[0\].link: .*'wrld' is not one of world, left"),
     (lambda data: data["gripper"].update(initial=0.8), r":\d+: gripper.initial: .*0.8 is more than the stroke"),

@@ -1,6 +1,7 @@
 """The cell: parameters of ``cell.yaml`` and derived values."""
 
 import os
+import re
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +35,7 @@ from im_core.text.yamltext import Location
 
 SIDES = ("left", "right")
 _WORLD = "world"
+_TOPIC = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")
 
 _SHORTEST_S = 1e-4
 """Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
@@ -97,6 +99,8 @@ class Cell(Model):
                 if thing.link not in known:
                     raise FieldError((*where, rank, "link"), f"'{thing.link}' is not one of {', '.join(known)}")
         for name, camera in self.cameras.items():
+            if not _TOPIC.fullmatch(name):
+                raise FieldError(("cameras", name), f"'{name}' names topics: letters, digits and _, a letter first")
             if camera.parent not in frames:
                 where = ("cameras", name, "parent")
                 raise FieldError(where, f"'{camera.parent}' is not one of {', '.join(frames)}")
