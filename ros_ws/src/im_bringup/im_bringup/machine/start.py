@@ -80,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
         "--cell",
         metavar="FILE",
         type=os.path.abspath,
-        help="robot, cameras, lights and scenery, for all tasks (default: the deployment's, else the shipped cell.yaml)",
+        help="robot, cameras, lights and scenery, for all tasks (default: the deployment's, else the shipped one)",
     )
     parser.add_argument(
         "--foxglove",
