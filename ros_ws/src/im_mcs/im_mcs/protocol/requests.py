@@ -274,12 +274,20 @@ class MoveRequest(ServoRequest):
 
 
 class StreamRequest(ServoRequest):
-    """The newest setpoint or torques of a group, one per joint, good for the time of the lease."""
+    """The newest setpoint, torques or velocities of a group, good for the time of the lease.
+
+    Attributes:
+        velocities: One per joint; of a twist six, of the wrist: linear [m/s] and angular [rad/s].
+        frame: Frame along whose axes a twist is.
+    """
 
     group: Text
-    kind: Annotated[Literal["setpoint", "torque"], Field(description="one of setpoint, torque")]
+    kind: Annotated[
+        Literal["setpoint", "torque", "jog", "twist"], Field(description="one of setpoint, torque, jog, twist")
+    ]
     positions: Numbers = Field(default_factory=list)
     velocities: Numbers = Field(default_factory=list)
+    frame: Text = ""
     torques: Numbers = Field(default_factory=list)
     lease_s: Annotated[
         float,

@@ -83,6 +83,21 @@ def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[
     return q, v
 
 
+def check_twist(request: StreamRequest) -> NDArray[np.float64]:
+    """Return the wanted velocity of a wrist, shape (6,).
+
+    Raises:
+        DataError: A wrong size, a value that is not finite, or no frame.
+    """
+    if len(request.velocities) != 6:
+        raise DataError(f"the twist has {len(request.velocities)} values, not 6: linear and angular velocity")
+    if not all(map(math.isfinite, request.velocities)):
+        raise DataError(f"the twist {request.velocities} has a value that is not a finite number")
+    if not request.frame:
+        raise DataError("the twist names no frame; world, the wrist, or any other frame of the cell may be named")
+    return np.array(request.velocities, dtype=np.float64)
+
+
 def per_joint(context: PlanContext, values: Sequence[float], what: str) -> NDArray[np.float64] | None:
     """Finite values, shape (n,), or None for none.
 
