@@ -26,6 +26,7 @@ from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState, ReserveGroup
 from im_sim.ros.node import TestbedNode
 from support.mcs_config import write_mcs_config
+from support.stranger import Stranger
 
 CELL = load_cell()
 
@@ -228,6 +229,14 @@ def _running(node):
         Client.until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
         yield node
+
+
+@pytest.fixture(scope="module")
+def stranger(machine):
+    """A stranger to the machine."""
+    node = Stranger()
+    yield node
+    node.end()
 
 
 @pytest.fixture

@@ -32,7 +32,8 @@ from im_mcs.protocol.points import TimedPoints, unpack_points
 
 SLOWEST = 0.01
 """Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""
-_LONGEST_LEASE_S = 10.0
+LONGEST_LEASE_S = 10.0
+"""Longest lease of a stream [s]."""
 _OFF_UNIT = 0.01
 
 LARGEST = 1e6
@@ -293,8 +294,8 @@ class StreamRequest(ServoRequest):
         float,
         Field(
             gt=0,
-            le=_LONGEST_LEASE_S,
-            description=f"a number above 0 and up to {_LONGEST_LEASE_S:g} [s], the time after which a silent sender "
+            le=LONGEST_LEASE_S,
+            description=f"a number above 0 and up to {LONGEST_LEASE_S:g} [s], the time after which a silent sender "
             "is given up on",
         ),
     ]

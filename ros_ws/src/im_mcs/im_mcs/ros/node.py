@@ -70,8 +70,8 @@ class McsNode(ManagedNode):
             KinematicsServices(self._mcs),
             MoveServer(self._mcs, motions),
             TrajectoryServer(self._mcs, motions),
-            CommandTopics(self._mcs),
         )
+        self._commands = CommandTopics(self._mcs)
         self._estop = EstopServer(self._mcs)
         self._publish_state()
 
@@ -106,6 +106,7 @@ class McsNode(ManagedNode):
             client = self._mcs.client()
             self._show(client.samples())
             self._grippers.publish_feedback(client.snapshot())
+            self._commands.publish_status(client.snapshot())
 
     def _show(self, samples: list[dict[str, Any]]) -> None:
         if samples:

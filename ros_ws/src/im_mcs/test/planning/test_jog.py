@@ -22,6 +22,17 @@ def twist(rig, *velocities, frame="world", **more):
     return jog(rig, velocities, kind="twist", frame=frame, **more)
 
 
+@pytest.fixture
+def bent(rig):
+    """The rig far from singularities."""
+    q = rig.home.copy()
+    q[3:] = 0.7, 1.08, -3.0, 0.26, -0.79, -0.94
+    rig.q_all[rig.index] = q
+    rig.group.engage(q)
+    rig.trace = [rig.group.planner.setpoint]
+    return rig
+
+
 def poses(rig):
     whole = rig.q_all.copy()
     for setpoint in rig.trace:
@@ -76,24 +87,24 @@ def test_after_a_silence_the_next_command_need_not_wait_for_rest(rig, way):
     rig.check_motion()
 
 
-def test_a_command_beyond_the_limits_keeps_its_direction(rig, way):
-    wanted = 100.0 * way
+def test_a_command_beyond_the_limits_keeps_its_direction(rig):
+    wanted = np.array([0.0] * 6 + [30.0, 10.0, -20.0])
     jog(rig, wanted)
-    rig.ticks(120)
+    rig.ticks(100)
     assert rig.group.jog_limit is JogLimit.VELOCITY
     v = rig.trace[-1].v
     assert np.abs(v / rig.limits.velocity).max() == pytest.approx(1.0)
-    np.testing.assert_allclose(v / np.linalg.norm(v), way / np.linalg.norm(way), atol=1e-9)
+    np.testing.assert_allclose(v / np.linalg.norm(v), wanted / np.linalg.norm(wanted), atol=1e-9)
     rig.check_motion()
 
 
 @pytest.mark.parametrize("joint", range(9))
-@pytest.mark.parametrize("speed", [-1.0, -0.1, 1.0])
+@pytest.mark.parametrize("speed", [-1.0, -0.3, 1.0])
 def test_a_joint_stops_at_the_end_of_its_range_and_comes_back(rig, joint, speed):
     velocity = np.zeros(9)
     velocity[joint] = speed * rig.limits.velocity[joint]
     jog(rig, velocity, lease_s=10.0)
-    for _ in range(60):
+    for _ in range(120):
         jog(rig, velocity, lease_s=10.0)
         rig.ticks(100)
         if rig.group.jog_limit is JogLimit.JOINT_RANGE and np.abs(rig.trace[-1].v).max() < 1e-4:
@@ -101,11 +112,10 @@ def test_a_joint_stops_at_the_end_of_its_range_and_comes_back(rig, joint, speed)
     lower, upper = rig.all_limits.lower[rig.index], rig.all_limits.upper[rig.index]
     assert ((rig.q >= lower - 1e-12) & (rig.q <= upper + 1e-12)).all()
     end = (upper if speed > 0.0 else lower)[joint]
-    if joint != 0 or abs(speed) == 1.0:  # a track would take minutes
-        assert rig.trace[-1].q[joint] == pytest.approx(end, abs=1e-3)
-        jog(rig, -velocity)
-        rig.ticks(100)
-        assert rig.trace[-1].v[joint] * speed < 0.0
+    assert rig.trace[-1].q[joint] == pytest.approx(end, abs=1e-3)
+    jog(rig, -velocity)
+    rig.ticks(100)
+    assert rig.trace[-1].v[joint] * speed < 0.0
     rig.check_motion()
 
 
@@ -129,37 +139,37 @@ def test_random_commands_leap_nowhere_and_leave_no_range(rig):
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("frame", ["world", "left_wrist"])
-def test_a_twist_moves_the_wrist_straight_along_an_axis_of_its_frame(rig, axis, frame):
+def test_a_twist_moves_the_wrist_straight_along_an_axis_of_its_frame(bent, axis, frame):
     velocity = np.zeros(6)
     velocity[axis] = 0.08
-    first = next(poses(rig))
+    first = next(poses(bent))
     direction = (np.eye(3) if frame == "world" else first.rotation)[:, axis]
-    twist(rig, *velocity, frame=frame)
-    rig.ticks(300)
-    assert rig.group.jog_limit is JogLimit.NONE
-    way = np.array([pose.translation - first.translation for pose in poses(rig)])
+    twist(bent, *velocity, frame=frame)
+    bent.ticks(300)
+    assert bent.group.jog_limit is JogLimit.NONE
+    way = np.array([pose.translation - first.translation for pose in poses(bent)])
     along = way @ direction
-    assert along[-1] == pytest.approx(0.08 * 300 * rig.period, rel=0.15)
+    assert along[-1] == pytest.approx(0.08 * 300 * bent.period, rel=0.15)
     assert np.abs(way - np.outer(along, direction)).max() < 1e-3
-    assert all(np.abs(pose.rotation - first.rotation).max() < 2e-3 for pose in poses(rig))
-    carriers = rig.q[:, :3] - rig.home[:3]
+    assert all(np.abs(pose.rotation - first.rotation).max() < 2e-3 for pose in poses(bent))
+    carriers = bent.q[:, :3] - bent.home[:3]
     assert not carriers.any()
-    rig.check_motion()
+    bent.check_motion()
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_twist_turns_the_wrist_in_its_place(rig, axis):
+def test_a_twist_turns_the_wrist_in_its_place(bent, axis):
     velocity = np.zeros(6)
     velocity[3 + axis] = 0.3
-    first = next(poses(rig))
-    twist(rig, *velocity, frame="left_wrist")
-    rig.ticks(200)
-    *_, last = poses(rig)
-    assert max(np.linalg.norm(pose.translation - first.translation) for pose in poses(rig)) < 1e-3
+    first = next(poses(bent))
+    twist(bent, *velocity, frame="left_wrist")
+    bent.ticks(200)
+    *_, last = poses(bent)
+    assert max(np.linalg.norm(pose.translation - first.translation) for pose in poses(bent)) < 1e-3
     turn = first.rotation.T @ last.rotation
-    assert turn[axis, axis] == pytest.approx(1.0, abs=1e-3)
-    assert turn[(axis + 2) % 3, (axis + 1) % 3] == pytest.approx(np.sin(0.3 * 200 * rig.period), rel=0.1)
-    rig.check_motion()
+    assert turn[axis, axis] == pytest.approx(1.0, abs=2e-3)
+    assert turn[(axis + 2) % 3, (axis + 1) % 3] == pytest.approx(np.sin(0.3 * 200 * bent.period), rel=0.1)
+    bent.check_motion()
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1), (1, 1, 1)])
