@@ -69,8 +69,9 @@ class Client:
         return value
 
     def call(self, service_type, name, **fields):
-        """Call a service of ``/mcs``."""
-        client = self._clients.get(name) or self.node.create_client(service_type, f"/mcs/{name}")
+        """Call a service of ``/mcs``, by its name below that or the whole name."""
+        whole = name if name.startswith("/") else f"/mcs/{name}"
+        client = self._clients.get(name) or self.node.create_client(service_type, whole)
         self._clients[name] = client
         return call_blocking(client, service_type.Request(**fields), PATIENCE_S, name)
 

@@ -73,3 +73,17 @@ def test_a_jog_does_not_take_over_from_torques_nor_a_path(bench, left):
     )
     refused = jog(bench, [0.0] * 9)
     assert f"is moving (goal {moving})" in bench.reply(refused)["error"]["message"]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_at_full_speed_stops_at_its_end_before_the_limiter_has_to_cut(bench, left, sign):
+    v = np.zeros(9)
+    v[8] = sign * left.context.limits.motion.velocity[8]
+    for _ in range(30):
+        jog(bench, v)
+        for _ in range(30):
+            bench.mcs.tick([])
+    assert left.jog_limit is JogLimit.JOINT_RANGE
+    end = (left.context.limits.upper if sign > 0.0 else left.context.limits.lower)[8]
+    assert bench.mcs.measured.q[8] == pytest.approx(end, abs=2e-3)
+    assert not bench.mcs.saturations.counts.any()

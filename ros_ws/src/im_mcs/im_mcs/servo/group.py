@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, StateError
 from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
-from im_mcs.planning.checks.admission import check_move, check_stream, check_twist
+from im_mcs.planning.checks.admission import check_jog, check_move, check_stream
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
-from im_mcs.planning.motions.jog import Jog, JogFollower, JogLimit
+from im_mcs.planning.motions.jog import Jog, JogFollower, JogLimit, wrist_tracker
 from im_mcs.planning.motions.preparation import prepare
 from im_mcs.planning.motions.stream import LAPSED, StreamFollower, StreamLease
 from im_mcs.planning.motions.tracked import TrackedTrajectory, TrackingFollower
@@ -85,6 +85,7 @@ class ControlledGroup:
         self._queue: deque[Queued] = deque()
         self._ended: list[EndedGoal] = []
         self._patience_ticks = 0
+        self._tracker = wrist_tracker(context)
 
     @property
     def goal(self) -> Goal | None:
@@ -252,12 +253,10 @@ class ControlledGroup:
                 before = StreamFollower(start, planner.limits, lower, upper, planner.period_s, planner.divisor)
             before.renew(*target)
             return before
-        if request.kind == "twist":
-            jog = Jog(check_twist(request), request.frame)
-        else:
-            jog = Jog(context.limits.check_finite(context.index, request.velocities, "jog", "velocity"))
+        jog = Jog(check_jog(context, request), request.frame if request.kind == "twist" else "")
         if not isinstance(before, JogFollower):
-            before = JogFollower(planner.start_state(1.0), context, planner.period_s, planner.divisor)
+            start = planner.start_state(1.0)
+            before = JogFollower(start, context, self._tracker, planner.period_s, planner.divisor)
         before.renew(jog)
         return before
 

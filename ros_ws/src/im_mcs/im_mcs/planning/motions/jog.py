@@ -4,9 +4,9 @@ At every knot the setpoint makes for the wanted velocity. The next state is take
 the ranges of all joints; else the stop that the state before allowed is carried out.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from im_core.errors import DataError, StateError
 from im_mcs.inverse.arm import Arm
 from im_mcs.inverse.tracking import ArmTracker
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.trajectories.profile import to_rest, towards_velocity
+from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
+from im_mcs.planning.trajectories.profile import place_of_rest, to_rest, towards_velocity
 from im_mcs.planning.trajectories.trajectory import Setpoint
 
 # share of acceleration and jerk that slows down before the end of a joint's range, or more than that brakes
@@ -64,6 +65,7 @@ class JogFollower:
     Args:
         start: Present setpoint.
         context: Of the group.
+        tracker: Kinematics of its wrist, as :func:`wrist_tracker` makes them.
         tick_s: Servo period [s].
         divisor: Servo ticks between two evaluations.
     """
@@ -72,13 +74,16 @@ class JogFollower:
     progress, point, sigma = 0.0, 0, 0.0
     ahead = between = trajectory = None
 
-    def __init__(self, start: Setpoint, context: PlanContext, tick_s: float, divisor: int) -> None:
-        self._state, self._context = start, context
+    def __init__(
+        self, start: Setpoint, context: PlanContext, tracker: ArmTracker | None, tick_s: float, divisor: int
+    ) -> None:
+        self._state, self._context, self._tracker = start, context, tracker
         self._limits = context.limits.motion.of(context.index)
         self._divisor, self._knot_s = divisor, tick_s * divisor
         self._jog = Jog(np.zeros_like(start.q))
         self._wanted = np.zeros_like(start.q)
-        self._stop, self._passed = to_rest(start, self._limits), 0.0
+        self._stop: PiecewisePolynomial | None = None
+        self._end, self._passed = place_of_rest(start, self._limits), 0.0
         self.rate = 1.0
         self.fault: DataError | None = None
         self.limit = JogLimit.NONE
@@ -87,12 +92,13 @@ class JogFollower:
         """Set the wanted velocity.
 
         Raises:
-            StateError: The group has no wrist, or not on an arm of six joints.
+            StateError: The group has no wrist, or not all joints of its arm.
             NotFoundError: There is no such frame.
         """
         if jog.frame:
             self._context.model.frame_id(jog.frame)
-            _ = self._tracker
+            if self._tracker is None:
+                raise StateError("a twist needs a group with a wrist and all joints of its arm")
         self._jog = jog
 
     @property
@@ -116,6 +122,8 @@ class JogFollower:
             except DataError as fault:
                 self.fault = fault
         if after is None:
+            if self._stop is None:
+                self._stop, self._passed = to_rest(self._state, self._limits), 0.0
             self._passed += self._knot_s
             after = self._stop.at(self._passed)
         self._state = after
@@ -130,14 +138,13 @@ class JogFollower:
         if not self._wanted.any() and not self._state.v.any() and not self._state.a.any():
             return self._state
         after = towards_velocity(self._state, self._wanted, self._limits, self._knot_s)
-        stop = to_rest(after, self._limits)
-        end, before = stop.end_setpoint.q, self._stop.end_setpoint.q
+        end = place_of_rest(after, self._limits)
         lower, upper = self._ranges
-        if (end < np.minimum(lower, before)).any() or (end > np.maximum(upper, before)).any():
+        if (end < np.minimum(lower, self._end)).any() or (end > np.maximum(upper, self._end)).any():
             self.limit = JogLimit.JOINT_RANGE
             self._wanted = np.zeros_like(self._wanted)
             return None
-        self._stop, self._passed = stop, 0.0
+        self._stop, self._end = None, end
         return after
 
     @property
@@ -148,38 +155,37 @@ class JogFollower:
     def _allowed(self, rate: float) -> NDArray[np.float64]:
         """Return the wanted joint velocities as limits and singularities allow, all joints slowed down alike."""
         self.limit = JogLimit.NONE
-        v = self._of_joints(self._jog) if self._jog.frame else self._jog.velocity
+        tracker = self._tracker if self._jog.frame else None
+        v = self._jog.velocity if tracker is None else self._of_joints(self._jog, tracker)
         fastest = float((np.abs(v) / self._limits.velocity).max())
         if fastest > 1.0:
             self.limit, v = JogLimit.VELOCITY, v / fastest
-        if self._jog.frame and v.any():
-            v = v * self._share_near_singularity(v)
+        if tracker is not None and v.any():
+            v = v * self._share_near_singularity(v, tracker)
         share = self._share_of_range(v)
         if share < 1.0:
             self.limit = JogLimit.JOINT_RANGE
         return v * rate * share
 
-    def _of_joints(self, jog: Jog) -> NDArray[np.float64]:
+    def _of_joints(self, jog: Jog, tracker: ArmTracker) -> NDArray[np.float64]:
         """Return the velocities of the arm's six joints that move the wrist; the joints that carry the arm stand."""
         q, none = self._all(self._state.q), np.zeros(self._context.model.n)
         turn = self._context.model.pose(q, jog.frame).rotation
         twist = np.concatenate([turn @ jog.velocity[:3], turn @ jog.velocity[3:]])
-        tracked = self._tracker.derivatives(q, none, none, twist, np.zeros(6))
+        tracked = tracker.derivatives(q, none, none, twist, np.zeros(6))
         if tracked is None:
             self.limit = JogLimit.SINGULARITY
             return np.zeros_like(self._state.q)
         return tracked.dq[self._context.index]
 
-    def _share_near_singularity(self, v: NDArray[np.float64]) -> float:
+    def _share_near_singularity(self, v: NDArray[np.float64], tracker: ArmTracker) -> float:
         """Return the share of the velocities ``v`` that is left on the way into a singularity; 1 on the way out."""
-        tracker, q = self._tracker, self._state.q
-        if tracker.singular_value(self._all(q + _LOOK_S * v)) >= tracker.singular_value(self._all(q)):
-            return 1.0
-        least = self._context.config.planning.line.singular_value
-        left = tracker.singular_value(self._all(self._stop.end_setpoint.q)) - least
+        least, q = self._context.config.planning.line.singular_value, self._state.q
+        left = tracker.singular_value(self._all(self._end)) - least
         share = float(np.clip(left / (least * (_NEAR - 1.0)), 0.0, 1.0))
-        if share < 1.0:
-            self.limit = JogLimit.SINGULARITY if share < _LEAST else JogLimit.SINGULARITY_AHEAD
+        if share == 1.0 or tracker.singular_value(self._all(q + _LOOK_S * v)) >= tracker.singular_value(self._all(q)):
+            return 1.0
+        self.limit = JogLimit.SINGULARITY if share < _LEAST else JogLimit.SINGULARITY_AHEAD
         return share if share >= _LEAST else 0.0
 
     def _share_of_range(self, v: NDArray[np.float64]) -> float:
@@ -196,13 +202,15 @@ class JogFollower:
         whole[self._context.index] = q
         return whole
 
-    @cached_property
-    def _tracker(self) -> ArmTracker:
-        context, frame = self._context, self._context.frame
-        if frame is None:
-            raise StateError("the group has no wrist; a twist needs one")
-        arm = Arm(context.model, frame)
-        missing = [context.model.names[i] for i in arm.joints if i not in context.index]
-        if missing:
-            raise StateError(f"a twist of {frame} needs {', '.join(missing)}, not in the group")
-        return ArmTracker(context.model, arm, frame)
+
+def wrist_tracker(context: PlanContext) -> ArmTracker | None:
+    """Return the kinematics of a group's wrist for jogs; None where the group has none, or not all joints of its arm.
+
+    That takes longer than a tick has.
+    """
+    if context.frame is not None:
+        with suppress(StateError):  # of a wrist that hangs on less than six joints
+            arm = Arm(context.model, context.frame)
+            if np.isin(arm.joints, context.index).all():
+                return ArmTracker(context.model, arm, context.frame)
+    return None

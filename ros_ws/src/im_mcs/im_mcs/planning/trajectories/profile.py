@@ -61,6 +61,16 @@ def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
     return _polynomial(_to_velocity(start, np.zeros_like(start.v), limits))
 
 
+def place_of_rest(start: Setpoint, limits: MotionLimits) -> NDArray[np.float64]:
+    """Return where :func:`to_rest` ends, shape (n,), in less time.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    found = _to_velocity(start, np.zeros_like(start.v), limits)
+    return np.array(found.at_time(found.duration)[0])
+
+
 def towards_velocity(start: Setpoint, v: NDArray[np.float64], limits: MotionLimits, seconds: float) -> Setpoint:
     """Return the state some time on the quickest way to velocities ``v``, shape (n,), which stay then.
 
