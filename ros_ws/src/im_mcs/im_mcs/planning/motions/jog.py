@@ -169,14 +169,14 @@ class JogFollower:
 
     def _of_joints(self, jog: Jog, tracker: ArmTracker) -> NDArray[np.float64]:
         """Return the velocities of the arm's six joints that move the wrist; the joints that carry the arm stand."""
-        q, none = self._all(self._state.q), np.zeros(self._context.model.n)
+        q = self._all(self._state.q)
         turn = self._context.model.pose(q, jog.frame).rotation
         twist = np.concatenate([turn @ jog.velocity[:3], turn @ jog.velocity[3:]])
-        tracked = tracker.derivatives(q, none, none, twist, np.zeros(6))
-        if tracked is None:
+        v = tracker.velocities(q, twist)
+        if v is None:
             self.limit = JogLimit.SINGULARITY
             return np.zeros_like(self._state.q)
-        return tracked.dq[self._context.index]
+        return v[self._context.index]
 
     def _share_near_singularity(self, v: NDArray[np.float64], tracker: ArmTracker) -> float:
         """Return the share of the velocities ``v`` that is left on the way into a singularity; 1 on the way out."""
@@ -194,7 +194,8 @@ class JogFollower:
         room = np.maximum(np.where(v > 0.0, upper - self._state.q, self._state.q - lower), 0.0)
         force, ramp = _GENTLE * self._limits.acceleration, self._limits.acceleration / self._limits.jerk
         fastest = force * (np.sqrt(ramp**2 + 8.0 * room / force) - ramp) / 2.0
-        share = float((fastest / np.maximum(np.abs(v), fastest)).min(where=np.abs(v) > fastest, initial=1.0))
+        over = np.abs(v) > fastest
+        share = float((fastest[over] / np.abs(v)[over]).min(initial=1.0))
         return share if share >= _LEAST else 0.0
 
     def _all(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
