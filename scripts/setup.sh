@@ -351,7 +351,7 @@ if [[ "$(cat "$BUILT" 2>/dev/null)" != "$wanted" ]]; then
   cp "$INSTALLED" "$IM_WS/build/.im-venv"
   enter_underlay
   messages=("$IM_WS/src/im_msgs")
-  for package in tf2_msgs control_msgs; do
+  for package in tf2_msgs control_msgs controller_manager_msgs; do
     in_underlay "$package" || messages+=("$IM_WS/standard_msgs/$package")
   done
   ready_messages

@@ -16,6 +16,7 @@ MESSAGES = {
     "action_msgs",
     "builtin_interfaces",
     "control_msgs",
+    "controller_manager_msgs",
     "diagnostic_msgs",
     "geometry_msgs",
     "im_msgs",

@@ -8,7 +8,7 @@ import pytest
 from ament_index_python import get_resource
 from rosidl_parser import definition as idl
 
-PACKAGES = ("im_msgs", "tf2_msgs", "control_msgs")
+PACKAGES = ("im_msgs", "tf2_msgs", "control_msgs", "controller_manager_msgs")
 
 
 def interfaces(kind):

@@ -105,7 +105,7 @@ def test_a_failed_compile_shows_what_the_compiler_said(computer):
     computer.add_python("python3.11", f'case "$*" in *-GNinja*) {build}\n exit 1 ;; esac')
     done = computer.run("setup")
     assert done.returncode == 1
-    assert done.stderr.startswith("ld: cannot find -lnothing\nsetup: step 'building 3 packages"), done.stderr
+    assert done.stderr.startswith("ld: cannot find -lnothing\nsetup: step 'building 4 packages"), done.stderr
 
 
 def test_a_second_run_does_nothing(computer):
@@ -126,7 +126,13 @@ def test_bytecode_is_made_once_even_for_whoever_wants_programs_to_write_none(com
     assert [call for call in calls if call.startswith("unset: ")] == [f"unset: - {packages}"]
 
 
-@pytest.mark.parametrize(("it_has", "built"), [(["tf2_msgs", "control_msgs"], []), (["tf2_msgs"], ["control_msgs"])])
+@pytest.mark.parametrize(
+    ("it_has", "built"),
+    [
+        (["tf2_msgs", "control_msgs", "controller_manager_msgs"], []),
+        (["tf2_msgs"], ["control_msgs", "controller_manager_msgs"]),
+    ],
+)
 def test_on_a_sourced_ros_only_what_it_lacks_is_built_and_as_it_builds_it(computer, it_has, built):
     computer.add_compilers()
     computer.add_python("python3")

@@ -26,6 +26,7 @@ from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState, ReserveGroup
 from im_sim.ros.node import TestbedNode
 from support.mcs_config import write_mcs_config
+from support.stranger import Stranger
 
 CELL = load_cell()
 
@@ -68,8 +69,9 @@ class Client:
         return value
 
     def call(self, service_type, name, **fields):
-        """Call a service of ``/mcs``."""
-        client = self._clients.get(name) or self.node.create_client(service_type, f"/mcs/{name}")
+        """Call a service of ``/mcs``, by its name below that or the whole name."""
+        whole = name if name.startswith("/") else f"/mcs/{name}"
+        client = self._clients.get(name) or self.node.create_client(service_type, whole)
         self._clients[name] = client
         return call_blocking(client, service_type.Request(**fields), PATIENCE_S, name)
 
@@ -234,6 +236,14 @@ def _running(node):
         Client.until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
         yield node
+
+
+@pytest.fixture(scope="module")
+def stranger(machine):
+    """A stranger to the machine."""
+    node = Stranger()
+    yield node
+    node.end()
 
 
 @pytest.fixture

@@ -7,6 +7,10 @@ import re
 import numpy as np
 import pytest
 from control_msgs.action import FollowJointTrajectory, GripperCommand, ParallelGripperCommand
+from control_msgs.msg import JointJog
+from controller_manager_msgs.srv import SwitchController
+from geometry_msgs.msg import TwistStamped
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
 from im_core.ros.messages.interfaces import interface_class
@@ -46,6 +50,7 @@ SERVICES = {
     "forward_kinematics": ForwardKinematics,
     "inverse_kinematics": InverseKinematics,
     "check_path": CheckPath,
+    "/controller_manager/switch_controller": SwitchController,
 }
 
 
@@ -117,6 +122,11 @@ def test_topics(still):
         (JointTrajectory, "/left/joint_trajectory"),
         (SetpointCommand, "/left/command/setpoints"),
         (TorqueCommand, "/left/command/torques"),
+        (JointJog, "/left/delta_joint_cmds"),
+        (TwistStamped, "/left/delta_twist_cmds"),
+        (Float64MultiArray, "/left/forward_position_controller/commands"),
+        (Float64MultiArray, "/left/forward_velocity_controller/commands"),
+        (Float64MultiArray, "/left/forward_effort_controller/commands"),
     ):
         publisher = still.talk(message_type, topic)
         for _ in range(30):

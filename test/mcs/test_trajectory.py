@@ -322,6 +322,54 @@ def test_a_velocity_at_the_end_is_followed_by_rest_where_that_is_allowed(ready, 
     np.testing.assert_allclose(behind[1:], 0.0, atol=1e-4)
 
 
+def put_constraint(client, name, value):
+    """The outcome of setting a parameter below ``constraints``."""
+    parameters = [Parameter(f"constraints.{name}", value=value).to_parameter_msg()]
+    return client.call(SetParameters, "set_parameters", parameters=parameters).results[0]
+
+
+@pytest.fixture
+def constrain(ready):
+    """``constrain(name, value)``: set a parameter below ``constraints``; 0 in the end."""
+    names = []
+
+    def constrain(name, value):
+        names.append(name)
+        assert put_constraint(ready, name, value).successful
+
+    yield constrain
+    for name in names:
+        assert put_constraint(ready, name, 0.0).successful
+
+
+def test_tolerances_of_parameters_hold_where_a_trajectory_names_none(ready, constrain):
+    target = ready.home + 0.2 * np.eye(9)[0]
+    constrain("left_track.trajectory", 1e-9)
+    answer = ready.follow(goal(ready, (2.0, target)))[1]().result
+    assert answer.error_code == Result.PATH_TOLERANCE_VIOLATED
+    assert "left_track: error" in answer.error_string
+    named = goal(ready, (2.0, target))
+    named.path_tolerance = [JointTolerance(name="left_track", position=0.1)]
+    answer = ready.follow(named)[1]()
+    assert answer.status == SUCCEEDED, answer.result.error_string
+
+
+def test_a_goal_of_parameters_is_missed_after_its_time(ready, constrain):
+    target = ready.home + 0.2 * np.eye(9)[0]
+    constrain("left_track.goal", 1e-9)
+    constrain("goal_time", 0.5)
+    answer = ready.follow(goal(ready, (2.0, target)))[1]().result
+    assert answer.error_code == Result.GOAL_TOLERANCE_VIOLATED
+    assert "left_track: error" in answer.error_string
+
+
+def test_a_tolerance_that_is_none_is_refused_with_the_reason(client):
+    for value in (-1.0, 11.0, math.nan):
+        answer = put_constraint(client, "left_track.goal", value)
+        assert not answer.successful
+        assert answer.reason
+
+
 def test_one_point_at_time_0_where_the_arm_is_succeeds(ready):
     here = np.array(ready.group_state().q)
     answer = ready.follow(goal(ready, (0.0, here)))[1]()

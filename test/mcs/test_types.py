@@ -1,6 +1,6 @@
-"""The interfaces of control_msgs as in Jazzy: all are there, and those of /mcs have the type hashes of Jazzy's.
+"""The interfaces of control_msgs and controller_manager_msgs as in Jazzy: all are there, with the hashes of Jazzy's.
 
-The definitions below are the fields of the ``jazzy`` branch of ros-controls/control_msgs (5.8.0), written down apart
+The definitions below are the fields of Jazzy's (ros-controls), written down apart
 from the files of ``ros_ws/standard_msgs``; ``rosbags`` computes RIHS01 from them with code of its own, and with its own
 definitions of everything that they contain. The hashes that the built packages carry, computed by rosidl, must be the
 same: else no peer of a standard Jazzy would talk to us. Of the service, which ``rosbags`` names otherwise, the fields
@@ -32,8 +32,40 @@ JAZZY = {
         *("ParallelGripperCommand", "PointHead", "SingleJointPosition"),
     },
 }
+SERVICES_OF_MANAGER = {
+    **dict.fromkeys(
+        ("CleanupController", "ConfigureController", "LoadController", "UnloadController"),
+        ({"name": "string"}, {"ok": "boolean"}),
+    ),
+    "ListControllerTypes": ({}, {"types": "sequence<string>", "base_classes": "sequence<string>"}),
+    "ListControllers": ({}, {"controller": "sequence<controller_manager_msgs/ControllerState>"}),
+    "ListHardwareComponents": ({}, {"component": "sequence<controller_manager_msgs/HardwareComponentState>"}),
+    "ListHardwareInterfaces": (
+        {},
+        {
+            "command_interfaces": "sequence<controller_manager_msgs/HardwareInterface>",
+            "state_interfaces": "sequence<controller_manager_msgs/HardwareInterface>",
+        },
+    ),
+    "ReloadControllerLibraries": ({"force_kill": "boolean"}, {"ok": "boolean"}),
+    "SetHardwareComponentState": (
+        {"name": "string", "target_state": "lifecycle_msgs/State"},
+        {"ok": "boolean", "state": "lifecycle_msgs/State"},
+    ),
+    "SwitchController": (
+        {
+            "activate_controllers": "sequence<string>",
+            "deactivate_controllers": "sequence<string>",
+            "strictness": "int32",
+            "activate_asap": "boolean",
+            "timeout": "builtin_interfaces/Duration",
+        },
+        {"ok": "boolean", "message": "string"},
+    ),
+}
+"""Fields of request and answer of every service of controller_manager_msgs 4.45.0."""
 ACTIONS = ("FollowJointTrajectory", "GripperCommand", "ParallelGripperCommand")
-MESSAGES = ("JointTrajectoryControllerState", "DynamicJointState", "SpeedScalingFactor")
+MESSAGES = ("JointTrajectoryControllerState", "DynamicJointState", "SpeedScalingFactor", "JointJog")
 DEFINITIONS = {
     "control_msgs/msg/JointTolerance": "string name\nfloat64 position\nfloat64 velocity\nfloat64 acceleration\n",
     "control_msgs/msg/JointComponentTolerance": """
@@ -98,6 +130,44 @@ trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
         "std_msgs/Header header\nstring[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values\n"
     ),
     "control_msgs/msg/SpeedScalingFactor": "float64 factor\n",
+    "control_msgs/msg/JointJog": (
+        "std_msgs/Header header\nstring[] joint_names\n"
+        "float64[] displacements\nfloat64[] velocities\nfloat64 duration\n"
+    ),
+    "controller_manager_msgs/msg/ChainConnection": "string name\nstring[] reference_interfaces\n",
+    "controller_manager_msgs/msg/ControllerState": """
+string name
+string state
+string type
+bool is_async
+uint16 update_rate
+string[] claimed_interfaces
+string[] required_command_interfaces
+string[] required_state_interfaces
+bool is_chainable
+bool is_chained
+string[] exported_state_interfaces
+string[] reference_interfaces
+controller_manager_msgs/ChainConnection[] chain_connections
+""",
+    "controller_manager_msgs/msg/HardwareInterface": "string name\nbool is_available\nbool is_claimed\n",
+    "controller_manager_msgs/msg/HardwareComponentState": """
+string name
+string type
+bool is_async
+uint16 rw_rate
+string class_type
+string plugin_name
+lifecycle_msgs/State state
+controller_manager_msgs/HardwareInterface[] command_interfaces
+controller_manager_msgs/HardwareInterface[] state_interfaces
+""",
+    "controller_manager_msgs/msg/NamedLifecycleState": "string name\nlifecycle_msgs/State state\n",
+    "controller_manager_msgs/msg/ControllerManagerActivity": """
+std_msgs/Header header
+controller_manager_msgs/NamedLifecycleState[] controllers
+controller_manager_msgs/NamedLifecycleState[] hardware_components
+""",
     "control_msgs/action/ParallelGripperCommand_Goal": "sensor_msgs/JointState command\n",
     "control_msgs/action/ParallelGripperCommand_Result": (
         "sensor_msgs/JointState state\nbool stalled\nbool reached_goal\n"
@@ -150,9 +220,9 @@ def _with_services(action: str) -> dict[str, str]:
     return parts
 
 
-def _built_hashes(name, kind="action"):
+def _built_hashes(name, kind="action", package="control_msgs"):
     """Type hashes in the built package, by type name."""
-    folder = Path(get_package_share_directory("control_msgs"))
+    folder = Path(get_package_share_directory(package))
     described = json.loads((folder / kind / f"{name}.json").read_text(encoding="utf-8"))
     return {entry["type_name"]: entry["hash_string"] for entry in described["type_hashes"]}
 
@@ -178,6 +248,25 @@ def test_type_hashes_are_those_of_jazzy(store, action):
 def test_the_type_hashes_of_messages_are_those_of_jazzy(store, name):
     full = f"control_msgs/msg/{name}"
     assert _built_hashes(name, "msg")[full] == store.hash_rihs01(full)
+
+
+def test_the_messages_of_the_controller_manager_are_those_of_jazzy(store):
+    package = "controller_manager_msgs"
+    folder = Path(get_package_share_directory(package)) / "msg"
+    given = {name.rpartition("/")[2] for name in DEFINITIONS if name.startswith(f"{package}/")}
+    assert {path.stem for path in folder.glob("*.msg")} == given
+    for name in given:
+        full = f"{package}/msg/{name}"
+        assert _built_hashes(name, "msg", package)[full] == store.hash_rihs01(full), name
+
+
+def test_the_services_of_the_controller_manager_have_the_fields_of_jazzy():
+    folder = Path(get_package_share_directory("controller_manager_msgs")) / "srv"
+    assert {path.stem for path in folder.glob("*.srv")} == SERVICES_OF_MANAGER.keys()
+    module = import_module("controller_manager_msgs.srv")
+    for name, fields in SERVICES_OF_MANAGER.items():
+        kind = getattr(module, name)
+        assert (kind.Request.get_fields_and_field_types(), kind.Response.get_fields_and_field_types()) == fields
 
 
 def test_the_query_of_a_trajectory_has_the_fields_of_jazzy():

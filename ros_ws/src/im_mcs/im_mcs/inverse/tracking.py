@@ -115,6 +115,20 @@ class ArmTracker:
             return None
         return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
 
+    def velocities(self, q: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return joint velocities, shape (18,), that move the wrist; None where the arm is exactly singular.
+
+        Args:
+            q: Positions of all joints, shape (18,) [rad or m].
+            twist: Velocity of the wrist along the axes of ``world``, shape (6,): linear, angular.
+        """
+        v = np.zeros_like(q)
+        try:
+            v[self._arm.joints] = np.linalg.solve(self._jacobian(q)[:, self._arm.joints], twist)
+        except np.linalg.LinAlgError:
+            return None
+        return v
+
     def singular_value(self, q: NDArray[np.float64]) -> float:
         """Smallest singular value of the arm's Jacobian at ``q``, shape (18,); lengths divided by the reach."""
         return self._smallest(self._jacobian(q)[:, self._arm.joints])

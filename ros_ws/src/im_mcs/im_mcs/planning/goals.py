@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from im_core.errors import ImError
 from im_mcs.planning.checks.tolerances import TrajectoryTolerances
+from im_mcs.planning.motions.jog import JogFollower
 from im_mcs.planning.motions.preparation import Preparation
 from im_mcs.planning.motions.stream import StreamFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
@@ -68,7 +69,7 @@ class Current:
         asked_s: its duration [s].
         passed_s: Time that has passed on it, at the rate in force [s].
         stream: Its follower, and
-        lease: the lease of the sender, of streaming setpoints.
+        lease: the lease of the sender, of streaming setpoints or velocities.
         ticks: Since it began.
         at_once: It ends early, and stood still already.
     """
@@ -80,7 +81,7 @@ class Current:
     asked: Trajectory | None = None
     asked_s: float = 0.0
     passed_s: float = 0.0
-    stream: StreamFollower | None = None
+    stream: StreamFollower | JogFollower | None = None
     lease: StreamLease | None = None
     ticks: int = 0
     at_once: bool = False

@@ -33,6 +33,7 @@ def group_type() -> np.dtype[np.void]:
             ("controller", "S128"),
             ("late_torques", "<i8"),
             ("protective_stop", _LONG_TEXT),
+            ("jog_limit", "<i4"),
         ],
         align=True,
     )

@@ -32,7 +32,8 @@ from im_mcs.protocol.points import TimedPoints, unpack_points
 
 SLOWEST = 0.01
 """Smallest scale of speed: a motion slowed down further would seem to stand, and never end."""
-_LONGEST_LEASE_S = 10.0
+LONGEST_LEASE_S = 10.0
+"""Longest lease of a stream [s]."""
 _OFF_UNIT = 0.01
 
 LARGEST = 1e6
@@ -274,19 +275,27 @@ class MoveRequest(ServoRequest):
 
 
 class StreamRequest(ServoRequest):
-    """The newest setpoint or torques of a group, one per joint, good for the time of the lease."""
+    """The newest setpoint, torques or velocities of a group, good for the time of the lease.
+
+    Attributes:
+        velocities: One per joint; of a twist six, of the wrist: linear [m/s] and angular [rad/s].
+        frame: Frame along whose axes a twist is.
+    """
 
     group: Text
-    kind: Annotated[Literal["setpoint", "torque"], Field(description="one of setpoint, torque")]
+    kind: Annotated[
+        Literal["setpoint", "torque", "jog", "twist"], Field(description="one of setpoint, torque, jog, twist")
+    ]
     positions: Numbers = Field(default_factory=list)
     velocities: Numbers = Field(default_factory=list)
+    frame: Text = ""
     torques: Numbers = Field(default_factory=list)
     lease_s: Annotated[
         float,
         Field(
             gt=0,
-            le=_LONGEST_LEASE_S,
-            description=f"a number above 0 and up to {_LONGEST_LEASE_S:g} [s], the time after which a silent sender "
+            le=LONGEST_LEASE_S,
+            description=f"a number above 0 and up to {LONGEST_LEASE_S:g} [s], the time after which a silent sender "
             "is given up on",
         ),
     ]

@@ -212,6 +212,11 @@ def group_status(
     )
 
 
+def states(snapshot: NDArray[np.void]) -> dict[str, State]:
+    """State of each group."""
+    return {name: STATES[int(row["state"])] for row in snapshot["groups"] if (name := text(row["name"]))}
+
+
 def laws(snapshot: NDArray[np.void]) -> dict[str, str]:
     """Control law in force of each group."""
     return {text(row["name"]): text(row["controller"]) for row in snapshot["groups"]}

@@ -19,6 +19,7 @@ from im_mcs.ros.actions.gripper_server import GripperServer
 from im_mcs.ros.actions.motions import Motions
 from im_mcs.ros.actions.move_server import MoveServer
 from im_mcs.ros.actions.trajectory_server import TrajectoryServer
+from im_mcs.ros.controller_services import ControllerServices
 from im_mcs.ros.estop_server import EstopServer
 from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices
 from im_mcs.ros.servo_keeper import POLL_S
@@ -67,14 +68,16 @@ class McsNode(ManagedNode):
         self._markers = PathMarkers(self._mcs)
         motions = Motions(self._mcs, self._markers)
         self._grippers = GripperServer(self._mcs)
+        states = StateServices(self._mcs)
         self._servers = (
-            StateServices(self._mcs),
+            states,
+            ControllerServices(self._mcs, states),
             MotionServices(self._mcs),
             KinematicsServices(self._mcs),
             MoveServer(self._mcs, motions),
             TrajectoryServer(self._mcs, motions),
-            CommandTopics(self._mcs),
         )
+        self._commands = CommandTopics(self._mcs)
         self._estop = EstopServer(self._mcs)
         self._publish_state()
 
@@ -109,6 +112,7 @@ class McsNode(ManagedNode):
             client = self._mcs.client()
             self._show(client.samples())
             self._grippers.publish_feedback(client.snapshot())
+            self._commands.publish_status(client.snapshot())
 
     def _show(self, samples: list[dict[str, Any]]) -> None:
         if samples:

@@ -107,18 +107,26 @@ class StateServices:
 
     def _ready(self, group: str) -> Work:
         async def work(_: object, __: object, client: str) -> str:
-            await self._mcs.recover()
-            self._mcs.group(group)
-            row = next(row for row in self._mcs.client().snapshot()["groups"] if messages.text(row["name"]) == group)
-            state, owner = STATES[int(row["state"])], messages.text(row["owner"])
-            sender = await self._mcs.sender(client)
-            if state is State.MOTION and owner and owner not in sender["names"]:
-                raise StateError(f"group '{group}' is in motion already, and its owner is '{owner}'", group=group)
-            for event in _WAY[_COVERED.get(state, 0) :]:
-                await self._mcs.request(event, {"group": group, "sender": sender})
-            return f"group '{group}' is in motion: it may move"
+            return await self.make_ready(group, client)
 
         return work
+
+    async def make_ready(self, group: str, client: str) -> str:
+        """Reserve a group, switch its power on and release its brakes, from whatever state; return what to say.
+
+        Raises:
+            ImError: A step is refused, or ended badly; those before it stay.
+        """
+        await self._mcs.recover()
+        self._mcs.group(group)
+        row = next(row for row in self._mcs.client().snapshot()["groups"] if messages.text(row["name"]) == group)
+        state, owner = STATES[int(row["state"])], messages.text(row["owner"])
+        sender = await self._mcs.sender(client)
+        if state is State.MOTION and owner and owner not in sender["names"]:
+            raise StateError(f"group '{group}' is in motion already, and its owner is '{owner}'", group=group)
+        for event in _WAY[_COVERED.get(state, 0) :]:
+            await self._mcs.request(event, {"group": group, "sender": sender})
+        return f"group '{group}' is in motion: it may move"
 
     def _of_caller(self, event: Event) -> Work:
         async def work(_: object, __: object, client: str) -> str:
@@ -195,11 +203,7 @@ class MotionServices:
         return f"{request.group} carries {payload.m:g} kg"
 
     async def _set_controller(self, request: SetController.Request, _: object, client: str) -> str:
-        self._mcs.group(request.group)
-        sender = await self._mcs.sender(client)
-        arguments = {"group": request.group, "controller": request.controller, "sender": sender}
-        await self._mcs.request(Event.SET_CONTROLLER, arguments)
-        return f"{request.controller} takes over {request.group}"
+        return await switch_law(self._mcs, request.group, request.controller, client)
 
     async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, client: str) -> str:
         opening = 0.0 if request.close else self._mcs.cell.gripper.stroke
@@ -306,6 +310,17 @@ class KinematicsServices:
             self._asked -= 1
 
 
+async def switch_law(mcs: McsAccess, group: str, law: str, client: str) -> str:
+    """Let another control law take over a group; return what to say.
+
+    Raises:
+        ImError: It is refused.
+    """
+    mcs.group(group)
+    await mcs.request(Event.SET_CONTROLLER, {"group": group, "controller": law, "sender": await mcs.sender(client)})
+    return f"{law} takes over {group}"
+
+
 def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
     """Offer a service with the outcome of ``work`` as the answer, or the reason of a failure.
 
@@ -313,7 +328,7 @@ def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
 
     Args:
         mcs: MCS.
-        srv_type: With ``success`` and ``message``, or ``success`` and ``status``, in its answer.
+        srv_type: With ``success`` or ``ok``, and ``message`` or ``status``, in its answer; a list may have none.
         name: Of the service.
         work: Given request, response and the client that asks; it may fill what else the response has.
     """
@@ -325,11 +340,14 @@ def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
                 said, error = await work(request, response, client), None
             except ImError as refused:
                 said, error = refused.message, refused
-            response.success = error is None
-            if hasattr(response, "status"):
-                response.status = ok_status(said) if error is None else to_status(error)
-            else:
-                response.message = said
+            told = {
+                "success": error is None,
+                "ok": error is None,
+                "status": ok_status(said) if error is None else to_status(error),
+                "message": said,
+            }
+            for field in told.keys() & response.get_fields_and_field_types():
+                setattr(response, field, told[field])
             return response
 
         return answer

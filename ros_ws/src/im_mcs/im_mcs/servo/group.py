@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, StateError
 from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
-from im_mcs.planning.checks.admission import check_move, check_stream
+from im_mcs.planning.checks.admission import check_jog, check_move, check_stream
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
+from im_mcs.planning.motions.jog import Jog, JogFollower, JogLimit, wrist_tracker
 from im_mcs.planning.motions.preparation import prepare
-from im_mcs.planning.motions.stream import StreamFollower, StreamLease
+from im_mcs.planning.motions.stream import LAPSED, StreamFollower, StreamLease
 from im_mcs.planning.motions.tracked import TrackedTrajectory, TrackingFollower
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
@@ -84,6 +85,7 @@ class ControlledGroup:
         self._queue: deque[Queued] = deque()
         self._ended: list[EndedGoal] = []
         self._patience_ticks = 0
+        self._tracker = wrist_tracker(context)
 
     @property
     def goal(self) -> Goal | None:
@@ -203,40 +205,72 @@ class ControlledGroup:
         self._queue.append(queued)
 
     def stream(self, goal: Goal, request: StreamRequest) -> bool:
-        """Take the newest streaming setpoint; the first one opens the goal, later ones renew target and lease.
+        """Take the newest streaming setpoint or velocity; the first one opens the goal, later ones renew the lease.
+
+        Where a sender fell silent, the next one need not wait until the group is at rest.
 
         Returns:
             Whether it opened the goal.
 
         Raises:
-            StateError: A motion along a path is under way.
+            StateError: A motion along a path is under way, or the group has no wrist for a twist.
+            NotFoundError: There is no such frame.
             DataError: It has not as many values as the group has joints.
             LimitError: The setpoint is beyond a limit.
         """
         current = self._current
-        opened = current is not None and current.stream is not None and current.goal.fault is None
-        if not opened:
+        fault = current.goal.fault if current is not None and current.stream is not None else None
+        lapsed = fault is not None and fault.code == LAPSED and not self._queue
+        opened = current is not None and current.stream is not None and fault is None
+        if lapsed:
+            self.require_released()
+        elif not opened:
             self._require_free(Policy.REFUSE)
-        q, v = check_stream(self.context, request)  # all refusals come before the first change
-        lease = StreamLease(request.owner, request.lease_s, self.planner.period_s)
-        if not opened:
-            limits, index, planner = self.context.limits, self.context.index, self.planner
-            follower = StreamFollower(
-                planner.setpoint,
-                planner.limits,
-                limits.lower[index],
-                limits.upper[index],
-                planner.period_s,
-                planner.divisor,
-            )
-            self._current = current = Current(goal, stream=follower)
-            planner.follower = follower
+        before = current.stream if current is not None and opened else None
+        follower = self._renewed(before, request)  # all refusals come before the first change
+        if lapsed:
+            self._end_current(fault)
+        if current is None or not opened:
+            self._current = current = Current(goal)
+        if follower is not before:
+            current.stream = self.planner.follower = follower
             self._begun()
-        assert current is not None
-        assert current.stream is not None
-        current.lease = lease
-        current.stream.renew(q, v)
+        what = "setpoint" if isinstance(follower, StreamFollower) else "velocity"
+        current.lease = StreamLease(request.owner, request.lease_s, self.planner.period_s, what)
         return not opened
+
+    def _renewed(
+        self, before: StreamFollower | JogFollower | None, request: StreamRequest
+    ) -> StreamFollower | JogFollower:
+        """Return the follower of a stream before, or of another kind a new one, with the newest target."""
+        context, planner = self.context, self.planner
+        if request.kind == "setpoint":
+            target = check_stream(context, request)
+            if not isinstance(before, StreamFollower):
+                limits, index = context.limits, context.index
+                lower, upper = limits.lower[index], limits.upper[index]
+                start = planner.start_state(1.0)
+                before = StreamFollower(start, planner.limits, lower, upper, planner.period_s, planner.divisor)
+            before.renew(*target)
+            return before
+        jog = Jog(check_jog(context, request), request.frame if request.kind == "twist" else "")
+        if not isinstance(before, JogFollower):
+            start = planner.start_state(1.0)
+            before = JogFollower(start, context, self._tracker, planner.period_s, planner.divisor)
+        before.renew(jog)
+        return before
+
+    @property
+    def jog_limit(self) -> JogLimit:
+        """What slows the jog under way down, or halts it."""
+        follower, protective = self.planner.follower, self.protective
+        if not isinstance(follower, JogFollower):
+            return JogLimit.NONE
+        if protective is not None:
+            return JogLimit.COLLISION if protective.code == "collision" else JogLimit.HELD
+        if self.paused:
+            return JogLimit.HELD
+        return follower.limit or (JogLimit.COLLISION_AHEAD if self._rates.ceiling < 1.0 else JogLimit.NONE)
 
     def cancel(self, goal_id: int, fault: ImError) -> None:
         """End a goal early: a motion under way decelerates on the path, a waiting one ends at once.

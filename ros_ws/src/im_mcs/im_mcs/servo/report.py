@@ -111,4 +111,5 @@ class Reporter:
                 group.controller.name.encode(),
                 group.controller.late,
                 b"" if protective is None else protective.message.encode(),
+                group.jog_limit,
             )

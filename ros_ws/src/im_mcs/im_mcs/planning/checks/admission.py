@@ -10,7 +10,7 @@ from im_core.errors import DataError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.protocol.points import TimedPoints
-from im_mcs.protocol.requests import JointMove, Move, StreamRequest, TrajectoryMove
+from im_mcs.protocol.requests import LARGEST, JointMove, Move, StreamRequest, TrajectoryMove
 
 POINTS_AT_ONCE = 2000
 """Points of a trajectory that are looked at when it is asked for; the others are when it is prepared."""
@@ -81,6 +81,27 @@ def check_stream(context: PlanContext, request: StreamRequest) -> tuple[NDArray[
             what=f"position at which it could stop from the setpoint's velocity {v[k]:.6g} {limits.units[i]}/s",
         )
     return q, v
+
+
+def check_jog(context: PlanContext, request: StreamRequest) -> NDArray[np.float64]:
+    """Return the wanted velocity of the joints, shape (n,), or of the wrist, shape (6,).
+
+    Raises:
+        DataError: A wrong size, a value that is not finite or too large, or a twist without a frame.
+    """
+    if request.kind == "twist":
+        if len(request.velocities) != 6:
+            raise DataError(f"the twist has {len(request.velocities)} values, not 6: linear and angular velocity")
+        if not all(map(math.isfinite, request.velocities)):
+            raise DataError(f"the twist {request.velocities} has a value that is not a finite number")
+        if not request.frame:
+            raise DataError("the twist names no frame; world, the wrist, or any other frame of the cell may be named")
+        velocity = np.array(request.velocities, dtype=np.float64)
+    else:
+        velocity = context.limits.check_finite(context.index, request.velocities, "jog", "velocity")
+    if np.abs(velocity).max() > LARGEST:
+        raise DataError(f"the {request.kind} has a velocity beyond {LARGEST:g}")
+    return velocity
 
 
 def per_joint(context: PlanContext, values: Sequence[float], what: str) -> NDArray[np.float64] | None:

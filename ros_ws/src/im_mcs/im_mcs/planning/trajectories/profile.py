@@ -58,15 +58,40 @@ def to_rest(start: Setpoint, limits: MotionLimits) -> PiecewisePolynomial:
     Raises:
         DataError: Ruckig finds no trajectory.
     """
+    return _polynomial(_to_velocity(start, np.zeros_like(start.v), limits))
+
+
+def place_of_rest(start: Setpoint, limits: MotionLimits) -> NDArray[np.float64]:
+    """Return where :func:`to_rest` ends, shape (n,), in less time.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    found = _to_velocity(start, np.zeros_like(start.v), limits)
+    return np.array(found.at_time(found.duration)[0])
+
+
+def towards_velocity(start: Setpoint, v: NDArray[np.float64], limits: MotionLimits, seconds: float) -> Setpoint:
+    """Return the state some time on the quickest way to velocities ``v``, shape (n,), which stay then.
+
+    Raises:
+        DataError: Ruckig finds no trajectory.
+    """
+    found = _to_velocity(start, v, limits)
+    q, speed, a = (np.array(x) for x in found.at_time(min(seconds, found.duration)))
+    return Setpoint(q + v * max(seconds - found.duration, 0.0), speed, a)
+
+
+def _to_velocity(start: Setpoint, v: NDArray[np.float64], limits: MotionLimits) -> RuckigTrajectory:
     asked = request(start, limits)
     asked.control_interface = ControlInterface.Velocity
-    asked.target_velocity = [0.0] * len(start.q)
-    what = f"to rest from velocity {start.v.tolist()}"
+    asked.target_velocity = v.tolist()
+    what = f"from velocity {start.v.tolist()} to {v.tolist()}"
     try:
-        return _solve(asked, what)
+        return _trajectory(asked, what)
     except DataError:
         asked.synchronization = Synchronization.No
-        return _solve(asked, what)
+        return _trajectory(asked, what)
 
 
 def to_meet(

@@ -1,5 +1,6 @@
 """``/<group>/follow_joint_trajectory`` and ``/<group>/joint_trajectory``, as with ros2_control's controller."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,7 +13,7 @@ from im_core.errors import ImError
 from im_core.ros import qos
 from im_core.ros.messages.stamps import to_stamp
 from im_mcs.client.servo_client import MotionProgress
-from im_mcs.client.trajectory import Accepted, Present, joint_ranks, trajectory_path
+from im_mcs.client.trajectory import UNSET, Accepted, Present, joint_ranks, trajectory_path
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions.motions import Arrival, Goals, Motions, fail
@@ -33,12 +34,19 @@ _OPTIONS = {
     "allow_nonzero_velocity_at_trajectory_end": "Accept trajectories whose last point has a velocity; the motion "
     "decelerates to rest behind it. In force from the next one on.",
 }
+_GOAL_TIME, _STOPPED = "constraints.goal_time", "constraints.stopped_velocity_tolerance"
+_UNNAMED = "where a trajectory names none; 0: the configuration's. In force from the next one on."
+_CONSTRAINTS = {
+    _GOAL_TIME: (f"Time beyond the end to be there [s] {_UNNAMED}", 1000.0),
+    _STOPPED: (f"Largest velocity of a joint at the end [rad/s or m/s] {_UNNAMED}", 10.0),
+}
 
 
 class TrajectoryServer:
     """Action and topic of every group of every preset; a new goal replaces the one under way.
 
-    Parameters: ``allow_partial_joints_goal``, ``allow_nonzero_velocity_at_trajectory_end``, as the controller has them.
+    Parameters: ``allow_partial_joints_goal``, ``allow_nonzero_velocity_at_trajectory_end``, and, below ``constraints``,
+    of each joint ``trajectory`` and ``goal``, ``stopped_velocity_tolerance`` and ``goal_time``, as the controller has.
 
     Args:
         access: MCS.
@@ -50,6 +58,12 @@ class TrajectoryServer:
         self._goals = Goals(access)
         for name, what in _OPTIONS.items():
             access.node.declared.declare(name, False, what, changeable=True)
+        bounds = dict(_CONSTRAINTS)
+        for joint in access.cell.joint_names:
+            bounds[f"constraints.{joint}.trajectory"] = f"Largest error on the way [rad or m] {_UNNAMED}", 10.0
+            bounds[f"constraints.{joint}.goal"] = f"Largest error at the end [rad or m] {_UNNAMED}", 10.0
+        for name, (what, largest) in bounds.items():
+            access.node.declared.declare(name, 0.0, what, span=(0.0, largest), changeable=True)
         for group in access.group_names:
             name = f"/{group}/follow_joint_trajectory"
             self._goals.serve(FollowJointTrajectory, name, partial(self._execute, group))
@@ -120,7 +134,24 @@ class TrajectoryServer:
         moves = snapshot["setpoint_v"][index].any() or snapshot["setpoint_a"][index].any()
         present = Present(int(snapshot["stamp_ns"]) * 1e-9, snapshot["setpoint"][index], at_rest=not moves)
         path = trajectory_path(group, description.joints, trajectory, present, self._accepted, stream=goal is None)
+        if "stream" not in path:
+            self._constrain(description.joints, path)
         return {"group": group, "path": path, "policy": "replace", "speed_scale": 0.0}
+
+    def _constrain(self, joints: Sequence[str], path: dict[str, Any]) -> None:
+        """Fill in the tolerances of the parameters where a trajectory has none."""
+
+        def parameter(name: str) -> float:
+            return float(self._mcs.node.get_parameter(name).value)
+
+        for field, names in (
+            ("path_tolerance", [f"constraints.{joint}.trajectory" for joint in joints]),
+            ("goal_tolerance", [f"constraints.{joint}.goal" for joint in joints]),
+            ("goal_velocity_tolerance", [_STOPPED] * len(joints)),
+        ):
+            given = path[field] or [UNSET] * len(joints)
+            path[field] = [value or parameter(name) for value, name in zip(given, names, strict=True)]
+        path["goal_time_tolerance"] = path["goal_time_tolerance"] or parameter(_GOAL_TIME)
 
     def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
         """Publish desired and actual motion, with place on the requested motion and time since the begin."""
