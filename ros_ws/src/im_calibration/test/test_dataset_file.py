@@ -16,10 +16,11 @@ DESIGN = Design(
 
 
 def test_a_problem_comes_back_from_its_data_set():
-    written = make_scene(DESIGN, 3).problem
+    written = replace(make_scene(DESIGN, 3).problem, led_offset_nominal=(0.0, 0.06, 0.05))
     (read,) = problems(json.loads(json.dumps(dataset_of(written), allow_nan=False)))
     for name in ("camera_names", "pose_names", "image_sizes", "led_offset_prior_sd", "joint_offset_prior_sd"):
         assert getattr(read, name) == getattr(written, name)
+    assert (read.led_offset_nominal, read.workspace) == (written.led_offset_nominal, written.workspace)
     for name in ("positions", "position_covariances", "wrist_rotations", "spots", "joint_jacobians"):
         np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
     np.testing.assert_allclose(read.spot_covariances, written.spot_covariances, rtol=1e-12, atol=1e-15)
