@@ -107,6 +107,18 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
     return play
 
 
+def test_nothing_moves_where_the_other_arm_is_in_the_way(play: Play) -> None:
+    assert play.guard("other_needed")(None)
+    assert play("other_arm") == {"group": "right", "position": "other_position"}
+    home = list(load_cell().sides["right"].home)
+    state = {"joints": [f"right_{number}" for number in range(9)], "q_rest": home}
+    play.host.objects[f"{SYMBOL}/1/other_position"] = "im_msgs/msg/GroupState", state
+    play("require_other")
+    home[0] -= 0.5
+    with pytest.raises(StateError, match=r"right_0 is at 1\.050, not 1\.550"):
+        play("require_other")
+
+
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
     seen = {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led"}
     assert play("watchers") == seen

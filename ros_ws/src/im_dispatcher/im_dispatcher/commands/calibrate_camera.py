@@ -16,7 +16,7 @@ from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import BEGUN_ANEW, ImError, NotFoundError, StateError, StoreError
 from im_core.names import results_dir
-from im_core.text.bounded_json import read_json
+from im_core.text.bounded_json import read_data, read_json
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
@@ -35,6 +35,7 @@ POSES = "calibration_poses"
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
+GROUP_STATE = "im_msgs/msg/GroupState"
 
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5
@@ -64,6 +65,7 @@ class CalibrateCamera:
             action.__name__: action
             for action in (
                 self.init_calib,
+                self.require_other,
                 self.read_next_pos,
                 self.read_planned_pos,
                 self.visit_again,
@@ -78,6 +80,7 @@ class CalibrateCamera:
             )
         }
         requests = (
+            self.other_arm,
             self.way_known,
             self.present_look,
             self.next_destination,
@@ -87,6 +90,7 @@ class CalibrateCamera:
         )
         builders = {build.__name__: build for build in requests}
         guards = {
+            "other_needed": woken_by()(_other_needed),
             "more_poses": woken_by()(_more_poses),
             "goes_on": woken_by()(_goes_on),
             "another_visit_may_help": woken_by()(_another_visit_may_help),
@@ -109,10 +113,21 @@ class CalibrateCamera:
         ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
         ctx.memory["light"] = order.light
+        ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
         ctx.memory["loop"] = PoseLoop(poses).to_json()
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
+
+    def other_arm(self, ctx: ActionContext) -> dict[str, object]:
+        """Return the arm without the light, and the name for its position."""
+        return {"group": ctx.memory["other"], "position": "other_position"}
+
+    async def require_other(self, ctx: ActionContext) -> None:
+        """Check that the other arm stands where the poses need it."""
+        state = await self._host.values.read(ctx.object("other_position"), GROUP_STATE, [("joints",), ("q_rest",)])
+        joints = read_data(list[str], state["joints"], "joints")
+        (await self._poses(ctx)).require_other(joints, read_data(list[float], state["q_rest"], "q_rest"))
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
         """Count the loop variable down and store the next destination."""
@@ -346,6 +361,10 @@ def _new_directory() -> str:
 
 def _loop(ctx: ActionContext) -> PoseLoop:
     return PoseLoop.from_json(ctx.memory.get("loop"))
+
+
+def _other_needed(ctx: ActionContext) -> bool:
+    return bool(ctx.memory["other"])
 
 
 def _more_poses(ctx: ActionContext) -> bool:
