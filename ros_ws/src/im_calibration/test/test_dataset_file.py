@@ -63,6 +63,16 @@ def test_what_the_format_does_not_have_is_refused(change, message):
         problems({**dataset_of(make_scene(DESIGN, 4).problem), **change})
 
 
+def test_readings_come_back_and_are_as_many_as_the_poses():
+    labels = ("a", "b") * 7
+    written = replace(make_scene(DESIGN, 3).problem, readings=labels)
+    (read,) = problems(json.loads(json.dumps(dataset_of(written), allow_nan=False)))
+    assert read.readings == labels
+    assert read.poses_of_readings.tolist() == [list(range(0, 14, 2)), list(range(1, 14, 2))]
+    with pytest.raises(DataError, match="reading must be 14 names, got a"):
+        problems({**dataset_of(written), "reading": ["a"]})
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

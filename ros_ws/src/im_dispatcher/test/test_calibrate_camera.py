@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -76,9 +77,9 @@ class Play:
         self.job.memory = json.loads(json.dumps(self.job.memory))
         self._made = CalibrateCamera(self.host, StepTimes(no_nets, lambda: self.now())).functions
 
-    def __call__(self, name: str, failure: ImError | None = None) -> object:
+    def __call__(self, name: str, failure: ImError | None = None, **given: object) -> object:
         outcome = self._made.actions[name](
-            ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"})
+            ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"}), **given
         )
         return asyncio.run(outcome) if asyncio.iscoroutine(outcome) else outcome
 
@@ -109,14 +110,13 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 
 def test_nothing_moves_where_the_other_arm_is_in_the_way(play: Play) -> None:
     assert play.guard("other_needed")(None)
-    assert play("other_arm") == {"group": "right", "position": "other_position"}
+    assert play("other_arm") == {"group": "right"}
     home = list(load_cell().sides["right"].home)
-    state = {"joints": [f"right_{number}" for number in range(9)], "q_rest": home}
-    play.host.objects[f"{SYMBOL}/1/other_position"] = "im_msgs/msg/GroupState", state
-    play("require_other")
+    there = SimpleNamespace(state=SimpleNamespace(joints=[f"right_{number}" for number in range(9)], q=home))
+    play("require_other", answer=there)
     home[0] -= 0.5
     with pytest.raises(StateError, match=r"right_0 is at 1\.050, not 1\.550"):
-        play("require_other")
+        play("require_other", answer=there)
 
 
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:

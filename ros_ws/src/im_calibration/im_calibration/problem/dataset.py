@@ -146,6 +146,7 @@ class DataSet(_Section):
     trials: Annotated[tuple[Trial, ...], BeforeValidator(_any_trials)]
     camera_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("c"))] = None
     pose_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("n"))] = None
+    reading: Annotated[tuple[str, ...] | None, PlainValidator(Names("n", different=False))] = None
     name: Any = None
     description: Any = None
     pixel_convention: Any = None
@@ -204,6 +205,7 @@ class DataSet(_Section):
             joint_jacobians=self.J_joint if joint_prior else None,
             workspace=_box(trial.x_base_m) if self.workspace_m is None else Workspace(*map(_place, self.workspace_m)),
             pose_names=self.pose_names or (),
+            readings=self.reading or (),
             lengths=self._lengths(trial),
             noise_to_estimate=self._noise_to_estimate,
             lens_models=self.distortion_model * c if len(self.distortion_model) == 1 else self.distortion_model,
@@ -320,6 +322,8 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
         "workspace_m": [list(problem.workspace.low), list(problem.workspace.high)],
         "trials": [{"x_base_m": problem.positions.tolist(), "u_px": _spots(problem.spots)}],
     }
+    if problem.readings:
+        content["reading"] = list(problem.readings)
     if problem.joint_jacobians is not None:
         content |= {
             "J_joint": problem.joint_jacobians.tolist(),

@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from im_calibration import problem_of, write_observations
 from im_calibration.problem.observations import observation_of
@@ -16,7 +17,7 @@ from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import BEGUN_ANEW, ImError, NotFoundError, StateError, StoreError
 from im_core.names import results_dir
-from im_core.text.bounded_json import read_data, read_json
+from im_core.text.bounded_json import read_json
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
@@ -35,7 +36,6 @@ POSES = "calibration_poses"
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
-GROUP_STATE = "im_msgs/msg/GroupState"
 
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5
@@ -65,7 +65,6 @@ class CalibrateCamera:
             action.__name__: action
             for action in (
                 self.init_calib,
-                self.require_other,
                 self.read_next_pos,
                 self.read_planned_pos,
                 self.visit_again,
@@ -81,6 +80,7 @@ class CalibrateCamera:
         }
         requests = (
             self.other_arm,
+            self.require_other,
             self.way_known,
             self.present_look,
             self.next_destination,
@@ -120,14 +120,12 @@ class CalibrateCamera:
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
 
     def other_arm(self, ctx: ActionContext) -> dict[str, object]:
-        """Return the arm without the light, and the name for its position."""
-        return {"group": ctx.memory["other"], "position": "other_position"}
+        """Return the arm without the light."""
+        return {"group": ctx.memory["other"]}
 
-    async def require_other(self, ctx: ActionContext) -> None:
-        """Check that the other arm stands where the poses need it."""
-        state = await self._host.values.read(ctx.object("other_position"), GROUP_STATE, [("joints",), ("q_rest",)])
-        joints = read_data(list[str], state["joints"], "joints")
-        (await self._poses(ctx)).require_other(joints, read_data(list[float], state["q_rest"], "q_rest"))
+    async def require_other(self, ctx: ActionContext, answer: Any) -> None:
+        """Check that the other arm, in an ``im_msgs/srv/GetGroupState`` response, stands where the poses need it."""
+        (await self._poses(ctx)).require_other(answer.state.joints, answer.state.q)
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
         """Count the loop variable down and store the next destination."""
