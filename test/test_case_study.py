@@ -52,6 +52,7 @@ def first_run(machine, few_poses):
 
     begin = len(machine.firings)
     answer = machine.calibrate(few_poses)
+    assert answer.success, answer.message
 
     def told():
         ended = {(f.net, f.transition) for f in machine.firings[begin:] if f.phase == Firing.END}

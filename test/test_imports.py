@@ -42,7 +42,7 @@ MAY_IMPORT = {
     "im_pnt_analysis": {"im_core", "im_bag", "im_pnt"},
     "im_pnt_display": {"im_core", "im_bag", "im_pnt", "im_pnt_analysis"},
     "im_dom": {"im_core"},
-    "im_dispatcher": {"im_core", "im_cell", "im_pnt", "im_pnt_node", "im_pnt_analysis"},
+    "im_dispatcher": {"im_core", "im_cell", "im_calibration", "im_pnt", "im_pnt_node", "im_pnt_analysis"},
     "im_coordinators": {"im_core", "im_cell", "im_calibration", "im_pnt", "im_pnt_node", "im_pnt_analysis"},
     "im_mcs": {"im_core", "im_bag", "im_cell"},
     "im_calibration": {"im_core", "im_bag", "im_cell"},

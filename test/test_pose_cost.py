@@ -18,6 +18,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.config import package_file
 from im_core.errors import WaitTimeoutError
@@ -116,6 +117,10 @@ class CountingDom(DomNode):
         return [self.calls[begin:end] for begin, end in itertools.pairwise(begins)]
 
 
+#: Where the right arm stays.
+HOME = list(load_cell().sides["right"].home)
+
+
 class Cell(ManagedNode):
     """MCS, VSS and the light of the testbed, as far as a calibration asks for them; everything succeeds at once."""
 
@@ -162,7 +167,7 @@ class Cell(ManagedNode):
     def _rest(self, group):
         n = 9
         state = GroupState(group=group, at_rest=True, joints=[f"j{number}" for number in range(n)])
-        state.q = state.q_rest = [0.1 * self.moves] * n
+        state.q = state.q_rest = [0.1 * self.moves] * n if group == "left" else HOME
         state.q_rest_covariance = [1e-8 if row == column else 0.0 for row in range(n) for column in range(n)]
         state.jacobian = [0.5] * (6 * n)
         state.wrist.position.x, state.wrist.orientation.w = 0.1 * self.moves, 1.0

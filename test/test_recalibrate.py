@@ -13,7 +13,7 @@ from tf2_msgs.msg import TFMessage
 
 from im_bag import BagWriter, Delivery
 from im_bag import writer as bag_writer
-from im_calibration import calibrate, report_of
+from im_calibration import calibrate, problem_of, report_of
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
 from im_core.errors import StateError
@@ -22,7 +22,6 @@ from im_msgs.srv import Calibrate, SpotFind
 from im_vss.camera_book import nominal
 from im_vss.ros import recalibrate
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.calibrate import problem_of
 from im_vss.settings import load_settings
 
 CALLS, CALL = "/vss/calibrate/_service_event", "im_msgs/srv/Calibrate_Event"
@@ -65,7 +64,10 @@ def request():
 
 def answered(asked):
     sizes = {name: (model.width, model.height) for name, model in MODELS.items()}
-    problem = problem_of(from_request(asked), sizes, OFFSET, PRIOR_SD, SETTINGS.cameras)
+    request = from_request(asked)
+    problem = problem_of(
+        request.cameras, request.observations, request.lengths, sizes, (OFFSET, PRIOR_SD), SETTINGS.cameras
+    )
     report = report_of(calibrate(problem), problem)
     assert report["success"]
     return report

@@ -26,6 +26,7 @@ from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, Verdict
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.dataset import dataset_of, load_problems
+from im_calibration.problem.observations import Observation, SeenLength, SeenSpot, problem_of
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
 from im_calibration.reporting.comparison import SAME, comparison, largest_difference
 from im_calibration.reporting.report import answer, report_of
@@ -42,7 +43,10 @@ __all__ = [
     "InconsistentDataError",
     "KnownLengths",
     "NextPose",
+    "Observation",
     "Rejection",
+    "SeenLength",
+    "SeenSpot",
     "Verdict",
     "answer",
     "calibrate",
@@ -53,6 +57,7 @@ __all__ = [
     "load_candidates",
     "load_problems",
     "next_best_poses",
+    "problem_of",
     "report_of",
     "write_observations",
     "write_results",

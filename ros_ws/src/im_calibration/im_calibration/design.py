@@ -90,8 +90,9 @@ def next_best_poses(
     >>> [pose.name for pose in next_best_poses(calibration, problem, candidates)]
     ['corner']
     """
-    layout, unknowns = ParameterLayout.of(problem), unknowns_of(calibration, len(candidates.names))
+    unknowns = unknowns_of(calibration, len(candidates.names))
     predicted = _predicted(problem, candidates, unknowns)
+    layout = ParameterLayout.of(predicted)
     visible = predicted.detected
     if not 1 <= count <= int(visible.any(axis=0).sum()):
         raise DataError(
@@ -164,6 +165,7 @@ def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Un
         spot_covariances=candidates.spot_covariances,
         joint_jacobians=candidates.joint_jacobians,
         pose_names=candidates.names,
+        readings=(),
     )
     points = unknowns.robot_positions(predicted)
     pixels = image(unknowns, points)

@@ -168,7 +168,7 @@ def _describe(
         led_offset_error=unknowns.led_offset,
         joint_offsets=unknowns.joint_offsets,
         parameter_names=layout.names(problem.camera_names),
-        covariance=covariance.matrix[: layout.arm_slice.start, : layout.arm_slice.start],
+        covariance=covariance.matrix[: layout.shared_slice.start, : layout.shared_slice.start],
         chi2=fit.chi2,
         dof=dof,
         p_value=chance_of(fit.chi2, dof),

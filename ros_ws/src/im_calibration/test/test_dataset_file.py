@@ -16,10 +16,11 @@ DESIGN = Design(
 
 
 def test_a_problem_comes_back_from_its_data_set():
-    written = make_scene(DESIGN, 3).problem
+    written = replace(make_scene(DESIGN, 3).problem, led_offset_nominal=(0.0, 0.06, 0.05))
     (read,) = problems(json.loads(json.dumps(dataset_of(written), allow_nan=False)))
     for name in ("camera_names", "pose_names", "image_sizes", "led_offset_prior_sd", "joint_offset_prior_sd"):
         assert getattr(read, name) == getattr(written, name)
+    assert (read.led_offset_nominal, read.workspace) == (written.led_offset_nominal, written.workspace)
     for name in ("positions", "position_covariances", "wrist_rotations", "spots", "joint_jacobians"):
         np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
     np.testing.assert_allclose(read.spot_covariances, written.spot_covariances, rtol=1e-12, atol=1e-15)
@@ -60,6 +61,16 @@ def test_noise_that_is_null_is_to_be_estimated():
 def test_what_the_format_does_not_have_is_refused(change, message):
     with pytest.raises(DataError, match=message):
         problems({**dataset_of(make_scene(DESIGN, 4).problem), **change})
+
+
+def test_readings_come_back_and_are_as_many_as_the_poses():
+    labels = ("a", "b") * 7
+    written = replace(make_scene(DESIGN, 3).problem, readings=labels)
+    (read,) = problems(json.loads(json.dumps(dataset_of(written), allow_nan=False)))
+    assert read.readings == labels
+    assert read.poses_of_readings.tolist() == [list(range(0, 14, 2)), list(range(1, 14, 2))]
+    with pytest.raises(DataError, match="reading must be 14 names, got a"):
+        problems({**dataset_of(written), "reading": ["a"]})
 
 
 @pytest.mark.parametrize(

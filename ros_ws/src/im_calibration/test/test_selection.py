@@ -16,6 +16,7 @@ from im_calibration import (
     write_observations,
     write_results,
 )
+from im_calibration.commands import calibrate_dataset, command
 from im_cell.calibration_summary import summary
 
 
@@ -89,3 +90,23 @@ def test_files_are_written_for_the_cameras_that_can_be_used_and_all_observations
     assert "camera_1.yaml" not in written
     (kept,) = load_problems(tmp_path / "observations.json")
     np.testing.assert_array_equal(kept.detected, problem.detected)
+    assert calibrate_dataset.main(["--again", str(tmp_path)]) == command.OK
+    first, again = (json.loads((folder / "report.json").read_text()) for folder in (tmp_path, tmp_path / "again"))
+    assert (again["message"], again["points_rejected"]) == (first["message"], first["points_rejected"])
+    for one, other in zip(again["cameras"], first["cameras"], strict=True):
+        np.testing.assert_allclose(one["K"], other["K"], rtol=1e-9)
+    assert {path.name for path in (tmp_path / "again").iterdir()} == written - {"observations.json"}
+
+
+def test_only_names_of_files_are_written_again(scene, tmp_path, capsys):
+    named = replace(scene, camera_names=("a", "b", "../c"))
+    write_observations(tmp_path / "folder", named)
+    assert calibrate_dataset.main(["--again", str(tmp_path / "folder")]) == command.BAD_INPUT
+    assert "camera_names has '../c', which is no name of a file" in capsys.readouterr().err
+    assert not (tmp_path / "c.yaml").exists()
+
+
+@pytest.mark.parametrize("words", [[], ["a.json"], ["a.json", "b.json", "--again", "c"], ["a.json", "--again", "c"]])
+def test_a_data_set_or_a_folder_is_calibrated(words):
+    with pytest.raises(SystemExit, match="2"):
+        calibrate_dataset.main(words)

@@ -1,12 +1,14 @@
 """Files with predefined manipulator positions (paper, section 7)."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
 
 from im_core.config import Model, load_model, package_file
+from im_core.errors import DataError, StateError
 from im_core.message_paths import message_folders, resolve_below
 from im_core.text.yamltext import control_character
 
@@ -15,6 +17,9 @@ OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")
 
 #: What of the length of a quaternion is rounding: dividing by it would change the last digits each time it is read.
 ROUNDING = 1e-12
+
+#: The other arm stands where it must if no joint is farther from there [rad or m].
+NOT_THERE = 0.02
 
 Coordinate = Annotated[float, pydantic.Field(ge=-100.0, le=100.0)]
 Quaternion = tuple[float, float, float, float]
@@ -60,10 +65,15 @@ class WristPose(Model):
 
 
 class PosesFile(Model):
-    """List of wrist poses of one arm, the one with the light."""
+    """List of wrist poses of one arm, the one with the light.
+
+    Attributes:
+        other_joints: Where the other arm must stand, in the order of its joints [rad or m]; None: anywhere.
+    """
 
     group: Literal["left", "right"]
     frame: Literal["world"]
+    other_joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = None
     poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
 
     @pydantic.field_validator("poses")
@@ -75,6 +85,39 @@ class PosesFile(Model):
                 raise ValueError(f"two poses are named '{pose.name}'")
             seen.add(pose.name)
         return value
+
+    @property
+    def other(self) -> str:
+        """Name of the arm without the light."""
+        return "right" if self.group == "left" else "left"
+
+    def require_other(self, joints: Sequence[str], positions: Sequence[float]) -> None:
+        """Check that the other arm stands where the poses need it.
+
+        Args:
+            joints: Names of its joints.
+            positions: Measured positions of them [rad or m].
+
+        Raises:
+            StateError: It stands elsewhere.
+            DataError: It has more or fewer joints than the file says.
+        """
+        needed = self.other_joints or ()
+        if len(needed) != len(joints):
+            told = f"other_joints of the poses has {len(needed)} positions"
+            raise DataError(f"{told}, the {self.other} arm has {len(joints)} joints", argument="other_joints")
+        far, joint, here, there = max(
+            (abs(here - there), joint, here, there)
+            for joint, here, there in zip(joints, positions, needed, strict=True)
+        )
+        if far > NOT_THERE:
+            raise StateError(
+                f"the poses are free of collisions while the {self.other} arm stands where they say: {joint} is at "
+                f"{here:.3f}, not {there:.3f}; if that is home: im run home --group {self.other}",
+                joint=joint,
+                value=here,
+                allowed=there,
+            )
 
 
 def load_named_poses(path: str) -> PosesFile:

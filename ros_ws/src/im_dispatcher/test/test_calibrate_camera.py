@@ -5,10 +5,13 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from im_core.errors import BEGUN_ANEW, DataError, ImError, LinkError, StateError
+from im_calibration import load_problems
+from im_cell.robot import load_cell
+from im_core.errors import BEGUN_ANEW, DataError, ImError, LinkError, NotFoundError, StateError
 from im_dispatcher.commands.calibrate_camera import COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
 from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.report import StepTimes
@@ -33,6 +36,8 @@ class Host:
 
     async def read(self, name: str, kind: str, ways: object) -> object:
         self._called(name)
+        if name not in self.objects:
+            raise NotFoundError(kind="data object", name=name)
         assert self.objects[name][0] == kind
         return self.objects[name][1]
 
@@ -72,9 +77,9 @@ class Play:
         self.job.memory = json.loads(json.dumps(self.job.memory))
         self._made = CalibrateCamera(self.host, StepTimes(no_nets, lambda: self.now())).functions
 
-    def __call__(self, name: str, failure: ImError | None = None) -> object:
+    def __call__(self, name: str, failure: ImError | None = None, **given: object) -> object:
         outcome = self._made.actions[name](
-            ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"})
+            ActionContext(SYMBOL, name, Lineage(self.job, failure), shared={"calibration"}), **given
         )
         return asyncio.run(outcome) if asyncio.iscoroutine(outcome) else outcome
 
@@ -101,6 +106,17 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
     play = Play(tmp_path, monkeypatch)
     play("init_calib")
     return play
+
+
+def test_nothing_moves_where_the_other_arm_is_in_the_way(play: Play) -> None:
+    assert play.guard("other_needed")(None)
+    assert play("other_arm") == {"group": "right"}
+    home = list(load_cell().sides["right"].home)
+    there = SimpleNamespace(state=SimpleNamespace(joints=[f"right_{number}" for number in range(9)], q=home))
+    play("require_other", answer=there)
+    home[0] -= 0.5
+    with pytest.raises(StateError, match=r"right_0 is at 1\.050, not 1\.550"):
+        play("require_other", answer=there)
 
 
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
@@ -243,6 +259,30 @@ def test_a_command_fails_with_a_report_even_if_the_data_objects_are_what_failed(
     report = json.loads((Path(str(play.job.memory["directory"])) / "report.json").read_text())
     assert (report["success"], report["message"]) == (False, "the arm is gone")
     assert f"{SYMBOL}/1/skipped/1" in play.host.objects
+
+
+def observed(number: int) -> dict[str, object]:
+    """The fields of an observation of the ceiling's left camera alone."""
+    spot = {"camera": "ceiling_left", "u": 100.0 + number, "v": 50.0, "covariance": [0.01, 0.0, 0.0, 0.01]}
+    spot |= {"found": True, "stamp": {"sec": number, "nanosec": 5}}
+    wrist = {"position": {"x": 0.1 * number, "y": 0.0, "z": 1.0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
+    lost = {**spot, "camera": "ceiling_right", "found": False}
+    return {"pose": f"p{number:02}", "wrist": wrist, "position_covariance": [0.0] * 9, "spots": [spot, lost]}
+
+
+def test_what_was_observed_before_a_failure_or_a_cancellation_is_kept(play: Play) -> None:
+    for number in (1, 2, 3):
+        play.pose()
+        if number != 2:
+            play.host.objects[f"{SYMBOL}/1/observation/{number}"] = "im_msgs/msg/Observation", observed(number)
+    play("note_failure", LinkError("the arm is gone"))
+    play("report_failure")
+    (problem,) = load_problems(Path(str(play.job.memory["directory"])) / "observations.json")
+    assert (problem.pose_names, problem.camera_names) == (("p01", "p03"), ("ceiling_left", "ceiling_right"))
+    assert problem.spots[0].tolist() == [[101.0, 50.0], [103.0, 50.0]]
+    assert not problem.detected[1].any()
+    led = load_cell().led
+    assert (problem.led_offset_nominal, problem.led_offset_prior_sd) == (led.offset, led.offset_prior_sd)
 
 
 def test_a_command_whose_report_cannot_be_written_ends_and_says_both(play: Play) -> None:

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from im_core.errors import ConfigError
+from im_cell.robot import load_cell
+from im_core.errors import ConfigError, DataError, StateError
 from im_dispatcher.poses_file import PosesFile, WristPose, load_named_poses, load_poses
 
 HEAD = "group: left\nframe: world\nposes:\n"
@@ -20,6 +21,18 @@ def written(folder: Path, text: str) -> Path:
 
 def test_the_cells_own_poses_are_forty() -> None:
     assert len(load_named_poses("").poses) == 40
+
+
+def test_the_cells_own_poses_need_the_other_arm_at_home() -> None:
+    file = load_named_poses("")
+    joints, home = [f"right_{number}" for number in range(9)], list(load_cell().sides["right"].home)
+    file.require_other(joints, home)
+    home[3] += 0.3
+    with pytest.raises(StateError, match=r"right_3 is at 0\.300, not 0\.000; .* im run home --group right") as told:
+        file.require_other(joints, home)
+    assert told.value.facts == {"joint": "right_3", "value": 0.3, "allowed": 0.0}
+    with pytest.raises(DataError, match="other_joints of the poses has 9 positions, the right arm has 3 joints"):
+        file.require_other(joints[:3], home[:3])
 
 
 def test_poses_are_read_in_order(tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from im_bag.reading import messages_of, topics_of
+from im_calibration import SeenSpot
 from im_calibration.problem.bags import RecordedCalibration, stamp_of
 from im_core.errors import DataError
-from im_vss.services.calibrate import CalibrateRequest, SeenSpot
+from im_vss.services.calibrate import CalibrateRequest
 from im_vss.settings import VssSettings
 from im_vss.spot import SearchDisc, find_spot
 

@@ -32,10 +32,9 @@ class ExposureRange(Model):
 
 
 class Light(Model):
-    """The wrist light of calibrations: the name, and the prior sd of the offset in the wrist frame [m]."""
+    """The wrist light of calibrations."""
 
     name: str
-    offset_prior_sd: Annotated[float, Field(ge=0.0)]
 
 
 class RegionRadius(Model):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from im_calibration import Observation, SeenSpot
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import PARAMETERS, CameraModel
 from im_cell.frames import Frame, FrameSet, nobody
@@ -15,7 +16,7 @@ from im_vss.camera_book import CameraBook
 from im_vss.camera_poses import MOST_EXPOSURES, Mounts
 from im_vss.catalogue import load_catalogue
 from im_vss.rig import Rig
-from im_vss.services.calibrate import CalibrateRequest, Observation, SeenSpot, fixed_to
+from im_vss.services.calibrate import CalibrateRequest, fixed_to
 from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from bench.calibration.synthetic import Design, make_scene
+from im_calibration import Observation, SeenSpot
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.frames import FrameSet, nobody
 from im_cell.robot import load_cell
@@ -18,7 +19,7 @@ from im_vss import deployment
 from im_vss.camera_book import CameraBook
 from im_vss.catalogue import Catalogue, load_catalogue
 from im_vss.rig import Rig
-from im_vss.services.calibrate import CalibrateRequest, Observation, SeenSpot
+from im_vss.services.calibrate import CalibrateRequest
 from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager

@@ -1,5 +1,9 @@
-"""``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set."""
+"""``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set.
 
+``calibrate_dataset --again FOLDER``, or ``im calibrate --again FOLDER``: those of a folder of results once more.
+"""
+
+import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -8,8 +12,10 @@ from pathlib import Path
 
 from im_calibration.commands import command
 from im_calibration.problem.dataset import load_problems
-from im_calibration.problem.problem import NOISE_SOURCES
+from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
 from im_calibration.reporting.report import answer
+from im_calibration.reporting.results import OBSERVATIONS, write_results
+from im_calibration.selection import calibrate_possible
 from im_cell.lens import LENSES
 from im_core.clock import monotonic
 from im_core.errors import DataError
@@ -39,11 +45,16 @@ OUT.json holds an entry for each trial, in order:
          they can be told apart, what the estimate stands on, and a remark where the stated noise is wrong
   covariance of all parameters, outlier[c][n], checks, expected_error with its map, scale by the known lengths
 
-exit codes: 0 OUT.json is written, whatever the flags; 1 IN.json or OUT.json cannot be used, and OUT.json is as before;
-            2 wrong arguments; 130 interrupted
+--again FOLDER reads FOLDER/observations.json, as calibrate_camera leaves it also where it failed or was cancelled, and
+writes into FOLDER/again what calibrate_camera writes: report, summary, pictures and camera files. Cameras that saw too
+little are left out and named. Poses of cameras on an arm are in the world, as the arm stood.
 
-examples: scripts/run.sh im_calibration calibrate_dataset data.json cameras.json
-          scripts/run.sh im_calibration calibrate_dataset --noise estimated data.json cameras.json
+exit codes: 0 the answers are written, whatever the flags; 1 a file cannot be used, and OUT.json is as before, or with
+            --again there is no estimate of any camera; 2 wrong arguments; 130 interrupted
+
+examples: scripts/im calibrate data.json cameras.json
+          scripts/im calibrate --noise estimated data.json cameras.json
+          scripts/im calibrate --again results/latest --lens-model rational_polynomial
 """
 
 
@@ -59,8 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.parser(
         "calibrate_dataset", "Calibrate the cameras of each trial of a data set of wrist-LED observations.", _EPILOG
     )
-    parser.add_argument("input", type=Path, metavar="IN.json", help="data set")
-    parser.add_argument("output", type=Path, metavar="OUT.json", help="answers to write; nothing is written on failure")
+    parser.add_argument("input", type=Path, nargs="?", metavar="IN.json", help="data set")
+    parser.add_argument(
+        "output", type=Path, nargs="?", metavar="OUT.json", help="answers to write; nothing is written on failure"
+    )
+    parser.add_argument("--again", type=Path, metavar="FOLDER", help="instead: folder of results of calibrate_camera")
     parser.add_argument(
         "--noise",
         choices=("stated", "estimated"),
@@ -74,17 +88,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="lens model of all cameras (default: distortion_model in IN.json, else plumb_bob)",
     )
     options = parser.parse_args(arguments)
-    return command.run(
-        "calibrate_dataset", lambda: _calibrate(options.input, options.output, options.noise, options.lens_model)
-    )
+    if (options.again is None) == (options.output is None) or (options.input is None) != (options.output is None):
+        parser.error("IN.json and OUT.json are needed, or --again FOLDER alone")
+    return command.run("calibrate_dataset", lambda: _again(options) if options.again else _calibrate(options))
 
 
-def _calibrate(source: Path, target: Path, noise: str, lens: str | None) -> None:
+def _problems(source: Path, options: argparse.Namespace) -> tuple[CalibrationProblem, ...]:
     problems = load_problems(source)
-    if lens is not None:
+    if (lens := options.lens_model) is not None:
         problems = tuple(replace(problem, lens_models=(lens,) * len(problem.camera_names)) for problem in problems)
-    if noise == "estimated":
+    if options.noise == "estimated":
         problems = tuple(replace(problem, noise_to_estimate=NOISE_SOURCES) for problem in problems)
+    return problems
+
+
+def _again(options: argparse.Namespace) -> None:
+    problem, target = _problems(options.again / OBSERVATIONS, options)[0], options.again / "again"
+    for name in problem.camera_names:
+        if Path(name).name != name:  # it becomes that of a file
+            raise DataError(f"{options.again / OBSERVATIONS}: camera_names has {name!r}, which is no name of a file.")
+    calibration = calibrate_possible(problem)
+    write_results(target, calibration, problem)
+    print(f"{target}: {calibration.message}")
+
+
+def _calibrate(options: argparse.Namespace) -> None:
+    source, target = options.input, options.output
+    problems = _problems(source, options)
     if target.is_dir() or not target.parent.is_dir():
         raise DataError(f"{target}: a file in an existing directory is needed.", file=str(target))
     if is_same(target, source):

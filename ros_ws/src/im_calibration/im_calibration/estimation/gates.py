@@ -6,6 +6,7 @@ Where a pose does not fit, one camera's spot is wrong, or the robot's position t
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import scipy
@@ -138,11 +139,12 @@ def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Paramet
 
 
 def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> Prediction:
-    """Predict the spots of each pose from all other poses.
+    """Predict the spots of each pose from all other poses, but those of the same reading of the robot.
 
-    Departure a pose out takes its share from the information; the parameters then have covariance P', move by
-    ``-P' J^T S^-1 r``, and the pose's spots deviate with covariance ``S + J P' J^T``. A spot may thus return once what
-    spoiled the estimate is gone. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), chapter 2.
+    Departure a reading out takes its share from the information; the parameters then have covariance P', move by
+    ``-P' J^T S^-1 r``, and the reading's spots deviate with covariance ``S + J P' J^T``. A spot may thus return once
+    what spoiled the estimate is gone. What the positions of a reading are off together is part of S here, and no
+    unknown. Source: Cook and Weisberg, "Residuals and Influence in Regression" (1982), chapter 2.
 
     Args:
         fit: A fit to `used`.
@@ -151,18 +153,42 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
         used: Which spots counted, shape (c, n).
     """
     line = linearise(fit.unknowns, problem, layout, problem.detected & projectable(fit.unknowns, problem))
-    rows = np.repeat(used.T, 2, axis=1)
-    jacobians = np.where(rows[..., None], line.jacobians, 0.0)
+    table, width = problem.poses_of_readings, line.residuals.shape[1]
+    there = table >= 0
+
+    def by_reading(each: NDArray[Any]) -> NDArray[Any]:
+        return np.asarray(each[table] * there.reshape(*there.shape, *[1] * (each.ndim - 1))).reshape(
+            len(table), -1, *each.shape[2:]
+        )
+
+    shared = layout.shared_slice
+    kept = np.r_[0 : shared.start, shared.stop : layout.size]
+    residuals = by_reading(line.residuals + line.jacobians[:, :, shared] @ fit.unknowns.shared_errors)
+    rows, all_jacobians = by_reading(np.repeat(used.T, 2, axis=1)), by_reading(line.jacobians[:, :, kept])
+    together = by_reading(line.by_point @ problem.shared_roots)
+    covariances = together @ np.swapaxes(together, 1, 2)
+    blocks = [slice(start, start + width) for start in range(0, covariances.shape[1], width)]
+    for poses, block in zip(table.T, blocks, strict=True):
+        covariances[:, block, block] += line.covariances[poses]
+    jacobians = np.where(rows[..., None], all_jacobians, 0.0)
     both = rows[:, :, None] & rows[:, None, :]
-    weights = np.linalg.inv(np.where(both, line.covariances, np.eye(rows.shape[1])))
+    weights = np.linalg.inv(np.where(both, covariances, np.eye(rows.shape[1])))
     weighted = np.swapaxes(jacobians, 1, 2) @ weights
-    diagonal = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
-    scaled = (fit.information - weighted @ jacobians) / diagonal[:, None] / diagonal[None, :]
-    without = np.linalg.inv(scaled + _RIDGE * np.eye(layout.size)) / diagonal[:, None] / diagonal[None, :]
-    spread = line.jacobians @ without
-    gradient = weighted @ np.where(rows, line.residuals, 0.0)[..., None]
-    errors = line.residuals + (spread @ gradient)[..., 0]
-    return Prediction(errors, line.covariances + spread @ np.swapaxes(line.jacobians, 1, 2), line.by_point)
+    across = fit.information[kept, shared]
+    information = fit.information[np.ix_(kept, kept)]
+    information = information - across @ np.linalg.solve(fit.information[shared, shared], across.T)
+    diagonal = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = (information - weighted @ jacobians) / diagonal[:, None] / diagonal[None, :]
+    without = np.linalg.inv(scaled + _RIDGE * np.eye(len(kept))) / diagonal[:, None] / diagonal[None, :]
+    spread = all_jacobians @ without
+    gradient = weighted @ np.where(rows, residuals, 0.0)[..., None]
+    errors = residuals + (spread @ gradient)[..., 0]
+    covariances = covariances + spread @ np.swapaxes(all_jacobians, 1, 2)
+    own_errors, own_covariances = np.empty_like(line.residuals), np.empty_like(line.covariances)
+    for poses, block in zip(table.T, blocks, strict=True):
+        own_errors[poses[poses >= 0]] = errors[poses >= 0, block]
+        own_covariances[poses[poses >= 0]] = covariances[poses >= 0, block, block]
+    return Prediction(own_errors, own_covariances, line.by_point)
 
 
 def _iterate(first: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, *, widen: bool) -> Gated:

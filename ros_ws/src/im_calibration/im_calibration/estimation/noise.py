@@ -89,7 +89,7 @@ class NoiseLikelihood:
 
     def __init__(self, unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask) -> None:
         line = linearise(unknowns, problem, layout, used)
-        robot = line.by_point @ problem.position_covariances @ np.swapaxes(line.by_point, 1, 2)
+        robot = line.by_point @ problem.own_covariances @ np.swapaxes(line.by_point, 1, 2)
         lower = np.linalg.cholesky(line.covariances - robot)
         half = np.linalg.solve(lower, robot)
         values, axes = np.linalg.eigh(np.linalg.solve(lower, np.swapaxes(half, 1, 2)))
@@ -98,12 +98,19 @@ class NoiseLikelihood:
         self._unused = 2 * int(used.size - used.sum())
         self._residuals = (turned @ np.linalg.solve(lower, line.residuals[..., None])).ravel()
         jacobians = (turned @ np.linalg.solve(lower, line.jacobians)).reshape(len(self._robot), -1)
-        weighted = jacobians / (1.0 + self._robot)[:, None]
-        prior = layout.prior(unknowns)
-        scale = 1.0 / np.sqrt(np.maximum((weighted * jacobians).sum(axis=0) + np.diag(prior.information), 1e-300))
+        prior, shared = layout.prior(unknowns), layout.shared_slice
+        known, pull = prior.information.copy(), -prior.gradient
+        # an error that a reading's positions share is seen as 0, up to the noise of the robot alone
+        self._image = np.concatenate((np.ones_like(self._robot), np.zeros(layout.shared)))
+        self._robot = np.concatenate((self._robot, np.ones(layout.shared)))
+        self._residuals = np.concatenate((self._residuals, -unknowns.shared_errors))
+        jacobians = np.concatenate((jacobians, np.eye(layout.size)[shared]))
+        known[shared, shared], pull[shared] = 0.0, 0.0
+        weighted = jacobians / (self._image + self._robot)[:, None]
+        scale = 1.0 / np.sqrt(np.maximum((weighted * jacobians).sum(axis=0) + np.diag(known), 1e-300))
         self._jacobians = jacobians * scale
-        self._prior = prior.information * scale * scale[:, None]
-        self._pull = -prior.gradient * scale
+        self._prior = known * scale * scale[:, None]
+        self._pull = pull * scale
         self._scaled = -2.0 * float(np.log(scale).sum())
         self._ridge = 1e-12 * np.eye(len(scale))  # directions that no data determine carry no noise either
 
@@ -118,7 +125,7 @@ class NoiseLikelihood:
         Args:
             logs: Logarithms of the factors on the variances of image and robot, shape (2,).
         """
-        variances = np.exp(logs[0]) + np.exp(logs[1]) * self._robot
+        variances = np.exp(logs[0]) * self._image + np.exp(logs[1]) * self._robot
         information, pull = self._normal(variances)
         lower = np.linalg.cholesky(information)
         moved = np.linalg.solve(lower, pull)
@@ -128,7 +135,7 @@ class NoiseLikelihood:
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
         """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""
-        parts = np.stack((np.full_like(self._robot, np.exp(logs[0])), np.exp(logs[1]) * self._robot))
+        parts = np.stack((np.exp(logs[0]) * self._image, np.exp(logs[1]) * self._robot))
         variances = parts.sum(axis=0)
         information, pull = self._normal(variances)
         inverse = np.linalg.inv(information)

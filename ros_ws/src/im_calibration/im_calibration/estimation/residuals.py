@@ -73,8 +73,10 @@ def linearise(
         jacobians[:, :, layout.joint_slice] = stacked @ problem.joint_jacobians
     if problem.arm_error is not None:
         jacobians[:, :, layout.arm_slice] = stacked @ problem.arm_error.jacobians
+    if layout.shared:
+        jacobians[:, :, layout.shared_slice] = stacked @ problem.shared_errors
 
-    covariances = stacked @ problem.position_covariances @ np.swapaxes(stacked, 1, 2)
+    covariances = stacked @ problem.own_covariances @ np.swapaxes(stacked, 1, 2)
     noise = problem.spot_covariances if image_covariances is None else image_covariances
     noise = np.where(used[..., None, None], noise, np.eye(2))
     for camera in range(c):

@@ -115,10 +115,11 @@ def _starts_from_parts(problem: CalibrationProblem, layout: ParameterLayout, off
         chosen = np.sort(rng.permutation(n)[: max(problem.fewest_spots.max(), round(_PART * n))])
         part = problem.taking(chosen)
         try:
-            begin = start(part, layout, offsets if i % 2 else None)
-            unknowns = robust_fit(begin, part, layout, part.detected).unknowns
+            begin = start(part, (of_part := ParameterLayout.of(part)), offsets if i % 2 else None)
+            unknowns = robust_fit(begin, part, of_part, part.detected).unknowns
         except (DegenerateDataError, InconsistentDataError):
             continue  # this part says nothing; the others may
-        unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
+        nowhere = np.zeros_like(problem.positions), np.zeros(layout.shared)
+        unknowns = replace(unknowns, displacements=nowhere[0], shared_errors=nowhere[1])
         if np.all((problem.detected & projectable(unknowns, problem)).sum(axis=1) >= problem.fewest_spots):
             yield unknowns

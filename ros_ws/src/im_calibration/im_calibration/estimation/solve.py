@@ -179,7 +179,7 @@ def _displacements(line: Linearisation, weights: Array, step: Array, problem: Ca
     """Return the LED displacements for a step: back-substitution of the Schur complement, shape (n, 3) [m]."""
     remaining = line.residuals - line.jacobians @ step
     force = np.swapaxes(line.by_point, 1, 2) @ (weights @ remaining[..., None])
-    return np.asarray((problem.position_covariances @ force)[..., 0])
+    return np.asarray((problem.own_covariances @ force)[..., 0])
 
 
 def _normal_equations(

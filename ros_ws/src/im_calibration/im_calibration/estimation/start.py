@@ -72,6 +72,7 @@ def start(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknown
         np.zeros(layout.joints) if offsets is None else offsets.joint_offsets,
         np.zeros_like(problem.positions),
         np.zeros(layout.arm),
+        np.zeros(layout.shared),
     )
 
 

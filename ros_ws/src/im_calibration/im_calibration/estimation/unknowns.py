@@ -82,12 +82,13 @@ class Prior:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Which unknowns a problem has, and where: the cameras, LED offset, joint offsets, error of the arm.
+    """Which unknowns a problem has, and where: cameras, LED offset, joint offsets, readings, error of the arm.
 
     Attributes:
         lenses: Lens models of the cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
+        shared: Number of errors of readings that several poses share, three a reading.
         arm: Number of coefficients of the arm's error.
         image_sizes: Width and height of each image [px].
         prior_mean: Prior means, 0 where there is no prior, shape (size,).
@@ -98,6 +99,7 @@ class ParameterLayout:
     lenses: tuple[LensModel, ...]
     led: bool
     joints: int
+    shared: int
     arm: int
     image_sizes: tuple[tuple[int, int], ...]
     prior_mean: Array
@@ -117,12 +119,13 @@ class ParameterLayout:
             means += [0.0, 0.0, *middle, *[0.0] * (lens.estimated + len(_POSE))]
             precisions += [0.0, 0.0, *[(CENTRE_PRIOR_SD * width) ** -2] * 2]
             precisions += [LENS_PRIOR_SD[power] ** -2 for power in lens.powers[: lens.estimated]] + [0.0] * len(_POSE)
-        means += [0.0] * (3 * led + joints + arm)
+        shared = problem.shared_errors.shape[2]
+        means += [0.0] * (3 * led + joints + shared + arm)
         precisions += [problem.led_offset_prior_sd**-2] * 3 if led else []
         precisions += [problem.joint_offset_prior_sd**-2] * joints if joints else []
-        precisions += [1.0] * arm
+        precisions += [1.0] * (shared + arm)
         sizes = problem.image_sizes
-        return ParameterLayout(problem.lenses, led, joints, arm, sizes, np.array(means), np.array(precisions))
+        return ParameterLayout(problem.lenses, led, joints, shared, arm, sizes, np.array(means), np.array(precisions))
 
     @property
     def cameras(self) -> int:
@@ -137,7 +140,7 @@ class ParameterLayout:
     @cached_property
     def cameras_size(self) -> int:
         """Number of unknowns of all cameras, which are the first."""
-        return self.size - 3 * self.led - self.joints - self.arm
+        return self.size - 3 * self.led - self.joints - self.shared - self.arm
 
     @cached_property
     def stated_precision(self) -> Array:
@@ -184,7 +187,13 @@ class ParameterLayout:
     @property
     def joint_slice(self) -> slice:
         """Place of the joint offsets; empty if there are none."""
-        return slice(self.size - self.joints - self.arm, self.size - self.arm)
+        start = self.shared_slice.start
+        return slice(start - self.joints, start)
+
+    @property
+    def shared_slice(self) -> slice:
+        """Place of the errors of shared readings; empty without."""
+        return slice(self.arm_slice.start - self.shared, self.arm_slice.start)
 
     @property
     def arm_slice(self) -> slice:
@@ -201,7 +210,7 @@ class ParameterLayout:
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
     def names(self, camera_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Name of each unknown but the arm's error: ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
+        """Name of each unknown of cameras and offsets: ``ceiling_left.fx``, ``led_offset.x``, ``joint_offset.0``."""
         cameras = [
             f"{camera}.{name}"
             for camera, lens in zip(camera_names, self.lenses, strict=True)
@@ -225,6 +234,7 @@ class Unknowns:
         joint_offsets: Constant errors of the joint readings, shape (k,) [rad].
         displacements: LED positions minus where the robot's readings, offsets corrected, put them, shape (n, 3) [m].
         arm_error: Coefficients of the arm's error, shape (m,) [-].
+        shared_errors: Errors of shared readings, in standard deviations, shape (3r,) [-].
     """
 
     lenses: tuple[LensModel, ...]
@@ -235,6 +245,7 @@ class Unknowns:
     joint_offsets: Array
     displacements: Array
     arm_error: Array = field(default_factory=lambda: np.zeros(0))
+    shared_errors: Array = field(default_factory=lambda: np.zeros(0))
 
     def coefficients(self, c: int) -> Array:
         """Return the lens coefficients of camera `c`."""
@@ -248,6 +259,8 @@ class Unknowns:
             positions = positions + problem.joint_jacobians @ self.joint_offsets
         if problem.arm_error is not None:
             positions = positions + problem.arm_error.jacobians @ self.arm_error
+        if len(self.shared_errors):
+            positions = positions + problem.shared_errors @ self.shared_errors
         return np.asarray(positions)
 
     def led_positions(self, problem: CalibrationProblem) -> Array:
@@ -275,6 +288,7 @@ class Unknowns:
             self.joint_offsets + step[layout.joint_slice],
             displacements,
             self.arm_error + step[layout.arm_slice],
+            self.shared_errors + step[layout.shared_slice],
         )
 
     def prior_vector(self, layout: ParameterLayout) -> Array:
@@ -286,6 +300,7 @@ class Unknowns:
         if layout.led:
             vector[layout.led_slice] = self.led_offset
         vector[layout.joint_slice] = self.joint_offsets
+        vector[layout.shared_slice] = self.shared_errors
         vector[layout.arm_slice] = self.arm_error
         return np.where(layout.prior_precision > 0.0, vector - layout.prior_mean, 0.0)
 

@@ -172,6 +172,9 @@ def dataset_from_bag(
         content["distortion_model"] = [lens if lens in LENSES else PLUMB_BOB.name for lens in lenses.values()]
     if tool.rotations is not None:
         content["wrist_R_base"] = tool.rotations[pairing.pose_of].tolist()
+    numbers = _readings(tool, pairing.pose_of)
+    if numbers[-1] < len(numbers):
+        content["reading"] = list(map(str, numbers))
     if led_offset_sd is not None:
         content |= {"led_offset_nominal_known": False, "led_offset_prior_sd_m": led_offset_sd}
     spots = [
@@ -219,6 +222,13 @@ def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
         left_out=len(every) - int((spot_of >= 0).sum()),
         apart_s=max((apart for apart, _ in best.values()), default=0) * 1e-9,
     )
+
+
+def _readings(tool: _Track, pose_of: NDArray[np.intp]) -> list[int]:
+    """Number the readings of the robot from 1: successive poses that are the same to the last digit are one."""
+    values = tool.positions if tool.rotations is None else np.dstack((tool.rotations, tool.positions[..., None]))
+    values = values[pose_of].reshape(len(pose_of), -1)
+    return [1, *(1 + np.cumsum(np.any(np.diff(values, axis=0) != 0.0, axis=1))).tolist()]
 
 
 def _moved(light: Array, stamps: Stamps, pairing: Pairing) -> float:

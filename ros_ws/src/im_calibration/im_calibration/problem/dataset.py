@@ -135,6 +135,8 @@ class DataSet(_Section):
     distortion_model: Annotated[tuple[str, ...], PlainValidator(_lens_models)] = ()
     led_offset_nominal_known: StrictBool = True
     led_offset_prior_sd_m: Annotated[float | None, PlainValidator(number)] = None
+    led_offset_nominal_m: Annotated[Array, PlainValidator(Lists(3))] = Field(default_factory=lambda: np.zeros(3))
+    workspace_m: Annotated[Array | None, PlainValidator(Lists(2, 3, optional=True))] = None
     joint_offset_prior_sd_rad: Annotated[float | None, PlainValidator(number)] = None
     J_joint: Annotated[Array | None, PlainValidator(Lists("n", 3, "joints", optional=True))] = None
     wrist_rotations: Annotated[
@@ -144,6 +146,7 @@ class DataSet(_Section):
     trials: Annotated[tuple[Trial, ...], BeforeValidator(_any_trials)]
     camera_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("c"))] = None
     pose_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("n"))] = None
+    reading: Annotated[tuple[str, ...] | None, PlainValidator(Names("n", different=False))] = None
     name: Any = None
     description: Any = None
     pixel_convention: Any = None
@@ -197,10 +200,12 @@ class DataSet(_Section):
             spots=trial.u_px,
             spot_covariances=spot_covariances,
             led_offset_prior_sd=0.0 if self.led_offset_nominal_known else self.led_offset_prior_sd_m or 0.0,
+            led_offset_nominal=_place(self.led_offset_nominal_m),
             joint_offset_prior_sd=joint_prior,
             joint_jacobians=self.J_joint if joint_prior else None,
-            workspace=_box_around(trial.x_base_m),
+            workspace=_box(trial.x_base_m) if self.workspace_m is None else Workspace(*map(_place, self.workspace_m)),
             pose_names=self.pose_names or (),
+            readings=self.reading or (),
             lengths=self._lengths(trial),
             noise_to_estimate=self._noise_to_estimate,
             lens_models=self.distortion_model * c if len(self.distortion_model) == 1 else self.distortion_model,
@@ -313,8 +318,12 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
         "wrist_R_base": problem.wrist_rotations.tolist(),
         "led_offset_nominal_known": problem.led_offset_prior_sd == 0.0,
         "led_offset_prior_sd_m": problem.led_offset_prior_sd,
+        "led_offset_nominal_m": list(problem.led_offset_nominal),
+        "workspace_m": [list(problem.workspace.low), list(problem.workspace.high)],
         "trials": [{"x_base_m": problem.positions.tolist(), "u_px": _spots(problem.spots)}],
     }
+    if problem.readings:
+        content["reading"] = list(problem.readings)
     if problem.joint_jacobians is not None:
         content |= {
             "J_joint": problem.joint_jacobians.tolist(),
@@ -348,13 +357,18 @@ def _placed(place: str, error: DataError) -> DataError:
     return placed
 
 
-def _box_around(positions: Array) -> Workspace:
+def _box(positions: Array) -> Workspace:
     """Box of most positions: errors are predicted where data are, which a file says nothing else about."""
     if not len(positions):
         return Workspace()
     low, high = np.quantile(positions, 0.03, axis=0), np.quantile(positions, 0.97, axis=0)
     high = np.maximum(high, low + np.maximum(1e-3, 1e-12 * np.abs(low)))
-    return Workspace((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    return Workspace(_place(low), _place(high))
+
+
+def _place(array: Array) -> tuple[float, float, float]:
+    x, y, z = map(float, array)
+    return x, y, z
 
 
 def _spot_noise(covariances: Array, detected: NDArray[np.bool_]) -> dict[str, Any]:

@@ -65,10 +65,15 @@ class Lists:
 
 
 class Names:
-    """Validator of an optional list of different names, as many as a letter of :class:`Lists` stands for."""
+    """Validator of an optional list of names, as many as a letter of :class:`Lists` stands for.
 
-    def __init__(self, length: str) -> None:
-        self._length = length
+    Args:
+        length: The letter.
+        different: Whether each may be there once.
+    """
+
+    def __init__(self, length: str, *, different: bool = True) -> None:
+        self._length, self._different = length, different
 
     def __call__(self, names: object, info: ValidationInfo) -> tuple[str, ...] | None:
         """The names."""
@@ -77,8 +82,9 @@ class Names:
         if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
             raise ValueError("must be a list of names")
         wanted = (info.context or {}).get(self._length)
-        if len(names) != wanted or len(set(names)) != len(names):
-            raise ValueError(f"must be {wanted} different names, got {', '.join(names)}")
+        if len(names) != wanted or (self._different and len(set(names)) != len(names)):
+            kind = "different names" if self._different else "names"
+            raise ValueError(f"must be {wanted} {kind}, got {', '.join(names)}")
         return tuple(names)
 
 

@@ -101,6 +101,8 @@ class CalibrationProblem:
         lens_models: Name of each camera's lens model, see :data:`im_cell.lens.LENSES`; empty: all `plumb_bob`.
         noise_to_estimate: Those of :data:`NOISE_SOURCES` whose covariances are known up to a common factor only.
         arm_error: Smooth error of the arm, beside the noise; None: there is none.
+        readings: Label of each pose's reading of the robot: the positions of one reading are off together; empty: each
+            pose has its own.
 
     >>> problem.lens_models, problem.pose_names[:3], problem.fewest_spots.tolist(), int(problem.detected.sum())
     (('plumb_bob',), ('0', '1', '2'), [7], 40)
@@ -123,6 +125,7 @@ class CalibrationProblem:
     lens_models: tuple[str, ...] = ()
     noise_to_estimate: tuple[str, ...] = ()
     arm_error: ArmError | None = None
+    readings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and values.
@@ -162,6 +165,8 @@ class CalibrationProblem:
             object.__setattr__(self, "pose_names", tuple(str(i) for i in range(n)))
         if len(self.pose_names) != n:
             raise DataError(f"There are {len(self.pose_names)} pose names for {n} poses.")
+        if self.readings and len(self.readings) != n:
+            raise DataError(f"There are {len(self.readings)} readings for {n} poses.")
         if not self.lens_models:
             object.__setattr__(self, "lens_models", (PLUMB_BOB.name,) * c)
         if len(self.lens_models) != c:
@@ -215,9 +220,52 @@ class CalibrationProblem:
         return np.asarray(~np.isnan(self.spots[..., 0]))
 
     @cached_property
+    def poses_of_readings(self) -> NDArray[np.intp]:
+        """Poses of each of r readings, -1 behind them, shape (r, most)."""
+        n = len(self.positions)
+        if not self.readings:
+            return np.arange(n)[:, None]
+        numbers = np.unique(np.array(self.readings), return_inverse=True)[1]
+        order, counts = np.argsort(numbers, kind="stable"), np.bincount(numbers)
+        table = np.full((len(counts), counts.max()), -1)
+        table[np.arange(counts.max()) < counts[:, None]] = order
+        return table
+
+    @cached_property
+    def shared_roots(self) -> Array:
+        """Roots of the covariances of positions with a reading of several poses, 0 of the others, shape (n, 3, 3) [m].
+
+        The positions of a reading are off by their root times one vector of unit covariance: by the same, where the
+        covariances are the same.
+        """
+        roots = np.zeros_like(self.position_covariances)
+        table = self.poses_of_readings
+        poses = table[(table >= 0).sum(axis=1) > 1]
+        poses = poses[poses >= 0]
+        values, axes = np.linalg.eigh(self.position_covariances[poses])
+        roots[poses] = (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(axes, 1, 2)
+        return roots
+
+    @cached_property
+    def shared_errors(self) -> Array:
+        """Derivatives of the positions by the vectors of the k readings of several poses, shape (n, 3, 3k) [m]."""
+        several = [poses[poses >= 0] for poses in self.poses_of_readings if (poses >= 0).sum() > 1]
+        shared = np.zeros((len(self.positions), 3, 3 * len(several)))
+        for number, poses in enumerate(several):
+            shared[poses, :, 3 * number : 3 * number + 3] = self.shared_roots[poses]
+        return shared
+
+    @cached_property
+    def own_covariances(self) -> Array:
+        """Covariances of what each position is off by itself, 0 in a reading of several, shape (n, 3, 3) [m^2]."""
+        table, own = self.poses_of_readings, np.ones(len(self.positions))
+        own[table[((table >= 0).sum(axis=1) > 1)[:, None] & (table >= 0)]] = 0.0
+        return self.position_covariances * own[:, None, None]
+
+    @cached_property
     def position_weights(self) -> Array:
-        """Inverse covariances of the positions, 0 along exactly known directions, shape (n, 3, 3) [1/m^2]."""
-        return np.asarray(np.linalg.pinv(self.position_covariances, hermitian=True))
+        """Inverses of :attr:`own_covariances`, 0 along exactly known directions, shape (n, 3, 3) [1/m^2]."""
+        return np.asarray(np.linalg.pinv(self.own_covariances, hermitian=True))
 
     def with_noise(self, image: float, robot: float) -> "CalibrationProblem":
         """Return the problem with other stated noise; the noise of the spots of known lengths is unchanged.
@@ -252,6 +300,7 @@ class CalibrationProblem:
             joint_jacobians=None if self.joint_jacobians is None else self.joint_jacobians[poses],
             pose_names=tuple(self.pose_names[i] for i in poses),
             arm_error=None if self.arm_error is None else self.arm_error.taking(poses),
+            readings=tuple(self.readings[i] for i in poses) if self.readings else (),
         )
 
     def of_cameras(self, names: Sequence[str]) -> "CalibrationProblem":

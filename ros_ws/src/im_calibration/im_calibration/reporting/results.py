@@ -26,6 +26,9 @@ from im_core.errors import DataError
 from im_core.files import FileError, make_folder, write_whole
 from im_core.text.jsontext import load_json
 
+OBSERVATIONS = "observations.json"
+"""Name of the file of observations in a folder of results."""
+
 
 def write_results(
     directory: Path | str,
@@ -91,7 +94,7 @@ def write_observations(directory: Path | str, problem: CalibrationProblem) -> Pa
     target = Path(directory)
     try:
         make_folder(target)
-        return write_whole(target / "observations.json", json.dumps(dataset_of(problem), allow_nan=False) + "\n")
+        return write_whole(target / OBSERVATIONS, json.dumps(dataset_of(problem), allow_nan=False) + "\n")
     except OSError as error:
         raise _unwritten(target, error) from error
 

@@ -238,9 +238,13 @@ class WristSensor(Model):
 
 
 class Led(Model):
-    """A wrist light: nominal offset and outward axis in the wrist frame [m], diameter [m], half angle [rad]."""
+    """A wrist light: nominal offset and outward axis in the wrist frame [m], diameter [m], half angle [rad].
+
+    `offset_prior_sd` is the standard deviation of each axis of the true offset [m]; 0: the nominal one is exact.
+    """
 
     offset: Vector
+    offset_prior_sd: NonNegative
     axis: Vector
     diameter: Positive
     half_angle: Positive

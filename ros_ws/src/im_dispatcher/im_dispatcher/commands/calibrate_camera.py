@@ -5,12 +5,17 @@ objects; every function may be done twice: a dispatcher that died goes on with t
 """
 
 import contextlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+from im_calibration import problem_of, write_observations
+from im_calibration.problem.observations import observation_of
 from im_cell.robot import load_cell
 from im_core import clock
-from im_core.errors import BEGUN_ANEW, ImError, StateError, StoreError
+from im_core.errors import BEGUN_ANEW, ImError, NotFoundError, StateError, StoreError
 from im_core.names import results_dir
 from im_core.text.bounded_json import read_json
 from im_dispatcher.command import CommandDescription
@@ -30,7 +35,7 @@ POSES = "calibration_poses"
 
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
-REPORT = "im_msgs/msg/CalibrationReport"
+REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
 
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5
@@ -74,6 +79,8 @@ class CalibrateCamera:
             )
         }
         requests = (
+            self.other_arm,
+            self.require_other,
             self.way_known,
             self.present_look,
             self.next_destination,
@@ -83,6 +90,7 @@ class CalibrateCamera:
         )
         builders = {build.__name__: build for build in requests}
         guards = {
+            "other_needed": woken_by()(_other_needed),
             "more_poses": woken_by()(_more_poses),
             "goes_on": woken_by()(_goes_on),
             "another_visit_may_help": woken_by()(_another_visit_may_help),
@@ -105,10 +113,19 @@ class CalibrateCamera:
         ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
         ctx.memory["light"] = order.light
+        ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
         ctx.memory["loop"] = PoseLoop(poses).to_json()
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
+
+    def other_arm(self, ctx: ActionContext) -> dict[str, object]:
+        """Return the arm without the light."""
+        return {"group": ctx.memory["other"]}
+
+    async def require_other(self, ctx: ActionContext, answer: Any) -> None:
+        """Check that the other arm, in an ``im_msgs/srv/GetGroupState`` response, stands where the poses need it."""
+        (await self._poses(ctx)).require_other(answer.state.joints, answer.state.q)
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
         """Count the loop variable down and store the next destination."""
@@ -222,7 +239,7 @@ class CalibrateCamera:
         await self.note_failure(ctx)
 
     async def report_failure(self, ctx: ActionContext) -> None:
-        """Write the report of a failed command."""
+        """Write the report of a failed command, and what was observed."""
         reason = str(ctx.memory.get("reason") or _reason(ctx))
         ctx.result["message"] = reason
         self._expected = None
@@ -230,6 +247,7 @@ class CalibrateCamera:
             skipped: list[Mapping[str, object]] = []
             with contextlib.suppress(ImError):  # the data objects may be what failed
                 skipped = await self._skipped(ctx)
+                await self._keep_observations(ctx)
             try:
                 self._finish(ctx, failed(reason, skipped))
             except StoreError as error:  # the command ends all the same, and says both
@@ -253,6 +271,16 @@ class CalibrateCamera:
     async def _skipped(self, ctx: ActionContext) -> list[Mapping[str, object]]:
         counts = range(1, _loop(ctx).skipped + 1)
         return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
+
+    async def _keep_observations(self, ctx: ActionContext) -> None:
+        """Write what was observed so far, if anything, as the calibration would have."""
+        observed: list[Mapping[str, object]] = []
+        for number in range(1, _loop(ctx).taken + 1):
+            with contextlib.suppress(NotFoundError):
+                observed.append(await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()]))
+        if observed:
+            directory, cameras = str(ctx.memory["directory"]), ctx.memory["cameras"]
+            await self._host.noted_apart("observations", _write_observations, directory, cameras, observed)
 
     async def _expect(self, poses: int) -> None:
         """Compute the expected duration of the command, where the nets give one."""
@@ -316,12 +344,25 @@ def _poses_text(path: str) -> str:
     return load_named_poses(path).model_dump_json()
 
 
+def _write_observations(directory: str, cameras: list[str], observed: list[Mapping[str, object]]) -> str:
+    cell = load_cell()
+    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
+    offset = cell.led.offset, cell.led.offset_prior_sd
+    messages = json.loads(json.dumps(observed), object_hook=lambda fields: SimpleNamespace(**fields))
+    problem = problem_of(tuple(cameras), [observation_of(each) for each in messages], (), sizes, offset, cell.cameras)
+    return str(write_observations(directory, problem))
+
+
 def _new_directory() -> str:
     return str(make_directory(results_dir(), clock.stamp_name()))
 
 
 def _loop(ctx: ActionContext) -> PoseLoop:
     return PoseLoop.from_json(ctx.memory.get("loop"))
+
+
+def _other_needed(ctx: ActionContext) -> bool:
+    return bool(ctx.memory["other"])
 
 
 def _more_poses(ctx: ActionContext) -> bool:

@@ -19,6 +19,7 @@ from im_calibration import (
     calibrate_possible,
     comparison,
     largest_difference,
+    problem_of,
     report_of,
     write_observations,
 )
@@ -34,7 +35,7 @@ from im_vss.camera_poses import Pose, at_rest
 from im_vss.recalibration import find_again
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.calibrate import CalibrateRequest, Mount, on_their_mounts, problem_of, write_calibration
+from im_vss.services.calibrate import CalibrateRequest, Mount, on_their_mounts, write_calibration
 from im_vss.settings import VssSettings, load_settings
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -164,10 +165,11 @@ def _problem(
 ) -> CalibrationProblem:
     offset = call.led_offset()
     if offset is None:
-        offset = cell.led.offset, settings.light.offset_prior_sd
+        offset = cell.led.offset, cell.led.offset_prior_sd
         told = f"{[1e3 * value for value in offset[0]]} mm, each axis to {1e3 * offset[1]:g} mm"
         print(f"replay: the bag does not tell where the light is in the wrist; as this workspace has it: {told}")
-    problem = problem_of(request, recorded_sizes(options.bag, call, request.cameras), *offset, settings.cameras)
+    sizes = recorded_sizes(options.bag, call, request.cameras)
+    problem = problem_of(request.cameras, request.observations, request.lengths, sizes, offset, settings.cameras)
     if options.lens_model is not None:
         problem = replace(problem, lens_models=(options.lens_model,) * len(request.cameras))
     return replace(problem, noise_to_estimate=NOISE_SOURCES) if options.noise == "estimated" else problem

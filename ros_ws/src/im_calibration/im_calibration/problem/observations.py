@@ -1,0 +1,182 @@
+"""Observations of a light on the wrist as they are made, pose by pose, and the calibration problem of them."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_cell.rotations import matrix_of_quaternion
+from im_core.errors import DataError, NotFoundError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SeenSpot:
+    """Light in a camera: centre, shape (2,) [px], the covariance, shape (2, 2) [px^2], and the time [ns]."""
+
+    uv: Array
+    covariance: Array
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One pose of the robot and the cameras' findings.
+
+    Attributes:
+        pose: Its name.
+        position: Origin of the wrist frame in the world, shape (3,) [m].
+        rotation: Rotation wrist -> world, shape (3, 3).
+        position_covariance: Covariance of `position`, shape (3, 3) [m^2].
+        spots: By camera; a camera that saw no light is left out.
+    """
+
+    pose: str
+    position: Array
+    rotation: Array
+    position_covariance: Array
+    spots: dict[str, SeenSpot]
+
+
+@dataclass(frozen=True)
+class SeenLength:
+    """Two lights at a known distance, and the cameras' findings of both.
+
+    Attributes:
+        length: Distance of the lights [m].
+        standard_deviation: How well it is known [m].
+        ends: Spots of the first and of the second light, by camera; a camera that saw none is left out.
+    """
+
+    length: float
+    standard_deviation: float
+    ends: tuple[dict[str, SeenSpot], dict[str, SeenSpot]]
+
+
+def problem_of(
+    cameras: tuple[str, ...],
+    observations: Sequence[Observation],
+    lengths: Sequence[SeenLength],
+    image_sizes: Mapping[str, tuple[int, int]],
+    led_offset: tuple[tuple[float, float, float], float],
+    known: Collection[str],
+) -> CalibrationProblem:
+    """Return observations in the solver's terms.
+
+    Args:
+        cameras: Names of the cameras to calibrate.
+        observations: What they saw.
+        lengths: Known lengths; may be empty.
+        image_sizes: Width and height of the images of each camera [px].
+        led_offset: Nominal place of the light in the wrist frame, and how well each axis of it is known [m].
+        known: Cameras that there are; others than `cameras` may have spots.
+
+    Raises:
+        ImError: There is no observation, one is malformed, or of a camera that is not known.
+    """
+    if not observations:
+        raise DataError("there is no observation to calibrate from")
+    nominal, prior_sd = led_offset
+    offset = np.array(nominal)
+    spots, covariances = _spots(cameras, [observation.spots for observation in observations], known)
+    return CalibrationProblem(
+        camera_names=cameras,
+        image_sizes=tuple(image_sizes[camera] for camera in cameras),
+        positions=np.array([o.position + o.rotation @ offset for o in observations]),
+        position_covariances=np.array([o.position_covariance for o in observations]),
+        wrist_rotations=np.array([o.rotation for o in observations]),
+        spots=spots,
+        spot_covariances=covariances,
+        led_offset_prior_sd=prior_sd,
+        led_offset_nominal=nominal,
+        pose_names=tuple(o.pose for o in observations),
+        lengths=_lengths(cameras, lengths, known) if lengths else None,
+    )
+
+
+def observation_of(message: Any) -> Observation:
+    """Return an observation.
+
+    Args:
+        message: An ``im_msgs/msg/Observation``, from a client, out of a bag, or any object with the fields of it.
+
+    Raises:
+        DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera.
+    """
+    position, q = message.wrist.position, message.wrist.orientation
+    return Observation(
+        pose=message.pose,
+        position=np.array([position.x, position.y, position.z]),
+        rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w], f"the orientation of pose '{message.pose}'"),
+        position_covariance=np.array(message.position_covariance).reshape(3, 3),
+        spots=spots_of(message.spots, f"pose '{message.pose}'"),
+    )
+
+
+def spots_of(messages: Sequence[Any], place: str) -> dict[str, SeenSpot]:
+    """Return spots of one light by camera, without spots not found.
+
+    Args:
+        messages: Each an ``im_msgs/msg/Spot``, or like it.
+        place: Of what they are, for errors.
+
+    Raises:
+        DataError: Two are of one camera, or a number is not finite, or a covariance is none.
+    """
+    spots: dict[str, SeenSpot] = {}
+    for spot in messages:
+        if not spot.found:
+            continue
+        if spot.camera in spots:
+            raise DataError(f"{place} has two spots of {spot.camera}", camera=spot.camera)
+        uv, covariance = np.array([spot.u, spot.v]), np.array(spot.covariance).reshape(2, 2)
+        if not np.all(np.isfinite(uv)):
+            raise DataError(f"{place}: the spot of {spot.camera} at {uv.tolist()} px is not finite", camera=spot.camera)
+        if not _is_covariance(covariance):
+            raise DataError(f"{place}: {covariance.tolist()} is no covariance of a spot of {spot.camera} [px^2]")
+        spots[spot.camera] = SeenSpot(uv, covariance, spot.stamp.sec * 10**9 + spot.stamp.nanosec)
+    return spots
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """Whether a matrix, shape (n, n), is finite, symmetric and positive definite."""
+    if not np.all(np.isfinite(matrix)) or np.abs(matrix - matrix.T).max() > 1e-6 * np.abs(matrix).max():
+        return False
+    return bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
+
+
+def _lengths(cameras: tuple[str, ...], lengths: Sequence[SeenLength], known: Collection[str]) -> KnownLengths:
+    """The known lengths in the solver's terms.
+
+    Raises:
+        ImError: A camera is unknown, or a value is impossible.
+    """
+    spots, covariances = _spots(cameras, [end for length in lengths for end in length.ends], known)
+    return KnownLengths(
+        np.array([each.length for each in lengths]),
+        np.array([each.standard_deviation for each in lengths]),
+        spots.reshape(len(cameras), len(lengths), 2, 2),
+        covariances.reshape(len(cameras), len(lengths), 2, 2, 2),
+    )
+
+
+def _spots(cameras: tuple[str, ...], seen: list[dict[str, SeenSpot]], known: Collection[str]) -> tuple[Array, Array]:
+    """Return spots of some cameras, NaN if unseen, shape (c, n, 2) [px]; covariances, shape (c, n, 2, 2) [px^2].
+
+    Raises:
+        NotFoundError: A spot is of a camera that is not known.
+    """
+    spots = np.full((len(cameras), len(seen), 2), np.nan)
+    covariances = np.tile(np.eye(2), (len(cameras), len(seen), 1, 1))
+    for i, by_camera in enumerate(seen):
+        for camera, spot in by_camera.items():
+            if camera in cameras:
+                c = cameras.index(camera)
+                spots[c, i], covariances[c, i] = spot.uv, spot.covariance
+            elif camera not in known:
+                raise NotFoundError(kind="camera", name=camera, known=known)
+    return spots, covariances
