@@ -18,7 +18,8 @@ BEST_EFFORT, STRICT, AUTO, FORCE_AUTO = 1, 2, 3, 4
 _GROUP = "joint_trajectory_controller/JointTrajectoryController"
 _GRIPPER = "position_controllers/GripperActionController"
 _BROADCASTER = "joint_state_broadcaster/JointStateBroadcaster"
-_MEASURED = ("position", "velocity", "effort")
+MEASURED = ("position", "velocity", "effort")
+"""State interfaces of a joint or a gripper."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +81,11 @@ def listed_controllers(
         laws: Law in force of each group.
     """
     joints = [slot.name for slot in config.joint_slots]
-    measured = tuple(f"{joint}/{quantity}" for joint in joints for quantity in _MEASURED)
+    measured = tuple(f"{joint}/{quantity}" for joint in joints for quantity in MEASURED)
     controllers = [ListedController("joint_state_broadcaster", _BROADCASTER, bool(states), states=measured)]
     for group, description in config.groups.items():
         active = states.get(group) is State.MOTION
-        state = tuple(f"{joint}/{quantity}" for joint in description.joints for quantity in _MEASURED)
+        state = tuple(f"{joint}/{quantity}" for joint in description.joints for quantity in MEASURED)
         effort = tuple(f"{joint}/effort" for joint in description.joints)
         in_force = laws.get(group, config.group_control.get(group, config.control).controller)
         for law in config.parameters_of_laws(group):

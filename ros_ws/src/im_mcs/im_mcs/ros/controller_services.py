@@ -11,7 +11,7 @@ from controller_manager_msgs.srv import (
 )
 from lifecycle_msgs.msg import State as LifecycleState
 
-from im_mcs.client.controllers import ListedController, SwitchAction, listed_controllers, switch_steps
+from im_mcs.client.controllers import MEASURED, ListedController, SwitchAction, listed_controllers, switch_steps
 from im_mcs.limits.slots import Slot
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
@@ -19,10 +19,9 @@ from im_mcs.ros.services import StateServices, offer, switch_law
 from im_mcs.state import Event
 
 _PREFIX = "/controller_manager"
-_MEASURED = ("position", "velocity", "effort")
 _WRENCH = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
 _COMMANDS = {"joint": ("effort",), "gripper": ("position",), "wrench": ()}
-_STATES = {"joint": _MEASURED, "gripper": _MEASURED, "wrench": _WRENCH}
+_STATES = {"joint": MEASURED, "gripper": MEASURED, "wrench": _WRENCH}
 _LABELS = {
     LifecycleState.PRIMARY_STATE_UNCONFIGURED: "unconfigured",
     LifecycleState.PRIMARY_STATE_INACTIVE: "inactive",
