@@ -109,7 +109,7 @@ def test_a_path_is_checked_as_a_move_is_planned(config, model, cell, monkeypatch
     ((_, _, index, motion, velocity),) = checked
     limits = JointLimits(cell, config.limits, config.slots).motion.of(index)
     context = PlanContext(
-        model, JointLimits(cell, config.limits, config.slots), index, None, lambda: cell.home, 0.0045,
+        model, JointLimits(cell, config.limits, config.slots), index, (), lambda: cell.home, 0.0045,
         config.model_copy(update={"planning": planning}),
     )  # fmt: skip
     move = JointMove(points=[point.tolist() for point in points], blend=blend)

@@ -31,6 +31,25 @@ def test_presets_partition_all_joints(config, cell):
 
 
 @pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda slots: slots[:6], "joint slot 7 is None, and joint 7 of the cell is left_j4"),
+        (
+            lambda slots: [slots[1], slots[0], *slots[2:]],
+            "joint slot 1 is left_rotation, and joint 1 of the cell is left_t",
+        ),
+        (
+            lambda slots: [slots[0].model_copy(update={"name": "shoulder_pan_joint"}), *slots[1:]],
+            "joint slot 1 is shoulder_pan_joint, and joint 1 of the cell is left_track; joint slots have the names",
+        ),
+    ],
+)
+def test_slots_of_another_cell_are_refused(config, cell, change, message):
+    with pytest.raises(ConfigError, match=message):
+        JointLimits(cell, config.limits, change(list(config.slots)))
+
+
+@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("velocity: 0.95", "velocity: -1", r"mcs.yaml:\d+: limits.velocity: -1: .*greater than 0"),

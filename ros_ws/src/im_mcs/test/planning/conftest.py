@@ -69,7 +69,7 @@ class Rig:
         self.home = cell.home[self.index]
         self.q_all = cell.home.copy()
         self.context = PlanContext(
-            model, self.all_limits, self.index, config.groups[name].wrist, lambda: self.q_all, 0.0045 * divisor, config
+            model, self.all_limits, self.index, config.groups[name].frames, lambda: self.q_all, 0.0045 * divisor, config
         )
         noise, resolution = cell.per_joint("noise")[self.index], cell.per_joint("resolution")[self.index]
         self.group = ControlledGroup(
