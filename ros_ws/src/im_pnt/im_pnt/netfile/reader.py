@@ -40,7 +40,7 @@ from im_pnt.model.resources import resource_places
 from im_pnt.netfile.assume import faults
 from im_pnt.netfile.schema.commands import ArgumentFile
 from im_pnt.netfile.schema.delays import DelayFile
-from im_pnt.netfile.schema.names import is_name, shown_name
+from im_pnt.netfile.schema.names import is_name, is_qualified, shown_name
 from im_pnt.netfile.schema.net import AssumptionFile, NetFile
 from im_pnt.netfile.schema.places import PlaceFile
 from im_pnt.netfile.schema.transitions import TransitionFile
@@ -220,16 +220,11 @@ class _Reader:
         return ArgumentSchema({name: self._argument((*location, name), name, each) for name, each in file.items()})
 
     def _argument(self, location: Location, name: str, file: ArgumentFile) -> Argument:
-        required = "default" not in file.model_fields_set
-        kind = ArgumentType(file.type)
-        limits = file.minimum, file.maximum
-        bare = Argument(name, kind.element)
+        bare = Argument(name, ArgumentType(file.type).element)
         for rank, choice in enumerate(file.choices):
             self._fits(bare, choice, (*location, "choices", rank))
-        argument = Argument(
-            name, kind, file.unit, *limits, file.choices, file.length, required, file.default, file.help
-        )
-        if not required:
+        argument = file.argument(name)
+        if not argument.required:
             self._fits(argument, file.default, (*location, "default"))
         return argument
 
@@ -341,7 +336,7 @@ class _Reader:
                 local[name] = weight
                 continue
             net, dot, place = name.partition(".")
-            if not dot or not is_name(net) or not is_name(place):
+            if not dot or not is_name(net) or not is_qualified(place):
                 written = find(self._root, location).value
                 rank = next((rank for rank, child in enumerate(written.children) if child.text == name), None)
                 at: Location = (*location, name if rank is None else rank)
@@ -380,7 +375,7 @@ class _Reader:
         sections: Iterable[tuple[str, Iterable[str]]] = (("places", net.places), ("transitions", net.transitions))
         for section, names in sections:
             for name in names:
-                if not is_name(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
+                if not is_qualified(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
                     sentence = f"'{shown_name(name)}' is not a name that a net with actions or services can have"
                     raise self._error((section, name), sentence, key=True)
 
