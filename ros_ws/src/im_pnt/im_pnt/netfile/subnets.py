@@ -24,7 +24,7 @@ Pair = tuple[Value, Value]
 _ARCS = ("in", "out", "inhibitors", "resets", "on_failure", "on_doubt")
 _TAKEN = ("in", "inhibitors", "resets")
 _KINDS = ("in", "out", "on_failure")
-_SCOPE = (3, 2, 2)
+_SCOPE = (3, 2, 1)
 """Ports of a scope in ``in``, ``out`` and ``on_failure``."""
 
 
@@ -332,7 +332,7 @@ class Subnets:
             ports = None if template is None else template.file.ports
             if ports is None or (len(ports.inputs), len(ports.outputs), len(ports.on_failure)) != _SCOPE:
                 hint = "" if template is not None else nearest(scope.text, self._templates)
-                sentence = "a scope is a template with three ports in 'in', two in 'out' and two in 'on_failure'"
+                sentence = "a scope is a template with three ports in 'in', two in 'out' and one in 'on_failure'"
                 raise complaint(scope, f"{quoted_text(scope.text)} is no scope: {sentence}{hint}")
             _, over, leaving = ports.inputs
             inner = {"in": ports.outputs[0], "out": over, "on_failure": leaving}
@@ -345,7 +345,7 @@ class Subnets:
                 "use": scope,
                 "in": sequence((arcs["in"], places["out"], places["on_failure"]), scope),
                 "out": sequence((places["in"], arcs["out"]), scope),
-                "on_failure": sequence((places["on_failure"], arcs["on_failure"]), scope),
+                "on_failure": arcs["on_failure"],
                 "arguments": arguments,
             }
             name = scalar(f"{key.text}.{scope.text}", scope)

@@ -106,7 +106,7 @@ class TransitionFile(FilePart):
     scopes: Annotated[object, WithJsonSchema({"type": ["string", "array", "object"]})] = Field(
         None,
         alias="with",
-        description="Scopes around it, the outermost first: templates with three ports in 'in', two in 'out' and two "
+        description="Scopes around it, the outermost first: templates with three ports in 'in', two in 'out' and one "
         "in 'on_failure', by name, or by name with arguments.",
     )
     inputs: Arcs = Field({}, alias="in", description="Tokens it takes.")
