@@ -350,6 +350,7 @@ class Subnets:
             }
             name = scalar(f"{key.text}.{scope.text}", scope)
             yield from self._used(level, name, mapping(((scalar(k, scope), v) for k, v in around.items()), scope))
+            level = replace(level, results={**level.results, scope.text: level.results[name.text]})  # inside of it
             arcs = places
         pairs = ((k, arcs.get(k.text, child)) for k, child in value.pairs if k.text != "with")
         yield from self._transition(level, key, mapping(pairs, value))
