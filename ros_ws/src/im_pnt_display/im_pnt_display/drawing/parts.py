@@ -168,38 +168,37 @@ def _folded(net: Net, whole: Net) -> Net:
 
 
 def _subnets_folded(net: Net, counts: dict[str, int]) -> Net:
-    """Return the net with a transition for each outermost subnet in use, and count the transitions of each."""
-
-    def subnet_of(name: str) -> str:
-        ends = (at for at, letter in enumerate(name) if letter == "." and name[:at] not in net.transitions)
-        return name[: next(ends, 0)]
-
-    of = {t.name: subnet_of(t.name) for t in net.transitions.values() if t.role not in _STRUCTURE}
-    found = dict.fromkeys(filter(None, of.values()))
-    places = {name: place for name, place in net.places.items() if subnet_of(name) not in found}
+    """Return the net with a transition for each use of a subnet or scopes, and count the transitions of each."""
+    own = [t for t in net.transitions.values() if t.role not in _STRUCTURE]
+    uses = {t.name.partition(".")[0]: list[Transition]() for t in own if "." in t.name}
+    places = {
+        name: place for name, place in net.places.items() if name.partition(".")[0] not in uses or "." not in name
+    }
 
     def arcs(every: Iterable[Arcs]) -> dict[str, int]:
         return {name: weight for each in every for name, weight in each.items() if name in places}
 
     transitions: dict[str, Transition] = {}
-    for name, transition in net.transitions.items():
-        subnet = of.get(name)
-        if not subnet or subnet in transitions:
-            if not subnet:
-                transitions[name] = transition
-            continue
-        inside = [net.transitions[other] for other, its in of.items() if its == subnet]
-        counts[subnet] = len(inside)
+    for t in net.transitions.values():
+        use = t.name.partition(".")[0]
+        if t.role in _STRUCTURE or use not in uses:
+            transitions[t.name] = t
+        else:
+            uses[use].append(t)
+            transitions.setdefault(use, Transition(use))
+    for use, inside in uses.items():
+        counts[use] = len(inside)
         given = arcs(t.outputs for t in inside)
-        failed = [{net.escalate: 1} if net.escalate and t.action and not t.on_failure else t.on_failure for t in inside]
-        transitions[subnet] = Transition(
-            subnet,
-            arcs(t.inputs for t in inside),
-            given,
-            {remote: weight for t in inside for remote, weight in t.remote_outputs.items()},
-            arcs(t.inhibitors for t in inside),
+        escalated = {net.escalate: 1} if net.escalate else {}
+        failed = arcs({**(t.on_failure or (escalated if t.action else {})), **t.on_doubt} for t in inside)
+        transitions[use] = replace(
+            net.transitions.get(use, transitions[use]),
+            inputs=arcs(t.inputs for t in inside),
+            outputs=given,
+            remote_outputs={remote: weight for t in inside for remote, weight in t.remote_outputs.items()},
+            inhibitors=arcs(t.inhibitors for t in inside),
             emit=tuple(dict.fromkeys(symbol for t in inside for symbol in t.emit)),
-            on_failure={p: w for p, w in arcs((*failed, *(t.on_doubt for t in inside))).items() if p not in given},
+            on_failure={place: weight for place, weight in failed.items() if place not in given},
         )
     return replace(net, places=places, transitions=transitions)
 
