@@ -34,7 +34,7 @@ class _Level:
 
     Attributes:
         prefix: What stands before its names; empty: it is the net itself.
-        places: Its places and ports, with the names in the whole net; of the net itself those of its scopes alone.
+        places: Its places and ports, with the names in the whole net.
         only_given: Its ports that it gives tokens to, and takes none from.
         transitions: Its transitions.
         objects: Its data objects, with the names in the whole net.
@@ -52,13 +52,13 @@ class _Level:
     results: dict[str, Mapping[str, Node]] = field(default_factory=dict)
     chain: tuple[str, ...] = ()
 
-    def place(self, name: Value) -> Value:
-        """Return a name of a place, as in the whole net; that of another net's place stays."""
-        if not self.prefix or (name.text not in self.places and "." in name.text):
-            return name
-        if name.text not in self.places:
+    def place(self, name: Value, *, port: bool = False) -> Value:
+        """Return a name of a place, as in the whole net; other nets' places stay, but where a port is asked for."""
+        if name.text in self.places:
+            return replace(name, text=self.places[name.text])
+        if port or (self.prefix and "." not in name.text):
             raise complaint(name, f"there is no place {quoted_text(name.text)}{nearest(name.text, self.places)}")
-        return replace(name, text=self.places[name.text])
+        return name
 
     def arcs(self, key: str, value: Value) -> Value:
         """Return the arcs of a transition, or the places of another list."""
@@ -175,7 +175,7 @@ def _expression(value: Value, name: str) -> Node:
 
 
 class Subnets:
-    """Uses of subnets in a net, replaced by what the subnets say.
+    """Uses of subnets in a net, replaced by the parts of the subnets.
 
     Args:
         templates: Templates of the net by name.
@@ -195,7 +195,7 @@ class Subnets:
         Raises:
             NetFileError: A use does not fit the subnet, or a subnet is wrong.
         """
-        net = _Level(transitions=frozenset(key.text for key, _ in sections.get("transitions", ())))
+        net = _Level(places={name.text: name.text for name, _ in sections.get("places", ())})
         transitions = list(self._transitions(net, sections.get("transitions", [])))
         places = [*sections.get("places", []), *self._places]
         all_rest = [*(rest or []), *self._rest] if rest is not None or self._rest else None
@@ -271,7 +271,7 @@ class Subnets:
         level.results[key.text] = results
 
     def _given(self, level: _Level, value: Value, use: SubnetUseFile, template: Template) -> dict[str, Value]:
-        """Return what a use gives for arguments and parameters, in words of the whole net."""
+        """Return the values of arguments and parameters that a use gives, in words of the whole net."""
         declared = {**template.file.arguments, **dict.fromkeys(template.file.parameters)}
         written_ones = {key.text: (key, child) for key, child in find(value, ("arguments",)).value.pairs}
         given: dict[str, Value] = {}
@@ -307,7 +307,7 @@ class Subnets:
                 sentence = f"subnet {use.use} has {len(names)} ports here ({', '.join(names)}), not {len(given)}"
                 raise complaint_at(value, (kind,), sentence, key=True)
             for rank, name in enumerate(names):
-                place = level.place(find(value, (kind, rank)).value)
+                place = level.place(find(value, (kind, rank)).value, port=True)
                 if bound.setdefault(name, place.text) != place.text:
                     sentence = (
                         f"port {name} of subnet {use.use} is {bound[name]} and {place.text}, which must be one place"
