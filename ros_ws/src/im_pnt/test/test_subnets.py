@@ -238,6 +238,27 @@ def test_mistakes_of_scopes_are_named(find, replace, complaint):
         parse_net(NET.replace(find, replace, 1))
 
 
+@pytest.mark.parametrize(
+    ("net", "complaint"),
+    [
+        (
+            "places: {p: 1, t.active: }, transitions: {t: {in: p, out: p}}",
+            "'t.active' is the name of a part that is made",
+        ),
+        ("places: {p: 1}, transitions: {t: {in: p, out: p}, t.start: {in: p}}", "'t.start' is .* made of 't'"),
+        (
+            "places: {p: 1, d: , f: }, services: {ask: {entry: p, done: d, failed: f}}, "
+            "transitions: {accept.ask: {in: p, out: d}}",
+            "'accept.ask' is .* made of 'ask'",
+        ),
+        ("places: {p.: 1}, transitions: {t: {in: p}}", "'p.' is not a name"),
+    ],
+)
+def test_names_with_dots_are_not_those_that_the_expansion_makes(net, complaint):
+    with pytest.raises(NetFileError, match=complaint):
+        parse_net(f"{{net: n, {net}}}")
+
+
 def test_a_use_without_any_template_is_named():
     with pytest.raises(NetFileError, match=r"no template 'a'; there is none in the net"):
         parse_net("{net: n, places: {p: 1}, transitions: {t: {use: a, in: p}}}")

@@ -21,7 +21,7 @@ from im_pnt.model.action import (
 )
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
-from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
+from im_pnt.model.expand import INPUT_SEMAPHORE, MADE, MADE_OF_SERVICES, OUTPUT_SEMAPHORE
 from im_pnt.model.net import (
     OTHERWISE,
     Assumption,
@@ -118,9 +118,23 @@ class _Reader:
             raise self._error(at, sentence, key=True)
         if self._foreign:
             self._require_names(net)
+        self._require_free_names(net)
         self._require_countable(net)
         check_net(net, NoTypes())
         return replace(net, transitions=dict(self._with_otherwise(net)))
+
+    def _require_free_names(self, net: Net) -> None:
+        """Refuse names with a dot that the expansion gives to its own parts."""
+        sections: Iterable[tuple[str, Iterable[str]]] = (("places", net.places), ("transitions", net.transitions))
+        for section, names in sections:
+            for name in names:
+                first, _, last = name.rpartition(".")
+                of_part = last in MADE and (first in net.transitions or first in net.places)
+                if of_part or (first in MADE_OF_SERVICES and last in net.services):
+                    sentence = (
+                        f"'{shown_name(name)}' is the name of a part that is made of '{first if of_part else last}'"
+                    )
+                    raise self._error((section, name), sentence, key=True)
 
     def _require_countable(self, net: Net) -> None:
         """Refuse to count tokens of commands that go together: arcs do not tell how many pairs they make."""
