@@ -16,6 +16,7 @@ import yaml
 from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
 from im_core.config import package_file
+from im_pnt.netfile import describe, load_net
 from support.whole_machine import (
     COMMAND_S,
     EACH,
@@ -101,7 +102,9 @@ def test_the_nets_are_the_program(first_run):
     assert ended.count(("motion_coordinator", "move_manip")) == FEW
     assert ended.count(("calibrate_camera", "loop_done")) + ended.count(("calibrate_camera", "skip_done")) == 1
     assert ended.count(("motion_coordinator", "validate_path")) == 0
-    order = [ended.index(("calibrate_camera", name)) for name in ("init_calib", "power_up", "move_robot", "find_spot")]
+    order = [
+        ended.index(("calibrate_camera", name)) for name in ("init_calib", "cell.power_up", "move_robot", "find_spot")
+    ]
     assert order == sorted(order)
     the_arm_goes_on_while_the_light_is_searched(firings)
     assert ended.count(("motion_coordinator", "take_path")) == FEW - 1, "paths are planned while the arm is at a pose"
@@ -437,11 +440,12 @@ def test_who_changes_the_net_changes_what_happens(machine, few_poses):
     """
     from im_msgs.srv import LoadNet
 
-    written = package_file("im_dispatcher", "nets/calibrate_camera.yaml").read_text()
-    net = yaml.safe_load(written)
-    del net["transitions"]["light_on"]
-    for name in ("init_calib", "take_up"):
-        net["transitions"][name]["out"] = ["light_ready"]
+    file = package_file("im_dispatcher", "nets/calibrate_camera.yaml")
+    written = file.read_text()
+    net = json.loads(json.dumps(describe(load_net(file))))
+    del net["transitions"]["cell.light_on"]
+    for name in ("init_calib", "cell.take_up"):
+        net["transitions"][name]["out"] = ["cell.lighted", "cell.lit", "cell.powered"]
     del net["places"]["job_read"]
     assert machine.call(LoadNet, "/dispatcher/load_net", net_yaml=yaml.safe_dump(net)).success
     dark = machine.calibrate(few_poses)

@@ -39,7 +39,7 @@ from support.loop import in_loop
 
 BAGS = Path(__file__).parent / "data" / "bags"
 NETS = Path(__file__).parent.parent / "ros_ws/src/im_dispatcher/im_dispatcher/nets"
-SHIPPED = (NETS / "calibrate_camera.yaml").read_text(encoding="utf-8")
+SHIPPED = (NETS / "calibrate_camera.yaml").read_text(encoding="utf-8").replace("include: ", f"include: {NETS}/")
 
 
 def differs(capsys, *arguments) -> str:
@@ -60,7 +60,7 @@ def test_the_nets_of_this_installation_do_what_they_did(capsys, name):
     found = re.search(r"equal: (\d+) nets, (\d+) firings", told)
     assert found, told
     assert int(found[1]) == 12
-    assert int(found[2]) > 250
+    assert int(found[2]) > 200
 
 
 @pytest.fixture
@@ -88,9 +88,9 @@ def test_a_changed_guard_is_the_first_difference(capsys, changed):
 
 
 def test_a_changed_net_is_the_first_difference(capsys, changed):
-    net = changed("  light_off:\n", "  hurry: {in: [reported], out: [dark], priority: 5}\n  light_off:\n")
+    net = changed("  acknowledge: ", "  hurry: {in: [reported], out: [finished], priority: 5}\n  acknowledge: ")
     told = differs(capsys, BAGS / "undisturbed", "--nets", net)
-    assert "net calibrate_camera, transition light_off.start, command 1" in told
+    assert "net calibrate_camera, transition cell.light_off.start, command 1" in told
     assert "now:      hurry fires" in told
     assert "hurry goes first now" in told
 

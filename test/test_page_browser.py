@@ -308,10 +308,10 @@ def test_rare_parts_are_folded_until_they_are_wanted_and_the_search_finds_them(r
     each.until(f"document.querySelectorAll('.node').length > {usual}", "the rare parts")
     each.page.click("#rare")
     each.until(f"document.querySelectorAll('.node').length === {usual}", "the usual parts")
-    each.page.fill("#filter", "abort_unseen")
+    each.page.fill("#filter", "unseen.end")
     each.page.press("#filter", "Enter")
-    each.until("document.querySelector('[aria-label^=\"transition, abort_unseen\"]') !== null", "what was folded")
-    box = each.page.locator('[aria-label^="transition, abort_unseen"]').bounding_box()
+    each.until("document.querySelector('[aria-label^=\"transition, unseen.end\"]') !== null", "what was folded")
+    box = each.page.locator('[aria-label^="transition, unseen.end"]').bounding_box()
     area = each.page.locator("#canvas").bounding_box()
     assert area["x"] < box["x"] < area["x"] + area["width"]
     assert area["y"] < box["y"] < area["y"] + area["height"]

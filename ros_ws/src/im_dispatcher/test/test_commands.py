@@ -89,7 +89,7 @@ def test_home_is_where_the_cell_says() -> None:
     home = {}
     for net in map(load_net, commands.net_files(["home", "demo"])):
         for transition in net.transitions.values():
-            if transition.name in ("go_left", "go_right", "home_left", "home_right"):
+            if transition.name in ("go_left", "go_right", "left.turn_home", "right.turn_home"):
                 fields = transition.action.fields
                 home.setdefault(fields["group"], []).append(fields["joints"])
     assert home == {name: [list(side.home)] * 2 for name, side in load_cell().sides.items()}
@@ -110,15 +110,16 @@ def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:
     [
         ("move", ', "${arguments.group}_cart"', "go of net move acts on left_cart, which command move with group=left"),
         ("look", '"${arguments.camera}", ', "find_spot of net look acts on ceiling_left, ceiling_right, table, wall"),
-        ("demo", ", right_cart", "turn_right of net demo acts on right_cart, which command demo does not hold"),
+        ("demo", ", right_cart", "right.turn of net demo acts on right_cart, which command demo does not hold"),
         ("close_gripper", '"${arguments.group}_gripper", ', "close of net close_gripper acts on left_gripper, which"),
         ("calibrate_camera", ", wrist_left", "find_spot of net calibrate_camera acts on wrist_left, which command"),
     ],
 )
 def test_a_shipped_command_that_needs_less_than_it_acts_on_is_refused(command: str, need: str, sentence: str) -> None:
-    text = (commands.NETS / f"{command}.yaml").read_text()
+    file = commands.NETS / f"{command}.yaml"
+    text = file.read_text()
     before, needs, after = text.partition("needs:")
-    net = parse_net(before + needs + after.replace(need, "", 1), f"{command}.yaml")
+    net = parse_net(before + needs + after.replace(need, "", 1), f"{command}.yaml", file)
     coordinators = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent.glob("*.yaml")
     cases = unheld([net, *map(load_net, sorted(coordinators))], thread_cpu() + 60.0)
     assert any(f"{command}.yaml:" in case.reason and sentence in case.reason and case.sequence for case in cases or ())

@@ -17,14 +17,16 @@ KEYS = {
     "AssumptionFile": "at_most returns",
     "NetFile": "net description escalate include templates use places services at_once commands rest "
     "transitions assume",
-    "TemplateFile": "parameters places services commands rest transitions",
+    "TemplateFile": "parameters ports arguments results places services commands rest transitions",
+    "PortsFile": "in out on_failure",
     "UseFile": "template for with",
     "PlaceFile": "title tokens capacity data_object on_invalid remote resource",
     "ObjectFile": "name type scope",
     "ServiceFile": "entry done failed arguments acts_on",
     "CommandFile": "description arguments needs busy priority",
     "ArgumentFile": "type unit minimum maximum choices length default help",
-    "TransitionFile": "title in out inhibitors resets guard symbol emit action service goal topic await request result "
+    "TransitionFile": "title use arguments with "
+    "in out inhibitors resets guard symbol emit action service goal topic await request result "
     "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority "
     "servers",
     "SymbolFile": "name of expires",

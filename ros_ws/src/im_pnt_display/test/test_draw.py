@@ -211,3 +211,42 @@ def test_what_other_nets_mark_is_usual(data):
     """A coordinator is asked by places that none of its transitions marks."""
     names = {node.name for node in draw(load_net(data / "coordinator.yaml"), usual=True).nodes}
     assert {"asked", "found", "accept.find", "return.find"} <= names
+
+
+PARTS = """
+net: n
+templates:
+  power:
+    ports: {in: [wanted, moved, missed], out: [powered, done], on_failure: failed}
+    places: {on: }
+    transitions:
+      up: {in: wanted, out: [powered, on], action: up, on_failure: [missed, on]}
+      down: {in: [moved, on], out: done, action: down, on_failure: failed}
+      give_up: {in: [missed, on], out: failed, action: down, on_failure: failed}
+places: {idle: 1, asked: , done: , failed: }
+transitions:
+  begin: {symbol: go, in: idle, out: asked}
+  go: {with: power, in: asked, out: done, action: go, on_failure: failed}
+  end: {in: done, out: idle, emit: go_done}
+  end_failed: {in: failed, out: idle, emit: go_failed}
+"""
+
+
+def test_a_subnet_in_use_is_one_box_with_a_double_border_until_its_parts_are_wanted():
+    net = parse_net(PARTS)
+    folded = draw(net)
+    (box,) = [node for node in folded.nodes if node.subnet]
+    assert (box.name, box.notes[-1]) == ("go", "4 transitions")
+    arcs = {(arc.source, arc.target, arc.kind) for arc in folded.arcs}
+    assert {("asked", "go", "flow"), ("go", "done", "flow")} < arcs
+    assert not any("." in node.name for node in folded.nodes if node.kind != "reference")
+    assert svg(folded).count("<rect") == svg(draw(net, usual=True)).count("<rect") + 1 == 1 + 4 + 1
+    assert dot(folded).count("peripheries=2") == 1
+    whole = {node.name for node in draw(net, subnets=True).nodes}
+    assert {"go", "go.power.up", "go.power.give_up", "go.power.on", "go.power_missed"} < whole
+    assert {"go.start", "go.power.up.end"} < {node.name for node in draw(net, phases=True).nodes}
+
+
+def test_the_usual_part_of_a_subnet_is_what_fires_while_nothing_fails():
+    (box,) = [node for node in draw(parse_net(PARTS), usual=True).nodes if node.subnet]
+    assert box.notes[-1] == "3 transitions"

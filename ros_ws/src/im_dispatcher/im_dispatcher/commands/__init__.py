@@ -13,7 +13,7 @@ from im_core.errors import ConfigError, NotFoundError
 from im_core.message_paths import message_folders, resolve_below
 from im_dispatcher.command import CommandDescription
 from im_pnt.model.net import Net
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
 
 NETS = Path(__file__).parent.parent / "nets"
 
@@ -73,6 +73,15 @@ def load_named_net(path: str) -> Net:
     name, mark, part = path.partition("#")
     place = resolve_below(name, folders, "net_file")
     return load_net(f"{place}{mark}{part}", folders)
+
+
+def parse_sent_net(text: str) -> Net:
+    """Read a net from a text named by a message; it may include the shipped parts, ``parts/power.yaml``.
+
+    Raises:
+        NetFileError: It is not a net.
+    """
+    return parse_net(text, file=NETS / "net", within=[NETS])
 
 
 def installed() -> list[CommandDescription]:

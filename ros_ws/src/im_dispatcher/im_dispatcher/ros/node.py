@@ -17,7 +17,7 @@ from im_dispatcher.cell import net as cell
 from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.queue import WaitingLine, reason
 from im_dispatcher.command import joined
-from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, shipped
+from im_dispatcher.commands import calibrate_camera, installed, load_named_net, net_files, parse_sent_net, shipped
 from im_dispatcher.poses_file import load_named_poses
 from im_dispatcher.report import StepTimes
 from im_msgs.msg import Firing
@@ -27,7 +27,6 @@ from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Command, Job
 from im_pnt.model.arguments import Busy
 from im_pnt.model.net import Net
-from im_pnt.netfile import parse_net
 from im_pnt.verification import Verification
 from im_pnt_analysis import verify_to_load
 from im_pnt_node.journal.journal import fingerprint
@@ -260,7 +259,7 @@ class Dispatcher(PntNode):
         try:
             if bool(request.net_yaml) == bool(request.net_file):
                 raise ArgumentError("load_net needs either net_file or net_yaml")
-            read, told = (parse_net, request.net_yaml) if request.net_yaml else (load_named_net, request.net_file)
+            read, told = (parse_sent_net, request.net_yaml) if request.net_yaml else (load_named_net, request.net_file)
             require_wait(request.wait)
             net = await run_in_thread(self, read, told, timeout_s=READ_S)
             report = await self.load_net(net, request.wait)

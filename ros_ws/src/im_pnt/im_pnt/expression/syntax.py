@@ -2,7 +2,7 @@
 
 There are no loops and no calls of foreign code, and texts and nesting are bounded: whatever is read comes to an end.
 From weak to strong: ``or``, ``and``, ``not``, comparisons and ``in``, ``mod`` (the remainder of the whole sum, as in
-print), ``+ -``, ``* /``, the sign, and ``.field`` and ``[index]``.
+print), ``+ -``, ``* /``, the sign, and ``.field`` (``.'a.b'`` where its name is none of the language) and ``[index]``.
 """
 
 import re
@@ -49,7 +49,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A field of a value."""
+    """A field of a value; its name stands in quotes where it has a dot, as that of a part of a subnet."""
 
     of: "Node"
     name: str
@@ -124,7 +124,7 @@ def shown(node: Node) -> str:
         case Name(root):
             return root
         case Field(of, name):
-            return f"{shown(of)}.{name}"
+            return f"{shown(of)}.{name}" if name.isidentifier() else f"{shown(of)}.'{name}'"
         case Item(of, index):
             return f"{shown(of)}[{shown(index)}]"
         case Unary(sign, of):
@@ -244,10 +244,10 @@ class _Parser:
                 self._close("]")
                 continue
             kind, name = self._tokens[self._at] if self._at < len(self._tokens) else ("", "")
-            if kind != "name":
+            if kind not in ("name", "text"):
                 raise self._error("the name of a field is missing after '.'")
             self._at += 1
-            node = Field(node, name)
+            node = Field(node, name[1:-1] if kind == "text" else name)
         if isinstance(node, Name) and self._parameters is None:
             raise self._error(f"'{node.root}' alone is no value; say which, as in {node.root}.{_EXAMPLES[node.root]}")
         return node

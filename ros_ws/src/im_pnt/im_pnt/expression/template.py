@@ -22,7 +22,16 @@ def pieces(text: str) -> tuple[str | Node, ...]:
     Raises:
         ExpressionError: An expression is not closed, or is none.
     """
-    found: list[str | Node] = []
+    return tuple(parse(part[2:-1]) if part.startswith(OPENS) else part for part in written_pieces(text))
+
+
+def written_pieces(text: str) -> list[str]:
+    """Return the parts of a text as written: expressions ``${...}``, and the text between the expressions.
+
+    Raises:
+        ExpressionError: An expression is not closed.
+    """
+    found: list[str] = []
     at = 0
     while (begin := text.find(OPENS, at)) >= 0:
         end, quoted = begin + 2, False
@@ -31,11 +40,9 @@ def pieces(text: str) -> tuple[str | Node, ...]:
             end += 1
         if end == len(text):
             raise ExpressionError(f"'{text[begin : begin + 60]}' has no closing '}}'")
-        if begin > at:
-            found.append(text[at:begin])
-        found.append(parse(text[begin + 2 : end]))
+        found += [text[at:begin], text[begin : end + 1]] if begin > at else [text[begin : end + 1]]
         at = end + 1
-    return (*found, text[at:]) if at < len(text) else tuple(found)
+    return [*found, text[at:]] if at < len(text) else found
 
 
 def has_expressions(value: object) -> bool:

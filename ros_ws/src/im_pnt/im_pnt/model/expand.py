@@ -20,6 +20,24 @@ from dataclasses import replace
 from im_pnt.errors import NetError
 from im_pnt.model.net import LARGEST, Arcs, Net, Place, Role, Service, Transition
 
+MADE = {
+    "start",
+    "end",
+    "failed",
+    "cancel",
+    "lost",
+    "given_up",
+    "active",
+    "cancelling",
+    "in_doubt",
+    "servers",
+    "withdrawn",
+}
+"""Last words of names that the expansion makes of a transition or a place."""
+
+MADE_OF_SERVICES = {"accept", "return", "t_f", "serving", "I", "O"}
+"""First words of names that it makes of a service."""
+
 INPUT_SEMAPHORE = "SI"
 OUTPUT_SEMAPHORE = "SO"
 

@@ -46,13 +46,14 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     return read_net(assemble(read_values(read_text(file, within), str(file)), file, within))
 
 
-def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:
+def parse_net(text: str, source: str = "net", file: Path | None = None, within: Sequence[Path] = ()) -> Net:
     """Read a net from YAML text, as :func:`load_net` does from a file.
 
     Args:
         text: The text.
         source: Its name in messages.
         file: Where it belongs, so that it can include other files; None: it can include none.
+        within: Folders that included files must lie in; empty: they may lie anywhere.
 
     Raises:
         NetFileError: The text is not a net.
@@ -61,4 +62,4 @@ def parse_net(text: str, source: str = "net", file: Path | None = None) -> Net:
     Traceback (most recent call last):
     im_pnt.errors.NetFileError: net:1:58: transitions.bake.in[0]: there is no place 'cld' (did you mean 'cold'?)
     """
-    return read_net(assemble(read_values(text, source), file))
+    return read_net(assemble(read_values(text, source), file, within))

@@ -21,7 +21,7 @@ from im_pnt.model.action import (
 )
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType, Busy, CommandDeclaration
 from im_pnt.model.delay import Delay
-from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
+from im_pnt.model.expand import INPUT_SEMAPHORE, MADE, MADE_OF_SERVICES, OUTPUT_SEMAPHORE
 from im_pnt.model.net import (
     OTHERWISE,
     Assumption,
@@ -40,7 +40,7 @@ from im_pnt.model.resources import resource_places
 from im_pnt.netfile.assume import faults
 from im_pnt.netfile.schema.commands import ArgumentFile
 from im_pnt.netfile.schema.delays import DelayFile
-from im_pnt.netfile.schema.names import is_name, shown_name
+from im_pnt.netfile.schema.names import is_name, is_qualified, shown_name
 from im_pnt.netfile.schema.net import AssumptionFile, NetFile
 from im_pnt.netfile.schema.places import PlaceFile
 from im_pnt.netfile.schema.transitions import TransitionFile
@@ -118,9 +118,23 @@ class _Reader:
             raise self._error(at, sentence, key=True)
         if self._foreign:
             self._require_names(net)
+        self._require_free_names(net)
         self._require_countable(net)
         check_net(net, NoTypes())
         return replace(net, transitions=dict(self._with_otherwise(net)))
+
+    def _require_free_names(self, net: Net) -> None:
+        """Refuse names with a dot that the expansion gives to its own parts."""
+        sections: Iterable[tuple[str, Iterable[str]]] = (("places", net.places), ("transitions", net.transitions))
+        for section, names in sections:
+            for name in names:
+                first, _, last = name.rpartition(".")
+                of_part = last in MADE and (first in net.transitions or first in net.places)
+                if of_part or (first in MADE_OF_SERVICES and last in net.services):
+                    sentence = (
+                        f"'{shown_name(name)}' is the name of a part that is made of '{first if of_part else last}'"
+                    )
+                    raise self._error((section, name), sentence, key=True)
 
     def _require_countable(self, net: Net) -> None:
         """Refuse to count tokens of commands that go together: arcs do not tell how many pairs they make."""
@@ -220,16 +234,11 @@ class _Reader:
         return ArgumentSchema({name: self._argument((*location, name), name, each) for name, each in file.items()})
 
     def _argument(self, location: Location, name: str, file: ArgumentFile) -> Argument:
-        required = "default" not in file.model_fields_set
-        kind = ArgumentType(file.type)
-        limits = file.minimum, file.maximum
-        bare = Argument(name, kind.element)
+        bare = Argument(name, ArgumentType(file.type).element)
         for rank, choice in enumerate(file.choices):
             self._fits(bare, choice, (*location, "choices", rank))
-        argument = Argument(
-            name, kind, file.unit, *limits, file.choices, file.length, required, file.default, file.help
-        )
-        if not required:
+        argument = file.argument(name)
+        if not argument.required:
             self._fits(argument, file.default, (*location, "default"))
         return argument
 
@@ -341,7 +350,7 @@ class _Reader:
                 local[name] = weight
                 continue
             net, dot, place = name.partition(".")
-            if not dot or not is_name(net) or not is_name(place):
+            if not dot or not is_name(net) or not is_qualified(place):
                 written = find(self._root, location).value
                 rank = next((rank for rank, child in enumerate(written.children) if child.text == name), None)
                 at: Location = (*location, name if rank is None else rank)
@@ -380,7 +389,7 @@ class _Reader:
         sections: Iterable[tuple[str, Iterable[str]]] = (("places", net.places), ("transitions", net.transitions))
         for section, names in sections:
             for name in names:
-                if not is_name(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
+                if not is_qualified(name) or name in (INPUT_SEMAPHORE, OUTPUT_SEMAPHORE):
                     sentence = f"'{shown_name(name)}' is not a name that a net with actions or services can have"
                     raise self._error((section, name), sentence, key=True)
 

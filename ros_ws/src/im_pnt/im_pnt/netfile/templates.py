@@ -1,7 +1,6 @@
 """Assembly of a net file: included files read, templates copied in the places."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
@@ -10,12 +9,11 @@ from im_core.message_paths import resolve_below
 from im_core.text.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
-from im_pnt.expression.evaluation import as_text, evaluate
-from im_pnt.expression.syntax import parse
 from im_pnt.netfile.schema.net import FragmentFile
-from im_pnt.netfile.schema.scalars import Written
-from im_pnt.netfile.schema.templates import Parameter, TemplateFile, UseFile
-from im_pnt.netfile.text import checked, complaint, complaint_at, read_data, read_text, read_values
+from im_pnt.netfile.schema.templates import Parameter, UseFile
+from im_pnt.netfile.subnets import Subnets, uses_subnets
+from im_pnt.netfile.substitution import Template, evaluated, filled, is_whole, size, substitute
+from im_pnt.netfile.text import checked, complaint_at, read_data, read_text, read_values
 
 MAX_COPIES = 10_000
 _COUNTED = 10**30
@@ -34,13 +32,13 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
         within: Folders that included files lie below; empty: they may lie anywhere.
 
     Returns:
-        The same net without ``include``, ``templates`` and ``use``.
+        The same net without ``include``, ``templates`` and ``use``, those of transitions too.
 
     Raises:
         NetFileError: A file that cannot be included, includes that go round, or a template that cannot be used.
     """
     fragment = FragmentFile.model_fields.keys()
-    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use"}:
+    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use"} and not uses_subnets(root):
         return root
     assembly = _Assembly(within)
     own = {key: value for key, value in read_data(root).items() if key in fragment}
@@ -56,15 +54,6 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
     return mapping(pairs, root)
 
 
-@dataclass(frozen=True, slots=True)
-class _Template:
-    """Template and the file."""
-
-    file: TemplateFile
-    root: Value
-    location: Location
-
-
 class _Assembly:
     """Sections of all files and copies."""
 
@@ -72,7 +61,7 @@ class _Assembly:
         self._within = within
         self.sections: dict[str, list[tuple[Value, Value]]] = {}
         self.rest: list[Value] | None = None
-        self._templates: dict[str, _Template] = {}
+        self._templates: dict[str, Template] = {}
         self._uses: list[tuple[Value, Location, UseFile]] = []
         self._read: set[Path] = set()
         self._values = 0
@@ -90,7 +79,7 @@ class _Assembly:
                 line = (first.key or first.value).line
                 sentence = f"template {quoted_text(name)} is there twice; the first is in {other.root.file}:{line}"
                 raise complaint_at(root, location, sentence, key=True)
-            self._templates[name] = _Template(template, root, location)
+            self._templates[name] = Template(template, root, location)
         self._uses += [(root, ("use", rank), use) for rank, use in enumerate(fragment.use)]
         self._add_sections({key.text: value for key, value in root.pairs if key.text in _SECTIONS}, root, ())
 
@@ -101,12 +90,16 @@ class _Assembly:
                 sentence = f"there is no template {quoted_text(use.template)}{nearest(use.template, self._templates)}"
                 raise complaint_at(root, (*location, "template"), sentence)
             template = self._templates[use.template]
+            if template.file.ports is not None:
+                sentence = f"template {use.template} has ports: a transition uses it, with 'use'"
+                raise complaint_at(root, (*location, "template"), sentence)
             for sections in _copies(root, location, use, template):
                 self._add_sections(sections, template.root, template.location)
-                self._values += sum(_size(value) for value in sections.values())
+                self._values += sum(size(value) for value in sections.values())
                 if self._values > MAX_VALUES:
                     sentence = f"the copies of templates make more than {MAX_VALUES} values"
                     raise complaint_at(root, location, sentence)
+        self.sections, self.rest = Subnets(self._templates).replaced(self.sections, self.rest)
 
     def _add_sections(self, sections: Mapping[str, Value], root: Value, location: Location) -> None:
         for name, value in sections.items():
@@ -161,7 +154,7 @@ class _Assembly:
         self.add(included, data, (*chain, path))
 
 
-def _copies(root: Value, location: Location, use: UseFile, template: _Template) -> Iterator[dict[str, Value]]:
+def _copies(root: Value, location: Location, use: UseFile, template: Template) -> Iterator[dict[str, Value]]:
     """Make the copies for an entry of ``use``: the sections of each."""
     name, parameters = use.template, dict.fromkeys(template.file.parameters)
     for key in use.given:
@@ -190,75 +183,14 @@ def _copies(root: Value, location: Location, use: UseFile, template: _Template) 
         shown = ", ".join(f"{key}={bound[key]}" for key in parameters)
         by = f" with {shown}" if shown else ""
         note = f" (template {name}{by}, used in {root.file}:{place.line}:{place.column})"
-        yield {key: _filled((*template.location, key), value, bound, note) for key, value in sections.items()}
+        yield {key: filled((*template.location, key), value, bound, note) for key, value in sections.items()}
 
 
 def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
     """Evaluate a given value: a whole expression to a number, one within a text to a text."""
     if not isinstance(given, str) or "$(" not in given:
         return given
-    return evaluated(given[2:-1], running) if _is_whole(given) else substitute(given, running)
-
-
-def _is_whole(text: str) -> bool:
-    """Return whether a text is one ``$(...)`` and nothing beside it."""
-    return text.startswith("$(") and text.endswith(")") and text.count("$(") == 1
-
-
-def substitute(text: str, values: Mapping[str, Parameter]) -> str:
-    """Replace every ``$(...)`` of a text by the value.
-
-    Raises:
-        ExpressionError: One is not closed, or has no value.
-    """
-    done: list[str] = []
-    at = 0
-    while (begin := text.find("$(", at)) >= 0:
-        end, depth = begin + 2, 1
-        while depth and end < len(text):
-            depth += {"(": 1, ")": -1}.get(text[end], 0)
-            end += 1
-        if depth:
-            raise ExpressionError(f"'{text[begin : begin + 40]}' has no closing parenthesis")
-        done += [text[at:begin], str(evaluated(text[begin + 2 : end - 1], values))]
-        at = end
-    return "".join([*done, text[at:]])
-
-
-def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
-    """Return the value of an expression with parameters as the only names: a whole number, or a text.
-
-    Raises:
-        ExpressionError: It has none.
-    """
-
-    def parameter(name: str, field: str) -> object:
-        if field:
-            raise ExpressionError(f"parameter {name} has no field '{field}'")
-        return values[name]
-
-    found = evaluate(parse(text, tuple(values)), parameter)
-    if isinstance(found, bool) or not isinstance(found, int | str):
-        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a whole number nor a text")
-    return found
-
-
-def _filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
-    """Copy a value with the expressions evaluated; as deep as the file nests."""
-    if value.kind is Kind.SCALAR:
-        if "$(" not in value.text:
-            return replace(value, note=note)
-        try:
-            quoted = value.quoted
-            if quoted and _is_whole(value.text):  # quoted for YAML's sake: it keeps the type of its value
-                quoted = not isinstance(evaluated(value.text[2:-1], bound), int | Written)
-            return replace(value, text=substitute(value.text, bound), quoted=quoted, note=note)
-        except ExpressionError as error:
-            raise complaint(replace(value, note=note), str(error), location) from error
-    if value.kind is Kind.LIST:
-        return replace(value, children=tuple(_filled(location, v, bound, note) for v in value.children), note=note)
-    pairs = tuple((_filled(location, k, bound, note), _filled(location, v, bound, note)) for k, v in value.pairs)
-    return replace(value, pairs=pairs, note=note)
+    return evaluated(given[2:-1], running) if is_whole(given) else substitute(given, running)
 
 
 def _loops(path: Path) -> bool:
@@ -268,9 +200,3 @@ def _loops(path: Path) -> bool:
     except (OSError, RuntimeError):
         return True
     return False
-
-
-def _size(value: Value) -> int:
-    if value.kind is Kind.SCALAR:
-        return 1
-    return 1 + sum(map(_size, value.children)) + sum(1 + _size(child) for _, child in value.pairs)

@@ -11,7 +11,7 @@ from im_core.errors import ImError
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import Net
 from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net, yaml_text
-from im_pnt.netfile.schema.names import as_name, is_name
+from im_pnt.netfile.schema.names import as_name, is_qualified
 from im_pnt.pnml import pnml_text
 from im_pnt_analysis.cli.terminal import OK, write_output
 
@@ -121,11 +121,11 @@ def _with_our_names(net: Net) -> tuple[Net, tuple[str, ...]]:
 
 def _renamed(names: Mapping[str, object], reserved: tuple[str, ...]) -> dict[str, str]:
     """Map each name to an allowed and free one."""
-    taken = {name for name in names if is_name(name) and name not in reserved} | set(reserved)
+    taken = {name for name in names if is_qualified(name) and name not in reserved} | set(reserved)
     result: dict[str, str] = {}
     for name in names:
         new = name
-        if not is_name(name) or name in reserved:
+        if not is_qualified(name) or name in reserved:
             base, number = as_name(name), 1
             new = base
             while new in taken:

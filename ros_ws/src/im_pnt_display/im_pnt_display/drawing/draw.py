@@ -35,6 +35,7 @@ class Drawing:
                 "place": node.place,
                 "link": node.link,
                 "timed": node.timed,
+                "subnet": node.subnet,
                 "box": [round(side, 1) for side in node.box],
                 "x": round(layout.positions[node.name][0] + _MARGIN, 1),
                 "y": round(layout.positions[node.name][1] + _MARGIN, 1),
@@ -77,15 +78,16 @@ class Drawing:
         return [[*ends[index, True], *route, *ends[index, False]] for index, route in enumerate(inner)]
 
 
-def draw(net: Net, *, phases: bool = False, usual: bool = False) -> Drawing:
+def draw(net: Net, *, phases: bool = False, usual: bool = False, subnets: bool = False) -> Drawing:
     """Lay out a net.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
         usual: Leave out what tokens reach only after a failure or a cancellation.
+        subnets: Draw the parts of subnets in use; otherwise one box with a double border each.
     """
-    nodes, arcs = parts(net, phases=phases, usual=usual)
+    nodes, arcs = parts(net, phases=phases, usual=usual, subnets=subnets)
     top = [node.name for node in nodes if node.tokens and node.kind == "place" and node.name != OUTPUT_SEMAPHORE]
     layout = layered({node.name: node.box for node in nodes}, [(arc.source, arc.target) for arc in arcs], top)
     return Drawing(net.name, nodes, arcs, layout)
@@ -136,7 +138,8 @@ def dot(drawing: Drawing) -> str:
         shape = "box" if node.kind == "transition" else "circle"
         mark = [str(node.tokens)] if node.tokens else []
         label = "\\n".join(_quoted(line) for line in (node.label, *mark, *node.notes))
-        lines.append(f'  "{_quoted(node.name)}" [shape={shape} label="{label}"];')
+        border = " peripheries=2" if node.subnet else ""
+        lines.append(f'  "{_quoted(node.name)}" [shape={shape} label="{label}"{border}];')
     styles = {
         "flow": "",
         "failure": " style=dashed",
@@ -186,15 +189,20 @@ def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
     x, y = at
     if node.kind == "transition":
         upper, fill = y - node.box.height / 2, "white" if node.timed else "#dfe8f2"
+        top = upper + (18 if node.subnet else 15)
         notes = "".join(
-            f'<text x="{x:.1f}" y="{upper + 15 + LINE * line:.1f}" font-size="9" fill="#456" text-anchor="middle">'
+            f'<text x="{x:.1f}" y="{top + LINE * line:.1f}" font-size="9" fill="#456" text-anchor="middle">'
             f"{escape(note)}</text>"
             for line, note in enumerate(node.notes, 1)
         )
+        borders = "".join(
+            f'<rect x="{x - node.box.left + inward:.1f}" y="{upper + inward:.1f}" '
+            f'width="{2 * (node.box.left - inward):.1f}" height="{node.box.height - 2 * inward:g}" rx="2" '
+            f'fill="{fill}" stroke="#245"/>'
+            for inward in ((0, 3) if node.subnet else (0,))
+        )
         return (
-            f'<g><rect x="{x - node.box.left:.1f}" y="{upper:.1f}" width="{2 * node.box.left:.1f}" '
-            f'height="{node.box.height:g}" rx="2" fill="{fill}" stroke="#245"/>'
-            f'<text x="{x:.1f}" y="{upper + 15:.1f}" text-anchor="middle">{escape(node.label)}</text>{notes}</g>'
+            f'<g>{borders}<text x="{x:.1f}" y="{top:.1f}" text-anchor="middle">{escape(node.label)}</text>{notes}</g>'
         )
     radius = REFERENCE_RADIUS if node.kind == "reference" else RADIUS
     dash = "" if node.kind == "place" else ' stroke-dasharray="3 2"'

@@ -5,7 +5,7 @@ It stands where an arc to a distant place, to a place that many transitions lead
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from im_pnt.model.action import FunctionAction, RequestAction, ValuesAction
@@ -47,6 +47,7 @@ class DrawnNode:
         place: Place whose tokens it shows; empty for transitions.
         link: The ``net.place`` of another net that it leads to.
         timed: Whether it is a transition that fires after a time of its own.
+        subnet: Whether it stands for a subnet in use, with a double border.
     """
 
     name: str
@@ -58,6 +59,7 @@ class DrawnNode:
     place: str = ""
     link: str = ""
     timed: bool = False
+    subnet: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,18 +76,25 @@ class DrawnArc:
     kind: str
 
 
-def parts(net: Net, *, phases: bool = False, usual: bool = False) -> tuple[tuple[DrawnNode, ...], tuple[DrawnArc, ...]]:
+def parts(
+    net: Net, *, phases: bool = False, usual: bool = False, subnets: bool = False
+) -> tuple[tuple[DrawnNode, ...], tuple[DrawnArc, ...]]:
     """Return the nodes and arcs to draw.
 
     Args:
         net: The net as written; its coordination structures are drawn with it.
         phases: Draw start, active, end and failed of timed transitions; otherwise one box each.
         usual: Leave out what tokens reach only after a failure or a cancellation.
+        subnets: Draw the parts of subnets in use; otherwise one box each.
     """
     whole = expand(net)
     folded = whole if phases else _folded(net, whole)
-    shown, renamed = _distinct(_usual(folded) if usual else folded)
+    counts: dict[str, int] = {}
+    taken = _usual(folded) if usual else folded
+    shown, renamed = _distinct(taken if phases or subnets else _subnets_folded(taken, counts))
     nodes = {node.name: node for node in _nodes(shown)}
+    for name, count in counts.items():
+        nodes[name] = _subnet(nodes[name], count)
     for name, place in renamed.items():
         nodes[name] = replace(nodes[name], label=place, place=place)
     arcs: list[DrawnArc] = []
@@ -156,6 +165,48 @@ def _folded(net: Net, whole: Net) -> Net:
     hidden = {place(name) for name, t in net.transitions.items() if t.action is not None for place in phases}
     places = {name: place for name, place in whole.places.items() if name not in hidden}
     return Net(net.name, places, {**net.transitions, **structure}, escalate=net.escalate)
+
+
+def _subnets_folded(net: Net, counts: dict[str, int]) -> Net:
+    """Return the net with a transition for each use of a subnet or scopes, and count the transitions of each."""
+    own = [t for t in net.transitions.values() if t.role not in _STRUCTURE]
+    uses = {t.name.partition(".")[0]: list[Transition]() for t in own if "." in t.name}
+    places = {
+        name: place for name, place in net.places.items() if name.partition(".")[0] not in uses or "." not in name
+    }
+
+    def arcs(every: Iterable[Arcs]) -> dict[str, int]:
+        return {name: weight for each in every for name, weight in each.items() if name in places}
+
+    transitions: dict[str, Transition] = {}
+    for t in net.transitions.values():
+        use = t.name.partition(".")[0]
+        if t.role in _STRUCTURE or use not in uses:
+            transitions[t.name] = t
+        else:
+            uses[use].append(t)
+            transitions.setdefault(use, Transition(use))
+    for use, inside in uses.items():
+        counts[use] = len(inside)
+        given = arcs(t.outputs for t in inside)
+        escalated = {net.escalate: 1} if net.escalate else {}
+        failed = arcs({**(t.on_failure or (escalated if t.action else {})), **t.on_doubt} for t in inside)
+        transitions[use] = replace(
+            net.transitions.get(use, transitions[use]),
+            inputs=arcs(t.inputs for t in inside),
+            outputs=given,
+            remote_outputs={remote: weight for t in inside for remote, weight in t.remote_outputs.items()},
+            inhibitors=arcs(t.inhibitors for t in inside),
+            emit=tuple(dict.fromkeys(symbol for t in inside for symbol in t.emit)),
+            on_failure={place: weight for place, weight in failed.items() if place not in given},
+        )
+    return replace(net, places=places, transitions=transitions)
+
+
+def _subnet(node: DrawnNode, count: int) -> DrawnNode:
+    notes = (*node.notes, f"{count} transitions")
+    half = max(node.box.left, _NARROW * len(notes[-1]) / 2 + 7) + 3
+    return replace(node, notes=notes, box=NodeBox(half, half, node.box.height + LINE + 6), subnet=True)
 
 
 def _usual(net: Net) -> Net:

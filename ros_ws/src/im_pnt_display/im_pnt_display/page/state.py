@@ -18,10 +18,10 @@ Change = dict[str, object]
 def net_content(net: Net) -> dict[str, object]:
     """Return the structure and drawings of a net, as JSON data.
 
-    ``usual`` is the drawing without what tokens reach only after a failure or a
+    ``usual`` is the drawing with subnets folded, and without what tokens reach only after a failure or a
     cancellation; None where that is all.
     """
-    drawing, usual = draw(net), draw(net, usual=True)
+    drawing, usual = draw(net, subnets=True), draw(net, usual=True)
     return {
         "net": net.name,
         "description": net.description,

@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from pydantic.json_schema import JsonSchemaValue
 
 from im_core.config import FieldError
-from im_pnt.model.arguments import ArgumentType
+from im_pnt.model.arguments import Argument, ArgumentType
 from im_pnt.model.net import LARGEST
 from im_pnt.netfile.schema.scalars import WrongKeyError, as_list, as_number, as_plain, as_whole
 from im_pnt.netfile.schema.values import COUNT, FilePart, Given, Named, PlaceName, Text, Texts
@@ -66,6 +66,12 @@ class ArgumentFile(FilePart):
         if self.minimum is not None and self.maximum is not None and self.maximum < self.minimum:
             raise FieldError(("maximum",), f"{self.maximum:g} is less than the minimum {self.minimum:g}")
         return self
+
+    def argument(self, name: str) -> Argument:
+        """Return the argument of a name."""
+        required = "default" not in self.model_fields_set
+        kind, limits = ArgumentType(self.type), (self.minimum, self.maximum)
+        return Argument(name, kind, self.unit, *limits, self.choices, self.length, required, self.default, self.help)
 
 
 Arguments = Annotated[dict[str, ArgumentFile], Named()]

@@ -84,7 +84,7 @@ class NetFile(FragmentFile):
     escalate: Given[PlaceName] = Field(
         None, description="Place for tokens of failed actions whose transition has no on_failure."
     )
-    places: Annotated[dict[str, PlaceFile], Named(_COORDINATION, ours=False)] = Field(
+    places: Annotated[dict[str, PlaceFile], Named(_COORDINATION, ours=False, qualified=True)] = Field(
         {}, description="Places by name: nothing, the tokens of the initial marking, or the keys of a place."
     )
     services: Annotated[dict[str, ServiceFile], Named()] = Field(
@@ -102,7 +102,9 @@ class NetFile(FragmentFile):
         description="Places that may hold tokens while the net waits for a symbol or a request; "
         "without it, those marked initially.",
     )
-    transitions: Annotated[dict[str, TransitionFile], Named(ours=False)] = Field({}, description="Transitions by name.")
+    transitions: Annotated[dict[str, TransitionFile], Named(ours=False, qualified=True)] = Field(
+        {}, description="Transitions by name."
+    )
 
 
 class _Schema(GenerateJsonSchema):

@@ -9,9 +9,10 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from im_core.config import FieldError
 from im_pnt.expression.syntax import WORDS
+from im_pnt.netfile.schema.commands import Arguments
 from im_pnt.netfile.schema.names import shown_name
-from im_pnt.netfile.schema.scalars import Written, as_list, as_mapping, as_number, as_text, shown
-from im_pnt.netfile.schema.values import ONE_TEXT, FilePart, Named, Names, Text
+from im_pnt.netfile.schema.scalars import Written, WrongKeyError, as_list, as_mapping, as_number, as_text, shown
+from im_pnt.netfile.schema.values import ONE_TEXT, Fields, FilePart, Given, Named, Names, Text, Texts
 
 _MANY = 10_000
 """Most values that a range may have."""
@@ -61,10 +62,33 @@ _Section = Annotated[object, WithJsonSchema({"type": ["object", "null"]})]
 _Rest = Annotated[object, WithJsonSchema({"type": ["array", "string", "null"]})]
 
 
+class PortsFile(FilePart):
+    """Places of a subnet that are one with places at each use, by the keys under which the use names them."""
+
+    inputs: Names = Field((), alias="in", description="Places that it takes tokens from; it may give some back.")
+    outputs: Names = Field((), alias="out", description="Places that it gives tokens to.")
+    on_failure: Names = Field((), description="Places that it gives tokens to after a failure.")
+
+
+class SubnetUseFile(FilePart):
+    """Transition that stands for a subnet."""
+
+    use: Text = Field(description="Template with ports.")
+    inputs: Texts = Field((), alias="in", description="Places of its ports in 'in', in their order.")
+    outputs: Texts = Field((), alias="out", description="Places of its ports in 'out', in their order.")
+    on_failure: Texts = Field((), description="Places of its ports in 'on_failure', in their order.")
+    arguments: Fields = Field({}, description="Values of its arguments and parameters.")
+
+
 class TemplateFile(FilePart):
-    """Part of a net with parameters; the sections are checked in the copies."""
+    """Part of a net with parameters; the sections are checked in the copies. With ports it is a subnet."""
 
     parameters: Names = Field((), description="Names of the values that each use gives.")
+    ports: Given[PortsFile] = Field(
+        None, description="Places that are one with places at each use: it is a subnet, used as a transition."
+    )
+    arguments: Arguments = Field({}, description="Arguments of a subnet, as of a command.")
+    results: Fields = Field({}, description="Values that a subnet returns, by name: answers.USE.NAME after its use.")
     places: _Section = Field(None, description="Places of each copy.")
     services: _Section = Field(None, description="Services of each copy.")
     commands: _Section = Field(None, description="Commands of each copy.")
@@ -73,12 +97,18 @@ class TemplateFile(FilePart):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Self:
+        for key in ("arguments", "results") if self.ports is None else ("services", "commands"):
+            if key in self.model_fields_set:
+                raise WrongKeyError((key,), f"is for templates {'with' if self.ports is None else 'without'} 'ports'")
         seen = set(WORDS)
         for rank, name in enumerate(self.parameters):
             if name in seen:
                 sentence = f"'{shown_name(name)}' cannot be a parameter here: it is there twice, or an operator"
                 raise FieldError(("parameters", rank), sentence)
             seen.add(name)
+        both = next((name for name in self.arguments if name in self.parameters), None)
+        if both is not None:
+            raise WrongKeyError(("arguments", both), "is a parameter, too")
         return self
 
 

@@ -97,6 +97,18 @@ class TransitionFile(FilePart):
     )
 
     title: Text = Field("", description="Name for people, shown beside its own.")
+    use: Given[Text] = Field(
+        None,
+        description="Template with ports that it stands for: in, out and on_failure name the places of the ports, in "
+        "their order, and 'arguments' gives what the template takes; it has no other keys, but 'with'.",
+    )
+    arguments: Fields = Field({}, description="Of 'use': values of the template's arguments and parameters.")
+    scopes: Annotated[object, WithJsonSchema({"type": ["string", "array", "object"]})] = Field(
+        None,
+        alias="with",
+        description="Scopes around it, the outermost first: templates with three ports in 'in', two in 'out' and one "
+        "in 'on_failure', by name, or by name with arguments.",
+    )
     inputs: Arcs = Field({}, alias="in", description="Tokens it takes.")
     outputs: Arcs = Field(
         {},

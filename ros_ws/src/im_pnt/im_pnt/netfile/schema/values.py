@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from im_core.config import Model
 from im_pnt.model.net import LARGEST
-from im_pnt.netfile.schema.names import MAX_NAME, NAME, NAME_RULE, is_name, shown_name
+from im_pnt.netfile.schema.names import MAX_NAME, NAME, NAME_RULE, QUALIFIED, is_name, is_qualified, shown_name
 from im_pnt.netfile.schema.scalars import (
     WrongKeyError,
     as_arcs,
@@ -99,16 +99,18 @@ class Named:
     Attributes:
         reserved: Names that none may have.
         ours: Whether a file of another tool may have any names.
+        qualified: Whether names may have dots, as those of a subnet's parts.
     """
 
     reserved: tuple[str, ...] = ()
     ours: bool = True
+    qualified: bool = False
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_before_validator_function(self._check, handler(source))
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        names: JsonSchemaValue = {"pattern": f"^{NAME}$", "maxLength": MAX_NAME}
+        names: JsonSchemaValue = {"pattern": f"^{QUALIFIED if self.qualified else NAME}$", "maxLength": MAX_NAME}
         if self.reserved:
             names["not"] = {"enum": list(self.reserved)}
         return handler(core) | {"type": ["object", "null"], "propertyNames": names}
@@ -116,8 +118,9 @@ class Named:
     def _check(self, value: object, info: core_schema.ValidationInfo) -> dict[str, object]:
         entries = as_mapping(value)
         if self.ours or not info.context:
+            fits = is_qualified if self.qualified else is_name
             for name in entries:
-                if not is_name(name):
+                if not fits(name):
                     raise WrongKeyError((name,), f"'{shown_name(name)}' is not a name ({NAME_RULE})")
                 if name in self.reserved:
                     raise WrongKeyError((name,), f"the name '{shown_name(name)}' belongs to the coordination structure")

@@ -153,8 +153,10 @@ export class Scene {
     const [left, , height] = node.box;
     let token = null;
     if (node.kind === "transition") {
-      const top = node.y - height / 2;
-      make("rect", { x: node.x - left, y: top, width: 2 * left, height, rx: 3 }, group);
+      const inner = node.subnet ? 3 : 0, top = node.y - height / 2 + inner;
+      make("rect", { x: node.x - left, y: node.y - height / 2, width: 2 * left, height, rx: 3 }, group);
+      if (inner) make("rect", { x: node.x - left + inner, y: top, width: 2 * (left - inner), height: height - 2 * inner,
+        rx: 3 }, group);
       make("text", { x: node.x, y: top + 15, "text-anchor": "middle" }, group, node.label);
       node.notes.forEach((note, line) => make("text", { class: /^[?!]/.test(note) ? "note tape" : "note", x: node.x,
         y: top + 15 + LINE * (line + 1), "text-anchor": "middle" }, group, note));
@@ -186,7 +188,8 @@ export class Scene {
   }
 
   mark({ net, tokens, active, cancelling, in_doubt }) {
-    const running = new Set(active), ending = new Set(cancelling), doubtful = new Set(in_doubt);
+    const drawn = (names) => new Set(names.map((name) => this.part(net, name) || name));
+    const running = drawn(active), ending = drawn(cancelling), doubtful = drawn(in_doubt);
     for (const { group, node, token } of (this.nodes.get(net) || new Map()).values()) {
       if (!token) {
         group.classList.toggle("active", running.has(node.name));
@@ -212,19 +215,22 @@ export class Scene {
     return undefined;
   }
 
+  // The drawn part that a transition belongs to: itself, or the subnet, or what the expanded net has made it of.
+  part(net, name) {
+    while (name && !this.nodes.get(net)?.has(name)) name = name.slice(0, Math.max(name.lastIndexOf("."), 0));
+    return name;
+  }
+
   flash({ net, transition, phase }) {
-    const found = this.nodes.get(net)?.get(transition);
+    const found = this.nodes.get(net)?.get(this.part(net, transition));
     if (!found) return;
     found.group.classList.remove("fired", "failed");
     found.group.getBoundingClientRect();
     found.group.classList.add(phase === "FAILED" ? "failed" : "fired");
   }
 
-  // The same for a transition of the expanded net: the part that it belongs to is what is drawn.
   flashPart(net, name) {
-    const phase = /\.failed\b/.test(name) ? "FAILED" : "END";
-    for (let part = name; part; part = part.slice(0, Math.max(part.lastIndexOf("."), 0)))
-      if (this.nodes.get(net)?.has(part)) { this.flash({ net, transition: part, phase }); return; }
+    this.flash({ net, transition: name, phase: /\.failed\b/.test(name) ? "FAILED" : "END" });
   }
 
   pick(picked) {

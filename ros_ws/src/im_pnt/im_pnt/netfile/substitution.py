@@ -1,0 +1,95 @@
+"""Templates of net files: ``$(...)`` in them becomes the value of a parameter."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from im_core.text.yamltext import Kind, Location, Value
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.expression.evaluation import as_text, evaluate
+from im_pnt.expression.syntax import parse
+from im_pnt.netfile.schema.scalars import Written
+from im_pnt.netfile.schema.templates import Parameter, TemplateFile
+from im_pnt.netfile.text import complaint
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """Template and the file.
+
+    Attributes:
+        file: What it says.
+        root: The file that it stands in.
+        location: Where it stands there.
+    """
+
+    file: TemplateFile
+    root: Value
+    location: Location
+
+
+def is_whole(text: str) -> bool:
+    """Return whether a text is one ``$(...)`` and nothing beside it."""
+    return text.startswith("$(") and text.endswith(")") and text.count("$(") == 1
+
+
+def substitute(text: str, values: Mapping[str, Parameter]) -> str:
+    """Replace every ``$(...)`` of a text by the value.
+
+    Raises:
+        ExpressionError: One is not closed, or has no value.
+    """
+    done: list[str] = []
+    at = 0
+    while (begin := text.find("$(", at)) >= 0:
+        end, depth = begin + 2, 1
+        while depth and end < len(text):
+            depth += {"(": 1, ")": -1}.get(text[end], 0)
+            end += 1
+        if depth:
+            raise ExpressionError(f"'{text[begin : begin + 40]}' has no closing parenthesis")
+        done += [text[at:begin], str(evaluated(text[begin + 2 : end - 1], values))]
+        at = end
+    return "".join([*done, text[at:]])
+
+
+def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
+    """Return the value of an expression with parameters as the only names: a whole number, or a text.
+
+    Raises:
+        ExpressionError: It has none.
+    """
+
+    def parameter(name: str, field: str) -> object:
+        if field:
+            raise ExpressionError(f"parameter {name} has no field '{field}'")
+        return values[name]
+
+    found = evaluate(parse(text, tuple(values)), parameter)
+    if isinstance(found, bool) or not isinstance(found, int | str):
+        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a whole number nor a text")
+    return found
+
+
+def filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
+    """Copy a value with the expressions evaluated; as deep as the file nests."""
+    if value.kind is Kind.SCALAR:
+        if "$(" not in value.text:
+            return replace(value, note=note)
+        try:
+            quoted = value.quoted
+            if quoted and is_whole(value.text):  # quoted for YAML's sake: it keeps the type of its value
+                quoted = not isinstance(evaluated(value.text[2:-1], bound), int | Written)
+            return replace(value, text=substitute(value.text, bound), quoted=quoted, note=note)
+        except ExpressionError as error:
+            raise complaint(replace(value, note=note), str(error), location) from error
+    if value.kind is Kind.LIST:
+        return replace(value, children=tuple(filled(location, v, bound, note) for v in value.children), note=note)
+    pairs = tuple((filled(location, k, bound, note), filled(location, v, bound, note)) for k, v in value.pairs)
+    return replace(value, pairs=pairs, note=note)
+
+
+def size(value: Value) -> int:
+    """Count the values in a value."""
+    if value.kind is Kind.SCALAR:
+        return 1
+    return 1 + sum(map(size, value.children)) + sum(1 + size(child) for _, child in value.pairs)
