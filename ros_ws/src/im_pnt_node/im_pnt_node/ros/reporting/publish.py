@@ -108,6 +108,7 @@ class PntPublisher:
                 mode=executor.operator.mode,
                 paused=executor.paused,
                 proposed=list(executor.proposed),
+                breakpoints=list(executor.breakpoints),
             )
         )
 
