@@ -17,6 +17,7 @@ from im_core import clock
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Firing, GroupStatus, Marking, McsState, NetDescription, NetRefusal
+from im_msgs.srv import ControlNet
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
@@ -187,7 +188,7 @@ def test_a_net_that_two_nodes_describe_stays_on_the_page_when_one_of_them_runs_i
     def shown():
         (net,) = display.server.state.snapshot()["nets"]
         nodes = sorted(node["name"] for node in net["drawing"]["nodes"])
-        return net["node"], nodes, in_loop(display, display._operator, "shown").srv_name
+        return net["node"], nodes, in_loop(display, display._asker, "shown", ControlNet, "control_net").srv_name
 
     own = shown()
     assert own[::2] == ("/walker", "/walker/control_net")

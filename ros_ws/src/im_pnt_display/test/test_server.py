@@ -458,7 +458,7 @@ globalThis.document = { createElement: made };
 const element = made(), marking = { mode: "step", paused: false, proposed: [], in_doubt: [], sequence: 1 };
 const kept = (shown, changes) => {
   const before = element.parts;
-  showControls(element, shown, "n", { ...marking, ...changes }, () => {});
+  showControls(element, shown, "n", { ...marking, ...changes }, [], () => {});
   return before === element.parts;
 };
 console.log(JSON.stringify([

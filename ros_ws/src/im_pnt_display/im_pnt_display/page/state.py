@@ -48,6 +48,7 @@ class DisplayState:
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
         self._mcs: Change | None = None
         self._commands: dict[str, Change] = {}
+        self._breakpoints: dict[str, Change] = {}
         self._log: deque[object] = deque(maxlen=LOG_KEPT)
         self._cell: dict[str, Change] = {}
         self.operable = False
@@ -74,6 +75,8 @@ class DisplayState:
                     del self._refusals[next(iter(self._refusals))]
             case "firing":
                 self._firings.append(change)
+            case "breakpoints":
+                self._breakpoints[str(change["node"])] = change
             case "log":
                 lines = change["lines"]
                 assert isinstance(lines, list)
@@ -100,6 +103,7 @@ class DisplayState:
         self._refusals = {refusal["net"]: refusal for refusal in snapshot["refusals"]}
         self._firings = deque(snapshot["firings"], maxlen=FIRINGS_KEPT)
         self._mcs, self.operable, self.recording = (snapshot[key] for key in ("mcs", "operable", "recording"))
+        self._breakpoints = {change["node"]: change for change in snapshot["breakpoints"]}
         self._log = deque(snapshot["log"], maxlen=LOG_KEPT)
         self._commands = {change["part"]: change for change in snapshot["commands"]}
 
@@ -157,6 +161,10 @@ class DisplayState:
         """
         return {"kind": "commands", "part": part, "content": content}
 
+    def breakpoints(self, node: str, breakpoints: Mapping[str, Sequence[str]]) -> Change:
+        """Return the change for the breakpoints of a node's nets: transitions by net."""
+        return {"kind": "breakpoints", "node": node, "breakpoints": breakpoints}
+
     def log(self, lines: Sequence[object]) -> Change:
         """Return the change for new lines of the log: time [s since 1970], level, node and text of each."""
         return {"kind": "log", "lines": lines}
@@ -189,6 +197,7 @@ class DisplayState:
             "firings": list(self._firings),
             "mcs": self._mcs,
             "commands": list(self._commands.values()),
+            "breakpoints": list(self._breakpoints.values()),
             "log": list(self._log),
             "operable": self.operable,
             "recording": self.recording,

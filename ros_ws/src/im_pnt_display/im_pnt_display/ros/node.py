@@ -9,8 +9,10 @@ from functools import partial
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from pydantic import BaseModel
 from rclpy.client import Client
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 
 from im_core.errors import ImError, NotFoundError, StateError
 from im_core.files import read_text, write_whole
@@ -40,6 +42,11 @@ MCS_SILENCE_S, MCS_LOOK_S = 3.0, 1.0
 MOST_OBJECTS, LONGEST_OBJECT = 5, 2000
 
 
+class _Breakpoints(BaseModel):
+    node: str
+    breakpoints: dict[str, list[str]]
+
+
 class DisplayNode(ManagedNode):
     """ROS shell of :class:`im_pnt_display.page.server.DisplayServer`; translates messages, decides nothing."""
 
@@ -67,7 +74,7 @@ class DisplayNode(ManagedNode):
         self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
         self._undrawn_lock = threading.Lock()
         self._descriptions = NetDescriptions()
-        self._clients: dict[str, Client] = {}
+        self._askers: dict[str, Client] = {}
         self._object = self.create_client(GetObject, "/dom/get")
         self._cell = CellTopics(self, self._show_cell)
         self._dispatcher = DispatcherClient(self, self._show_commands)
@@ -91,6 +98,7 @@ class DisplayNode(ManagedNode):
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_NETS)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_NETS)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
+        self.create_subscription(String, "/pnt/breakpoints", self._show_breakpoints, qos.LATCHED_MANY)
         self.create_subscription(NetRefusal, "/pnt/refusals", self._refuse, qos.LATCHED_MANY)
         self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, MCS_SILENCE_S, self._show_mcs)
         self.create_timer(MCS_LOOK_S, self._show_mcs, clock=self.steady_clock)
@@ -171,9 +179,13 @@ class DisplayNode(ManagedNode):
                 "mode": message.mode,
                 "paused": message.paused,
                 "proposed": list(message.proposed),
-                "breakpoints": list(message.breakpoints),
             }
             self.server.show(self.server.state.marking(message.net, marking))
+
+    def _show_breakpoints(self, message: String) -> None:
+        with self._warning("a message of /pnt/breakpoints"):
+            told = read_json(_Breakpoints, message.data, "breakpoints")
+            self.server.show(self.server.state.breakpoints(told.node, told.breakpoints))
 
     def _fire(self, message: Firing) -> None:
         with self._warning(f"a firing of net {message.net}"):
@@ -223,7 +235,7 @@ class DisplayNode(ManagedNode):
                 self.server.show(self.server.state.values(net, argument, found))
                 return
             asked = ControlNet.Request(net=net, request=request, argument=argument)
-            answer = await call(self, self._client(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}")
+            answer = await call(self, self._asker(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}")
         except ImError as error:
             self.server.show(self.server.state.answer(net, False, error.message))
         else:
@@ -236,7 +248,7 @@ class DisplayNode(ManagedNode):
             ImError: There is no such part, or nobody answered.
         """
         asked = NetValues.Request(net=net, part=part)
-        answer = await call(self, self._client(net, NetValues, "net_values"), asked, ANSWER_S, f"values of net {net}")
+        answer = await call(self, self._asker(net, NetValues, "net_values"), asked, ANSWER_S, f"values of net {net}")
         if not answer.success:
             raise StateError(answer.message)
         found = read_json(dict[str, Any], answer.json, f"the values of net {net}")
@@ -247,7 +259,7 @@ class DisplayNode(ManagedNode):
             objects[name] = told.json[:LONGEST_OBJECT] if told.success else told.status.message
         return {**found, "objects": objects}
 
-    def _client(self, net: str, kind: type, service: str) -> Client:
+    def _asker(self, net: str, kind: type, service: str) -> Client:
         """Return the client of a service of the node that runs a net.
 
         Raises:
@@ -255,9 +267,9 @@ class DisplayNode(ManagedNode):
         """
         node, _ = self._descriptions.newest(net)
         name = f"{node}/{service}"
-        if name not in self._clients:
-            self._clients[name] = self.create_client(kind, name)
-        return self._clients[name]
+        if name not in self._askers:
+            self._askers[name] = self.create_client(kind, name)
+        return self._askers[name]
 
 
 def _token_of_former() -> str:

@@ -4,7 +4,9 @@
 // A counterexample that is played takes the place of the running nets. Of a recording &t=12.5 shows that time [s].
 import { CellView, excuse } from "/static/cell.js";
 import { Commands } from "/static/commands.js";
+import { Log } from "/static/log.js";
 import { showControls } from "/static/operate.js";
+import { Part } from "/static/part.js";
 import { Player, readCounterexample, shown } from "/static/player.js";
 import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
@@ -13,6 +15,7 @@ const KEPT = 300, REFUSALS_KEPT = 20, LISTED = 120, PLAYER = 52, READABLE = 1, W
 const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
 const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, mode, paused, proposed}
+const breakpoints = new Map();  // name -> transitions that wait to be confirmed each time
 const refusals = new Map();  // name -> {message, counterexample}
 const commands = new Map();  // name -> {progress, end} of its newest command
 const firings = [];
@@ -24,14 +27,18 @@ let followed = null;
 let socket = null;
 let operable = false;        // whether this page may operate nets
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
-const scene = new Scene(byId("scene"), (key) => {
+const scene = new Scene(byId("scene"), (net, node) => {
   if (dragged) return;
+  const key = `${net}.${node.name}`;
   if (!page.only.delete(key)) page.only.add(key);
   refresh(page.overview);
+  if (!player.counterexample) part.open(net, node);
 });
 const player = new Player(showStep, () => show({}));
 const recording = new Recording(showMoment, take, keepPage, (message) => say(false, message));
 const desk = new Commands((request, argument) => ask("", request, argument), say);
+const log = new Log();
+const part = new Part(ask, knownOf, () => !recording.overview);
 const cell = new CellView(byId("robot"), byId("cameras"));
 
 function readPage() {
@@ -105,6 +112,7 @@ function drawn(net) {
 function drawLive() {
   scene.draw(shownNets().map((name) => drawn(nets.get(name))), page.overview ? page.only : null, aspect());
   for (const marking of markings.values()) scene.mark(marking);
+  scene.stop(breakpoints);
 }
 
 let staged = null;
@@ -200,6 +208,23 @@ function showMcs(mcs) {
   line.classList.toggle("stale", mcs.stale);
 }
 
+// What the page itself knows of a part of a net.
+function knownOf({ net, name }) {
+  const { tokens = {}, proposed = [] } = markings.get(net) ?? {};
+  return { tokens: tokens[name] ?? 0, waits: proposed.includes(name), breakpoint: (breakpoints.get(net) ?? []).includes(name),
+    firings: firings.filter((firing) => firing.net === net && firing.transition === name).slice(-3).reverse() };
+}
+
+// The breakpoints of the nets of a node; of a net that has moved to another node, those of the newest message.
+const stopped = new Map();  // node -> transitions by net
+function takeBreakpoints({ node, breakpoints: told }) {
+  for (const net of Object.keys(stopped.get(node) ?? {})) breakpoints.delete(net);
+  stopped.set(node, told);
+  for (const [net, transitions] of Object.entries(told)) breakpoints.set(net, transitions);
+  scene.stop(breakpoints);
+  nets.forEach((_, name) => listRunning(name));
+}
+
 function listRefusals() {
   byId("refusals").replaceChildren(...[...refusals.values()].map(({ net, message, counterexample }) => {
     const row = document.createElement("li");
@@ -240,10 +265,11 @@ function listNets() {
 }
 
 function listRunning(name) {
+  part.refresh(name);
   const running = byId(`running-${name}`);
   if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
   const operate = byId(`operate-${name}`);
-  if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), ask);
+  if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), breakpoints.get(name) ?? [], ask);
 }
 
 function listProgress(name) {
@@ -300,7 +326,11 @@ function take(change) {
       nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
       operable = change.operable && token !== null && !wrongToken;
       desk.allow(operable);
+      stopped.clear();
+      change.breakpoints.forEach(takeBreakpoints);
       cell.clear();
+      log.clear();
+      log.take(change.log);
       unfolded.clear();
       change.nets.forEach(enterNet);
       for (const marking of change.markings) { markings.set(marking.net, marking); unfold(marking); }
@@ -317,6 +347,9 @@ function take(change) {
       enterNet(recording.overview.drawings[change.drawing]); refresh(true);
       break;
     case "mcs": showMcs(change); break;
+    case "breakpoints": takeBreakpoints(change); break;
+    case "log": log.take(change.lines); break;
+    case "values": part.take(change); break;
     case "commands": desk.take(change); break;
     case "cell": cell.take(change); break;
     case "net": enterNet(change); dropRefusal(change.net); refresh(true); break;

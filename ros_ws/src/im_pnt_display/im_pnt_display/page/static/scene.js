@@ -155,6 +155,7 @@ export class Scene {
     if (node.kind === "transition") {
       const top = node.y - height / 2;
       make("rect", { x: node.x - left, y: top, width: 2 * left, height, rx: 3 }, group);
+      make("circle", { class: "stop", cx: node.x - left, cy: top, r: 5 }, group);
       make("text", { x: node.x, y: top + 15, "text-anchor": "middle" }, group, node.label);
       node.notes.forEach((note, line) => make("text", { class: /^[?!]/.test(note) ? "note tape" : "note", x: node.x,
         y: top + 15 + LINE * (line + 1), "text-anchor": "middle" }, group, note));
@@ -166,8 +167,8 @@ export class Scene {
       node.notes.forEach((note, line) =>
         make("text", { class: "note", x: node.x + radius + 5, y: node.y + LINE * (line + 1) }, group, note));
     }
-    group.addEventListener("click", () => this.onPick(`${net}.${node.name}`));
-    group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(`${net}.${node.name}`); });
+    group.addEventListener("click", () => this.onPick(net, node));
+    group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(net, node); });
     group.addEventListener("pointerenter", () => this.trace(net, node, true));
     group.addEventListener("pointerleave", () => this.trace(net, node, false));
     return { group, node, token };
@@ -185,13 +186,15 @@ export class Scene {
       if (of === net && (same.has(arc.source) || same.has(arc.target))) line.classList.toggle("traced", on);
   }
 
-  mark({ net, tokens, active, cancelling, in_doubt }) {
+  mark({ net, tokens, active, cancelling, in_doubt, proposed }) {
     const running = new Set(active), ending = new Set(cancelling), doubtful = new Set(in_doubt);
+    const waiting = new Set(proposed);
     for (const { group, node, token } of (this.nodes.get(net) || new Map()).values()) {
       if (!token) {
         group.classList.toggle("active", running.has(node.name));
         group.classList.toggle("cancelling", ending.has(node.name));
         group.classList.toggle("doubt", doubtful.has(node.name));
+        group.classList.toggle("waits", waiting.has(node.name));
         continue;
       }
       const count = tokens[node.place] || 0;
@@ -203,6 +206,12 @@ export class Scene {
     }
     for (const link of this.between)
       if (link.net === net) link.line.classList.toggle("live", running.has(link.transition));
+  }
+
+  // Marks the breakpoints: transitions by net.
+  stop(breakpoints) {
+    for (const [net, nodes] of this.nodes)
+      for (const { group, node } of nodes.values()) group.classList.toggle("stops", (breakpoints.get(net) ?? []).includes(node.name));
   }
 
   firstMarked() {
