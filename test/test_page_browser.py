@@ -212,7 +212,7 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     url, node = small
     operates, looks = tab(url), tab(url.partition("?")[0])
     for each in (operates, looks):
-        each.until("document.querySelectorAll('.node.transition').length === 4", "the net")
+        each.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net")
     operates.page.click("[aria-label^='transition, walk']")
     assert not operates.page.is_visible("#part-go")
     operates.page.click("#part-break")

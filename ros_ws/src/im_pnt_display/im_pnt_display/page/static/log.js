@@ -40,7 +40,7 @@ export class Log {
       byId("log-lines").replaceChildren(...shown.reverse().map(([at, level, from, text]) => {
         const row = Object.assign(document.createElement("li"), { className: level });
         const time = new Date(1000 * at).toLocaleTimeString();
-        row.append(Object.assign(document.createElement("time"), { textContent: time }), ` ${from} ${level === "info" ? "" : level}: ${text}`);
+        row.append(Object.assign(document.createElement("time"), { textContent: time }), ` ${from}${level === "info" ? "" : ` (${level})`}: ${text}`);
         return row;
       }));
     });
