@@ -209,7 +209,7 @@ def small(tmp_path, monkeypatch, ros, wait_until):
 
 
 def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
-    url, node = small
+    url, _ = small
     operates, looks = tab(url), tab(url.partition("?")[0])
     for each in (operates, looks):
         each.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net")

@@ -23,7 +23,9 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_display.page.messages import counterexample
+from im_pnt_node.ros.commands.commands import NOT_OBEYED
 from im_pnt_node.ros.node import PntNode
+from support.loop import in_loop
 
 WALKER = """
 net: walker
@@ -281,6 +283,20 @@ def test_before_a_breakpoint_a_command_waits_with_its_values(machine):
     assert operator.ask("confirm", "walk").success
     operator.until(lambda: outcomes, "the end of the command")
     assert outcomes[0].success
+
+
+def test_a_command_whose_cancel_came_too_late_says_that_it_was_asked(machine):
+    operator, walker = machine
+    operator.ask("break", "back")
+    outcomes = walker.go()
+    operator.until(lambda: operator.markings["walker"].proposed == ["back"], "the token before the last transition")
+    in_loop(walker, walker.commands.cancel, 1)
+    operator.ask("confirm")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+    assert outcomes[0].status.message == NOT_OBEYED
+    operator.ask("clear", "back")
+    assert walker.commands.ended[1].message == NOT_OBEYED
 
 
 def test_a_breakpoint_outlives_its_node(tmp_path):

@@ -163,7 +163,7 @@ def test_a_command_waits_at_a_breakpoint_each_time_until_it_is_confirmed_and_goe
     net = made.exchange.nets["n"]
     post(made, BreakpointSet("act", True))
     assert made.recorder.breakpoints[-1] == ("act",)
-    for number in (1, 2):
+    for _ in range(2):
         made.command("n", "go")
         assert made.marking("n") == {"a": 1}
         assert net.proposed == ("act",)

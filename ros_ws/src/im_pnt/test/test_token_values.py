@@ -32,7 +32,7 @@ def begun(**arguments):
 
 
 def test_a_token_tells_its_command_and_arguments_and_the_name_of_its_data_object():
-    made, net = begun(group="left", poses=list(range(1000)))
+    _, net = begun(group="left", poses=list(range(1000)))
     net.rule.ledger.jobs()[0].results["pose"] = [1.0, 2.0]
     (action,) = values_of(net, "act")["running"]
     assert (action["command"], action["symbol"], action["does"], action["state"]) == (1, "go", "function f", "active")

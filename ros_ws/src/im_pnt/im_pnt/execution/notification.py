@@ -247,9 +247,7 @@ class Notifier:
         self.flush()
         self.observer.chose(self._net, places, probabilities, entropy, taken)
 
-    def operated(
-        self, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]
-    ) -> None:
+    def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]) -> None:
         """Report the present operation of the net."""
         self.flush()
         self.observer.operated(self._net, mode, paused, proposed, breakpoints)

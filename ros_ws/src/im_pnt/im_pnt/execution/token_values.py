@@ -46,7 +46,9 @@ def values_of(executor: Executor, part: str) -> dict[str, object]:
             {**_job(job), "answer": shown_values(job.replies[part])} for job in executor.jobs() if part in job.replies
         ]
         return {"running": running[:MOST], "answers": answers[:MOST]}
-    raise NotFoundError(kind="place or transition", name=part, known=[*executor.written.places, *executor.written.transitions])
+    raise NotFoundError(
+        kind="place or transition", name=part, known=[*executor.written.places, *executor.written.transitions]
+    )
 
 
 def shown_values(values: Mapping[str, object]) -> dict[str, str]:

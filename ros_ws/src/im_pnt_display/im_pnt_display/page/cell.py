@@ -55,7 +55,7 @@ def frames(message: Any) -> Iterator[Part]:
 
 
 def markers(message: Any) -> Iterator[Part]:
-    """Yield each marker that the page can draw: ``kind``, ``frame``, ``text``, pose, ``scale``, ``color``, ``points`` [m].
+    """Yield each marker that the page can draw: kind, frame, text, pose, scale [m], color, points [m].
 
     Raises:
         ImError: A number of it is none, or it has too many points.

@@ -146,7 +146,11 @@ class DispatcherClient:
             ],
         )
         ended = [
-            {**_heading(each), "success": each.state == "done", "results": read_json(dict[str, str], each.results, "results")}
+            {
+                **_heading(each),
+                "success": each.state == "done",
+                "results": read_json(dict[str, str], each.results, "results"),
+            }
             for each in listed.ended
         ]
         self._show("ended", ended)

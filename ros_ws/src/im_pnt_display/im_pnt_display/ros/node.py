@@ -235,7 +235,9 @@ class DisplayNode(ManagedNode):
                 self.server.show(self.server.state.values(net, argument, found))
                 return
             asked = ControlNet.Request(net=net, request=request, argument=argument)
-            answer = await call(self, self._asker(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}")
+            answer = await call(
+                self, self._asker(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}"
+            )
         except ImError as error:
             self.server.show(self.server.state.answer(net, False, error.message))
         else:
