@@ -101,7 +101,7 @@ class EventLoop:
         return tuple(self.rule.transitions[index].origin for index in self.operator.proposed)
 
     def breakpoints(self) -> tuple[str, ...]:
-        """Return the transitions, as written, that wait to be confirmed whatever the mode."""
+        """Return the transitions, as written, that wait to be confirmed in any mode."""
         return tuple(sorted(self.rule.transitions[index].origin for index in self.operator.breakpoints))
 
     def pump(self, limit: int) -> bool:

@@ -173,7 +173,7 @@ class Executor:
 
     @property
     def breakpoints(self) -> tuple[str, ...]:
-        """Transitions that wait for a confirmation whatever the mode."""
+        """Transitions that wait for a confirmation in any mode."""
         return self._loop.breakpoints()
 
     @property

@@ -31,8 +31,8 @@ from im_pnt_display.page.descriptions import NetDescriptions
 from im_pnt_display.page.server import DisplayServer
 from im_pnt_display.page.viewers import VALUES
 from im_pnt_display.ros.cell import CellTopics
+from im_pnt_display.ros.diagnostics import DiagnosticsTopics
 from im_pnt_display.ros.dispatcher import ANSWER_S, DispatcherClient
-from im_pnt_display.ros.health import HealthTopics
 
 #: /mcs repeats its state twice a second; after this silence what it said last is stale [s], and how often that is seen.
 MCS_SILENCE_S, MCS_LOOK_S = 3.0, 1.0
@@ -78,7 +78,7 @@ class DisplayNode(ManagedNode):
         self._object = self.create_client(GetObject, "/dom/get")
         self._cell = CellTopics(self, self._show_cell)
         self._dispatcher = DispatcherClient(self, self._show_commands)
-        self._health = HealthTopics(
+        self._diagnostics = DiagnosticsTopics(
             self,
             partial(self._show_commands, "diagnostics"),
             lambda lines: self.server.show(self.server.state.log(lines)),
@@ -218,7 +218,7 @@ class DisplayNode(ManagedNode):
     async def _attend(self, viewed: bool, cell_viewed: bool) -> None:
         """Follow the viewed parts of the machine, and nothing else."""
         self._dispatcher.follow(viewed)
-        self._health.follow(viewed)
+        self._diagnostics.follow(viewed)
         self._cell.follow(cell_viewed)
 
     def _wanted(self, wanted: Mapping[str, str]) -> None:

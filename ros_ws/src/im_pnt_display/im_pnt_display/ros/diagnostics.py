@@ -1,4 +1,4 @@
-"""Topics on the health of the machine: diagnostics and the log, subscribed to while somebody views the page."""
+"""Topics of diagnostics and the log, subscribed to while somebody views the page."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ LONGEST_LINE = 500
 _LEVELS = {10: "debug", 20: "info", 30: "warning", 40: "error", 50: "fatal"}
 
 
-class HealthTopics:
+class DiagnosticsTopics:
     """Subscriptions of a node to the diagnostics and the log.
 
     Args:
