@@ -33,6 +33,8 @@ MOST_CONNECTIONS = 150
 """Connections at a time, of viewers and others: each is an open file of a process that has more to do."""
 _AT_ONCE = 16
 """Connections that are taken before the first of them is looked at."""
+GATHERED_S = 0.05
+"""Shortest time between two messages with changes to a viewer [s]."""
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
 VIEWER_PER_S, VIEWER_AT_ONCE = 10.0, 30
@@ -229,8 +231,13 @@ async def _file(path: Path, request: web.Request) -> web.FileResponse:
 
 
 async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
+    """Send changes, a line each; those that follow each other closely in one message, of which each has its price."""
     while True:
-        await socket.send_str(await backlog.get())
+        changes = [await backlog.get()]
+        while not backlog.empty():
+            changes.append(backlog.get_nowait())
+        await socket.send_str("\n".join(changes))
+        await asyncio.sleep(GATHERED_S)
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:

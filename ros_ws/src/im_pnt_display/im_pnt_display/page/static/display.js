@@ -27,6 +27,7 @@ let followed = null;
 let socket = null;
 let operable = false;        // whether this page may operate nets
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
+let size = { width: 0, height: 0 };  // of the drawing's window; to ask for it would have the layout made
 const scene = new Scene(byId("scene"), (net, node) => {
   if (dragged) return;
   const key = `${net}.${node.name}`;
@@ -313,11 +314,34 @@ function listFirings() {
   }));
 }
 
-let listing = false;
-function soon() {
-  if (listing) return;
-  listing = true;
-  requestAnimationFrame(() => { listing = false; listFirings(); });
+// What has changed is drawn once a frame, however often nets fire; the list of firings less often, for nobody reads so fast.
+const LIST_MS = 100;
+const changed = new Set();  // nets with a marking that is not drawn yet
+let drawing = false, listed = 0, unlisted = false, newest = null;
+function soon(change = {}) {
+  if (change.kind === "marking") changed.add(change.net);
+  else unlisted = true;
+  if (change.kind === "firing") newest = change;
+  if (drawing) return;
+  drawing = true;
+  requestAnimationFrame(drawChanges);
+}
+
+function drawChanges(now) {
+  drawing = false;
+  const names = [...changed].filter((name) => markings.has(name));
+  changed.clear();
+  if (names.filter((name) => unfold(markings.get(name))).length) refresh(true);
+  else if (!player.counterexample) for (const name of names) scene.mark(markings.get(name));
+  names.forEach(listRunning);
+  scene.flashAll(isSeen);
+  if (newest && !moved) keepInView(newest.net, newest.transition);
+  newest = null;
+  if (!unlisted) return;
+  if (now - listed < LIST_MS) { soon(); return; }
+  unlisted = false;
+  listed = now;
+  listFirings();
 }
 
 function take(change) {
@@ -361,9 +385,7 @@ function take(change) {
       break;
     case "marking":
       markings.set(change.net, change);
-      if (unfold(change)) refresh(true);
-      else if (!player.counterexample) scene.mark(change);
-      listRunning(change.net);
+      soon(change);
       break;
     case "refusal":
       refusals.delete(change.net);
@@ -382,11 +404,10 @@ function take(change) {
       firings.push(change);
       if (firings.length > KEPT) firings.shift();
       noteCommand(change);
-      soon();
+      soon(change);
       if (player.counterexample) break;
       if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
       scene.flash(change);
-      if (!moved) keepInView(change.net, change.transition);
   }
 }
 
@@ -422,7 +443,7 @@ async function connect() {
     document.body.classList.toggle("lost", !yes);
   };
   socket.onopen = () => connected(true);
-  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onmessage = (event) => { for (const line of event.data.split("\n")) take(JSON.parse(line)); };
   socket.onclose = () => { connected(false); setTimeout(connect, 1000); };
   const attempt = socket;
   setTimeout(() => { if (attempt.readyState === WebSocket.CONNECTING) attempt.close(); }, CONNECT_MS);
@@ -456,9 +477,15 @@ function hold() {
   view.y = within(view.y, box.height, height * view.scale);
 }
 
+// Whether a place of the drawing is in the window.
+function isSeen({ x, y }) {
+  const { width, height } = size, u = view.x + x * view.scale, v = view.y + y * view.scale;
+  return u > -50 && v > -50 && u < width + 50 && v < height + 50;
+}
+
 // Moves the view to a part of a net that is outside its middle.
 function keepInView(net, name) {
-  const at = scene.spots.get(`${net}.${name}`), box = canvas.getBoundingClientRect();
+  const at = scene.spots.get(`${net}.${name}`), box = size;
   if (!at || player.counterexample) return;
   const x = view.x + at.x * view.scale, y = view.y + at.y * view.scale;
   if (x > 0.15 * box.width && x < 0.85 * box.width && y > 0.15 * box.height && y < 0.85 * box.height) return;
@@ -538,7 +565,7 @@ byId("follow").addEventListener("click", () => show({ nets: new Set(), overview:
 byId("all").addEventListener("click", () => show({ nets: new Set(["all"]), overview: false }));
 byId("clear").addEventListener("click", () => show({ only: new Set(), overview: false }));
 byId("overview").addEventListener("click", () => show({ overview: !page.overview && page.only.size > 0 }));
-new ResizeObserver(() => { if (!moved) settle(); }).observe(canvas);
+new ResizeObserver(([{ contentRect }]) => { size = contentRect; if (!moved) settle(); }).observe(canvas);
 addEventListener("hashchange", () => {
   show(readPage());
   look();
