@@ -280,7 +280,7 @@ def recorded():
 def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     recording, url = recorded
     each = tab(url)
-    each.until("document.getElementById('count').textContent.startsWith('firing 0 ')", "the beginning")
+    each.until("document.getElementById('count').textContent.startsWith('firing ')", "the beginning")
     each.page.focus("#seek")
     each.page.keyboard.press("End")
     each.until(f"document.getElementById('count').textContent.startsWith('firing {recording.firings} ')", "the end")
