@@ -2,6 +2,7 @@
 
 import json
 import os
+import queue
 import signal
 import threading
 import time
@@ -12,14 +13,15 @@ from rclpy.action.server import CancelResponse, GoalResponse
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.task import Future
 
-from im import CommandFailedError, Machine, MachineError, UnreachableError
+from im import Command, CommandFailedError, Machine, MachineError, UnreachableError
+from im.commands import Progress
 from im_core import clock
 from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer, GuardedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, TaskStatus
-from im_msgs.srv import ListCommands
+from im_msgs.srv import ListCommands, LoadNet
 from support.forgetful import forget
 
 RESULTS = {"directory": "/results/1"}
@@ -89,6 +91,38 @@ def machine(ros):
     yield connect
     for each in connected:
         each.close()
+
+
+def test_a_step_and_the_words_that_it_tells_at_once_are_one_line():
+    command = Command.__new__(Command)
+    command._told = queue.SimpleQueue()
+    for step, message in (("go", ""), ("walk", ""), ("walk", "to the door"), ("walk", "through it"), ("back", "")):
+        command._told.put(Progress(command, 0.5, step, message, "running"))
+    command._told.put(None)
+    told = [str(each) for each in command.progress()]
+    assert told == [f"[ 50 %] {words}" for words in ("go", "to the door", "through it", "back")]
+    assert list(command.progress()) == [], "the end is told again"
+
+
+class Loading(Dispatcher):
+    """Refuses each net at a place of its text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.create_service(LoadNet, "/dispatcher/load_net", self._refuse)
+
+    def _refuse(self, request, response):
+        response.message = "net:3:5: places.net:1:2: there is no such thing"
+        return response
+
+
+def test_a_net_that_is_refused_is_named_by_its_file(machine, tmp_path):
+    im, file = machine(Loading()), tmp_path / r"a\1.yaml"
+    file.write_text("net: a")
+    for given, source, named in ((file, "", file), ("net: a\n", "b.yaml", "b.yaml"), ("net: a\n", "", "net")):
+        with pytest.raises(MachineError) as caught:
+            im.load_net(given, source=source)
+        assert caught.value.message == f"{named}:3:5: places.net:1:2: there is no such thing"
 
 
 @pytest.mark.parametrize(

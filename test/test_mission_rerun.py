@@ -20,7 +20,7 @@ from im_dispatcher.commands.calibrate_camera import CalibrateCamera
 from im_dispatcher.job import PoseLoop
 from im_pnt.errors import NetError
 from im_pnt.execution.actions import FunctionRunner
-from im_pnt.execution.events import ModeSet, PauseSet, TokenArrived
+from im_pnt.execution.events import BreakpointSet, Confirmed, ModeSet, PauseSet, TokenArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.journal_entries import JobChange, MessageBuilt, TransitionFired
@@ -469,6 +469,22 @@ def test_a_net_that_had_not_fired_yet_may_be_operated_when_recording_begins(walk
     walker.spawn(walker.commands.run("walk"))
     wait_until(lambda: "command" in texts[-1], "the command")
     in_loop(walker, net.post, go_on)
+    wait_until(lambda: '"rest"' in texts[-1], "the last events")
+    assert run_again(texts).firings == 6
+
+
+def test_what_was_confirmed_at_a_breakpoint_is_fired_again(walker, ros, wait_until):
+    texts: list[str] = []
+    net = walker.exchange.nets["walker"]
+    looking.there.set()
+    begins = next(name for name, each in net.written.transitions.items() if each.symbol == "walk")
+    in_loop(walker, net.post, BreakpointSet(begins, True))
+    wait_until(lambda: not in_loop(walker, lambda: net.due), "the net to stand")
+    ros(listening(texts))
+    wait_until(lambda: texts, "the state of the net")
+    walker.spawn(walker.commands.run("walk"))
+    wait_until(lambda: net.proposed == (begins,), "the token before the transition")
+    in_loop(walker, net.post, Confirmed(begins))
     wait_until(lambda: '"rest"' in texts[-1], "the last events")
     assert run_again(texts).firings == 6
 

@@ -27,6 +27,7 @@ from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import RecordedNets
 from support.bag_with_cell import write_bag_with_cell
 from support.browser import PATIENCE_S, Tab, headless_browser
+from support.loop import in_loop
 from support.whole_machine import running_machine
 
 # Chromium itself may hang for ever (its graphics process, without a graphics card): then a test has a second browser.
@@ -134,7 +135,7 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
             each.until(f"{ENDED}.includes('look done')", "the end of the command")
             each.until(f"{FIRED}.includes('look')", "its firings")
         assert only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED)
-        assert only_looks.page.evaluate(ENDED) == operates.page.evaluate(ENDED)
+        only_looks.until(f"{ENDED} === {json.dumps(operates.page.evaluate(ENDED))}", "the same ends")
         assert not only_looks.page.is_visible("#start")
         operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")
         operates.until("document.querySelectorAll('.spot:not([hidden])').length > 0", "the spot in it")
@@ -169,6 +170,104 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
         only_looks.until(f"{ENDED}.includes('open_gripper done')", "a command of the new machine")
 
 
+STEPS = """
+net: steps
+places: {idle: 1, here: , there: , lost: }
+commands:
+  go:
+    arguments: {goal: {type: string}, speed: {type: number, default: 1.0, minimum: 0.1, maximum: 2.0}}
+transitions:
+  go: {in: idle, out: here, symbol: go}
+  walk: {in: here, out: there, action: walk, on_failure: lost}
+  back: {in: there, out: idle, emit: go_done}
+  give_up: {in: lost, out: idle, emit: go_failed}
+"""
+PART = "document.getElementById('part').innerText"
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch, ros, wait_until):
+    """A dispatcher of one net, and a page that may operate it: its address and the node."""
+    from rclpy.parameter import Parameter
+
+    from im_pnt_analysis import verify_to_load
+    from im_pnt_display.ros.node import DisplayNode
+    from im_pnt_node.ros.node import PntNode
+
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    (tmp_path / "steps.yaml").write_text(STEPS)
+    alone = [Parameter("standalone", value=True)]
+    display = DisplayNode(parameter_overrides=[*alone, Parameter("port", value=0), Parameter("control", value=True)])
+    functions = {"walk": lambda ctx: ctx.result.update(walked=3)}
+    node = PntNode(
+        "dispatcher", [tmp_path / "steps.yaml"], functions, verifier=verify_to_load, parameter_overrides=alone
+    )
+    ros(display, node)
+    wait_until(lambda: display.server.state.snapshot()["markings"], "the net")
+    in_loop(node, node.offer_commands)
+    return display.server.address, node
+
+
+def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
+    url, _ = small
+    operates, looks = tab(url), tab(url.partition("?")[0])
+    for each in (operates, looks):
+        each.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net")
+    operates.page.click("[aria-label^='transition, walk']")
+    assert not operates.page.is_visible("#part-go")
+    operates.page.click("#part-break")
+    for each in (operates, looks):
+        each.until("document.querySelectorAll('.node.stops').length === 1", "the breakpoint in each tab")
+    operates.until("document.querySelector('#command option[value=go]') !== null", "the command")
+    operates.page.fill("#arguments [name=goal]", "the door")
+    operates.page.fill("#arguments [name=speed]", "7")
+    operates.page.click("#start button")
+    operates.until("document.getElementById('answer').classList.contains('bad')", "the refusal")
+    operates.page.fill("#arguments [name=speed]", "1.5")
+    assert operates.page.inner_text("#answer") == "", "what was refused has been changed"
+    operates.page.click("#start button")
+    for each in (operates, looks):
+        each.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token before the transition")
+    looks.page.focus("[aria-label^='place, here']")
+    looks.page.keyboard.press("Enter")
+    looks.until(f"{PART}.includes('go, command 1') && {PART}.includes('the door')", "the values of the token")
+    assert not looks.page.is_visible("#part-break")
+    looks.page.keyboard.press("Escape")
+    assert not looks.page.is_visible("#part")
+    operates.page.click("#part-go")
+    late = tab(url.partition("?")[0])
+    for each in (operates, looks, late):
+        each.until(f"{ENDED}.includes('1 go done') && {ENDED}.includes('walked: 3')", "the end of the command")
+    operates.until(f"{PART}.includes('t = ')", "the firings of the transition")
+    operates.page.click("#part-break")
+    looks.until("document.querySelectorAll('.node.stops').length === 0", "the end of the breakpoint")
+
+
+def test_what_ended_before_the_page_was_opened_and_the_log_are_shown(small, tab, wait_until):
+    url, node = small
+    ended = []
+
+    async def command():
+        ended.append(await node.commands.run("go", {"goal": "x"}))
+
+    node.spawn(command())
+    wait_until(lambda: ended, "the end of the command")
+    each = tab(url)
+    each.until(f"{ENDED}.includes('1 go done')", "what has ended")
+    wait_until(lambda: node.count_subscribers("/rosout"), "the page to listen")
+    each.page.click("#logged")
+    wait_until(lambda: (node.get_logger().warning("the door is shut"), each.page.wait_for_timeout(200))
+               and "the door is shut" in each.page.inner_text("#log-lines"), "the line")  # fmt: skip
+    node.get_logger().info("a door opens")
+    each.until("document.getElementById('log-lines').textContent.includes('a door opens')", "the other line")
+    each.page.select_option("#log-level", "warning")
+    each.until("!document.getElementById('log-lines').textContent.includes('a door opens')", "the level")
+    assert "the door is shut" in each.page.inner_text("#log-lines")
+    each.page.select_option("#log-node", "dispatcher")
+    assert "the door is shut" in each.page.inner_text("#log-lines")
+    assert "warning" in each.page.inner_text("#logged")
+
+
 @pytest.fixture(scope="module")
 def recorded():
     recording = recording_of(BAGS / "faults")
@@ -181,7 +280,7 @@ def recorded():
 def test_over_a_bag_the_time_line_leads_to_each_moment(recorded, tab):
     recording, url = recorded
     each = tab(url)
-    each.until("document.getElementById('count').textContent.startsWith('firing 0 ')", "the beginning")
+    each.until("document.getElementById('count').textContent.startsWith('firing ')", "the beginning")
     each.page.focus("#seek")
     each.page.keyboard.press("End")
     each.until(f"document.getElementById('count').textContent.startsWith('firing {recording.firings} ')", "the end")

@@ -17,12 +17,14 @@ from im_core import clock
 from im_core.ros import qos
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Firing, GroupStatus, Marking, McsState, NetDescription, NetRefusal
+from im_msgs.srv import ControlNet
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_display import DisplayServer
 from im_pnt_display.ros.node import DisplayNode
 from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
+from support.viewer import next_change
 
 NET = """
 net: shown
@@ -67,7 +69,7 @@ async def watch(url, started, until):
     async with aiohttp.ClientSession() as session, session.ws_connect(f"{url}ws") as socket:
         started.release()
         while not until(changes):
-            changes.append(await socket.receive_json(timeout=60.0))
+            changes.append(await next_change(socket))
     return changes
 
 
@@ -187,7 +189,7 @@ def test_a_net_that_two_nodes_describe_stays_on_the_page_when_one_of_them_runs_i
     def shown():
         (net,) = display.server.state.snapshot()["nets"]
         nodes = sorted(node["name"] for node in net["drawing"]["nodes"])
-        return net["node"], nodes, in_loop(display, display._operator, "shown").srv_name
+        return net["node"], nodes, in_loop(display, display._asker, "shown", ControlNet, "control_net").srv_name
 
     own = shown()
     assert own[::2] == ("/walker", "/walker/control_net")
@@ -260,7 +262,7 @@ def test_the_cell_and_the_commands_are_followed_while_somebody_looks(machine, wa
                     joints.publish(JointState(name=["j"], position=[0.5]))
                     images.publish(CompressedImage(format="jpeg", data=b"JPEG"))
                 with contextlib.suppress(TimeoutError):
-                    change = await viewer.receive_json(timeout=0.2)
+                    change = await next_change(viewer, 0.2)
                     if change["kind"] == "cell":
                         parts[change["part"]] = change["content"]
         return parts
@@ -291,7 +293,7 @@ def test_who_operates_starts_and_controls_commands_and_is_told_what_was_refused(
 
         async def until(wanted):
             while not any(wanted(change) for change in changes):
-                changes.append(await viewer.receive_json(timeout=60.0))
+                changes.append(await next_change(viewer))
             return next(change for change in changes if wanted(change))
 
         def answered(words):

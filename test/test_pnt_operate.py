@@ -1,5 +1,6 @@
 """Nets under the hands of an operator: paused, stepped, confirmed; actions in doubt resolved; nets replaced."""
 
+import json
 import math
 import threading
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 
 from im_core import clock
 from im_core.errors import ImError
@@ -15,13 +17,15 @@ from im_core.ros.calls import call_blocking
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import Marking, NetRefusal, StrategyChoice
-from im_msgs.srv import ControlNet
+from im_msgs.srv import ControlNet, NetValues
 from im_pnt.errors import JournalError
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_display.page.messages import counterexample
+from im_pnt_node.ros.commands.commands import NOT_OBEYED
 from im_pnt_node.ros.node import PntNode
+from support.loop import in_loop
 
 WALKER = """
 net: walker
@@ -64,7 +68,9 @@ class Operator(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("operator", **kwargs)
-        self.markings, self.refusals, self.choices = {}, [], []
+        self.markings, self.refusals, self.choices, self.breakpoints = {}, [], [], []
+        self.create_subscription(String, "/pnt/breakpoints", self.breakpoints.append, qos.LATCHED_MANY)
+        self.values = self.create_client(NetValues, "/walker/net_values")
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_MANY)
         self.create_subscription(NetRefusal, "/pnt/refusals", self.refusals.append, qos.LATCHED_MANY)
         self.create_subscription(StrategyChoice, "/pnt/strategies", self.choices.append, qos.EVENTS)
@@ -255,6 +261,65 @@ def test_under_supervision_each_firing_is_proposed_and_confirmed(machine):
         assert f"known: {transition}" in operator.ask("confirm", "nothing").message
         assert operator.ask("confirm", transition).success
     operator.until(lambda: outcomes, "the end of the command")
+
+
+def test_before_a_breakpoint_a_command_waits_with_its_values(machine):
+    operator, walker = machine
+    assert "did you mean 'walk'" in operator.ask("break", "wlk").message
+    assert "there is no breakpoint 'walk'" in operator.ask("clear", "walk").message
+    assert operator.ask("break", "walk").success
+    operator.until(lambda: operator.breakpoints, "the breakpoint")
+    assert json.loads(operator.breakpoints[-1].data) == {"node": "/walker", "breakpoints": {"walker": ["walk"]}}
+    outcomes = walker.go()
+    operator.until(lambda: operator.markings["walker"].proposed == ["walk"], "the token before the transition")
+
+    def values(part):
+        return call_blocking(operator.values, NetValues.Request(net="walker", part=part), 60.0, "test")
+
+    told = json.loads(values("here").json)
+    assert told == {"count": 1, "tokens": [{"command": 1, "symbol": "go", "arguments": {}, "results": {}}]}
+    assert json.loads(values("walk").json) == {"running": [], "answers": []}
+    assert "did you mean 'here'" in values("her").message
+    assert operator.ask("confirm", "walk").success
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+
+
+def test_a_command_whose_cancel_came_too_late_says_that_it_was_asked(machine):
+    operator, walker = machine
+    operator.ask("break", "back")
+    outcomes = walker.go()
+    operator.until(lambda: operator.markings["walker"].proposed == ["back"], "the token before the last transition")
+    in_loop(walker, walker.commands.cancel, 1)
+    operator.ask("confirm")
+    operator.until(lambda: outcomes, "the end of the command")
+    assert outcomes[0].success
+    assert outcomes[0].status.message == NOT_OBEYED
+    operator.ask("clear", "back")
+    assert walker.commands.ended[1].message == NOT_OBEYED
+
+
+def test_a_breakpoint_outlives_its_node(tmp_path):
+    for name, text in (("walker", WALKER), ("lamp", LAMP), ("bin", BIN)):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    rclpy.init()
+    try:
+        operator = Operator(parameter_overrides=[Parameter("standalone", value=True)])
+        with spin_in_thread(operator):
+            for life in range(2):
+                walker = make_walker(tmp_path)
+                with spin_in_thread(walker):
+                    operator.until(lambda node=walker: node.ready, "the node")
+                    if life == 0:
+                        operator.until(operator.control.service_is_ready, "its service")
+                        assert operator.ask("break", "walk").success
+                        continue
+                    walker.go()
+                    net = walker.exchange.nets["walker"]
+                    operator.until(lambda found=net: found.proposed == ("walk",), "the token before the transition")
+                    assert net.breakpoints == ("walk",)
+    finally:
+        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize(("outcome", "success"), [("done", True), ("failed", False)])

@@ -18,6 +18,7 @@ from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import FIRINGS_AHEAD, RecordedNets
 from im_pnt_display.page.site import RECORDED
 from support.bag_with_cell import JOINT, write_bag_with_cell
+from support.viewer import next_change
 
 BAGS = Path(__file__).parent / "data" / "bags"
 NAMES = sorted(path.name for path in BAGS.iterdir() if path.is_dir())
@@ -173,9 +174,9 @@ def test_a_recording_is_guarded_as_running_nets_are(shown):
 def test_nothing_is_operated_in_a_recording(shown):
     async def talk():
         async with aiohttp.ClientSession() as session, session.ws_connect(f"{shown[1].url}ws") as viewer:
-            snapshot = await viewer.receive_json(timeout=60.0)
+            snapshot = await next_change(viewer)
             await viewer.send_json({"net": "cell", "request": "pause", "argument": ""})
-            return snapshot, await viewer.receive_json(timeout=60.0)
+            return snapshot, await next_change(viewer)
 
     snapshot, answer = asyncio.run(talk())
     assert snapshot["operable"] is False

@@ -370,5 +370,6 @@ def test_markers_show_the_targets_and_hundred_times_what_a_calibration_leaves(ma
     ends = points[..., :2] / points[..., 2:] @ entry.model.K[:2, :2].T + entry.model.K[:2, 2]
     np.testing.assert_allclose(ends[:, 0], (spots - residuals)[[0, 2]], atol=1e-9)
     np.testing.assert_allclose(ends[:, 1] - ends[:, 0], 100.0 * residuals[[0, 2]], atol=1e-9)
+    assert lines.text == "0.026 px rms of 2 spots"  # sqrt((0.02^2 + 0.01^2 + 0.03^2) / 2)
     plates = [(m.pose.position.x, m.pose.position.y, m.pose.position.z, m.scale.x) for m in newest("objects", "world")]
     assert plates == [(*target.position, target.plate) for target in load_cell().targets]

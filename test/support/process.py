@@ -50,6 +50,7 @@ class Recorder(Observer):
         self.progress: list[tuple[str, float]] = []
         self.choices: list[tuple[tuple[str, ...], dict[str, float], float, str]] = []
         self.operation: list[tuple[Mode, bool, tuple[str, ...]]] = []
+        self.breakpoints: list[tuple[str, ...]] = []
 
     def fired(self, firings: Sequence[Firing]) -> None:
         """Keeps firings."""
@@ -69,9 +70,12 @@ class Recorder(Observer):
         """Keeps a choice among strategies."""
         self.choices.append((places, dict(probabilities), entropy, taken))
 
-    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+    def operated(
+        self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]
+    ) -> None:
         """Keeps how a net is operated."""
         self.operation.append((mode, paused, proposed))
+        self.breakpoints.append(breakpoints)
 
     def names(self, net: str) -> list[str]:
         """Returns the firings of a net: ``t+`` START, ``t`` END, ``t!`` FAILED, ``t~`` CANCEL, ``t?`` DOUBT."""

@@ -32,6 +32,8 @@ _LOOK_S = 0.05
 #: After so long [s] a goal without an answer is sent again, and a result asked for again: a new server may not have
 #: known the client yet, and a dead one took no goal.
 _GOAL_AGAIN_S, _RESULT_AGAIN_S = 2.0, 10.0
+#: Words that a step tells come within so long [s].
+_WORDS_S = 0.2
 #: How long a restarted Dispatcher may take to take up a command that it had written down [s].
 _TAKES_UP_S = 20.0
 
@@ -190,9 +192,19 @@ class Command:
         self._cancelling.set()
 
     def progress(self) -> Iterator[Progress]:
-        """Iterate over the progress until the end, or a failure; Ctrl-C only ends the iteration."""
-        while (progress := next_of(self._told)) is not None:
-            yield progress
+        """Iterate over the progress until the end, or a failure; Ctrl-C only ends the iteration.
+
+        A step and the words that its action tells at once are one.
+        """
+        progress = next_of(self._told)
+        while progress is not None:
+            following: Progress | None = progress
+            if progress.step and not progress.message:
+                with contextlib.suppress(queue.Empty):
+                    following = self._told.get(timeout=_WORDS_S)
+            if following is progress or following is None or following.step != progress.step:
+                yield progress
+            progress = following if following is not progress else next_of(self._told)
         self._told.put(None)
 
     def __iter__(self) -> Iterator[Progress]:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import queue
+import re
 import signal
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -243,18 +244,23 @@ class Machine:
         """
         return self._trigger("/mcs/reset")
 
-    def load_net(self, net: str | Path, wait: float = 0.0) -> str:
+    def load_net(self, net: str | Path, wait: float = 0.0, source: str = "") -> str:
         """Give the Dispatcher a net, live after verification; return the verdict.
 
         Args:
             net: Path of a net file, or the text of one (with a line break).
             wait: Longest wait for the present net of the name to come to rest [s].
+            source: Name of a text in messages; empty: ``net``. A file has its path.
 
         Raises:
             MachineError: The net was refused; the firing sequence that shows why is the fact ``counterexample``.
         """
-        text = str(net) if "\n" in str(net) else Path(net).read_text(encoding="utf-8")
+        is_text = "\n" in str(net)
+        text = str(net) if is_text else Path(net).read_text(encoding="utf-8")
         answer = self.connection.call(LoadNet, "/dispatcher/load_net", PATIENCE_S + wait, net_yaml=text, wait=wait)
+        named = source if is_text else str(net)
+        if named:  # the Dispatcher knows no name of a text
+            answer.message = re.sub(r"^net(?=:\d+:)", lambda _: named, answer.message)
         return str(require(answer, "net", counterexample=list(answer.counterexample)).message)
 
     def unload_net(self, name: str, wait: float = 0.0) -> None:

@@ -1,4 +1,12 @@
-from im_pnt.execution.events import Confirmed, GuardsChanged, ModeSet, PauseSet, StepAsked
+from im_pnt.execution.events import (
+    BreakpointSet,
+    Confirmed,
+    GuardsChanged,
+    ModeSet,
+    PauseSet,
+    StepAsked,
+    TokenArrived,
+)
 from im_pnt.execution.operator import Mode
 from im_pnt.netfile import parse_net
 from support.process import Clock, Process, hold
@@ -138,3 +146,65 @@ def test_a_delayed_transition_waits_for_the_operator_when_its_time_is_over():
     assert made.exchange.nets["n"].proposed == ("t",)
     post(made, Confirmed("t"))
     assert made.marking("n") == {"b": 1}
+
+
+LINE = """
+net: n
+places: {idle: 1, a: , b: , done: }
+transitions:
+  begin: {in: idle, out: a, symbol: go}
+  act: {in: a, out: b, action: f, on_failure: idle}
+  end: {in: b, out: idle, emit: go_done}
+"""
+
+
+def test_a_command_waits_at_a_breakpoint_each_time_until_it_is_confirmed_and_goes_on_when_it_is_cleared():
+    made = process(text=LINE)
+    net = made.exchange.nets["n"]
+    post(made, BreakpointSet("act", True))
+    assert made.recorder.breakpoints[-1] == ("act",)
+    for _ in range(2):
+        made.command("n", "go")
+        assert made.marking("n") == {"a": 1}
+        assert net.proposed == ("act",)
+        post(made, Confirmed("act"))
+        assert made.marking("n") == {"act.active": 1}
+        made.end("act")
+        assert made.marking("n") == {"idle": 1}
+    made.command("n", "go")
+    assert net.proposed == ("act",)
+    post(made, BreakpointSet("act", False))
+    assert made.marking("n") == {"act.active": 1}
+    assert made.recorder.operation[-1] == (Mode.AUTOMATIC, False, ())
+    assert made.recorder.breakpoints[-1] == ()
+
+
+def test_what_contends_with_a_breakpoint_may_take_the_token_meanwhile():
+    made = process(text="net: n\nplaces: {a: , b: , c: }\ntransitions: {t: {in: a, out: b}, u: {in: a, out: c}}")
+    post(made, BreakpointSet("t", True))
+    post(made, TokenArrived("a", 1))
+    assert made.marking("n") == {"c": 1}
+
+
+def test_a_breakpoint_holds_no_step_and_no_pause_up():
+    made = process(Mode.STEP, LINE)
+    post(made, BreakpointSet("act", True))
+    made.command("n", "go")
+    post(made, StepAsked())
+    assert made.marking("n") == {"a": 1}
+    post(made, StepAsked())
+    assert made.exchange.nets["n"].proposed == ("act",)
+    post(made, PauseSet(True))
+    assert made.exchange.nets["n"].proposed == ()
+    post(made, PauseSet(False))
+    post(made, Confirmed("act"))
+    assert made.marking("n") == {"act.active": 1}
+
+
+def test_a_command_forgotten_by_its_net_ends_also_where_there_is_a_breakpoint():
+    made = process(text=LINE.replace(", emit: go_done", ""))
+    post(made, BreakpointSet("begin", True))
+    made.command("n", "go")
+    post(made, Confirmed("begin"))
+    made.end("act")
+    assert "neither go_done nor go_failed" in made.results[0].error.message

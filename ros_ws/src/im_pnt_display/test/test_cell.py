@@ -24,7 +24,7 @@ def marker(**changes):
     pose = Message(position=point(1.0), orientation=Message(x=0.0, y=0.0, z=0.0, w=1.0))
     fields = {
         "ns": "paths", "id": 1, "type": 4, "action": 0, "header": Message(frame_id="world"), "pose": pose,
-        "scale": point(0.1), "color": color(), "points": [point(), point(y=2.0)],
+        "text": "2 spots", "scale": point(0.1), "color": color(), "points": [point(), point(y=2.0)],
     }  # fmt: skip
     return Message(**{**fields, **changes})
 
@@ -56,6 +56,7 @@ def test_a_frame_tells_what_it_is_fixed_to():
 
 def test_markers_come_and_go():
     [(name, content)] = cell.markers(Message(markers=[marker()]))
+    assert content["text"] == "2 spots"
     assert (name, content["kind"], content["points"]) == ("marker/paths/1", "strip", [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     for gone in (marker(action=2), marker(type=10)):
         assert list(cell.markers(Message(markers=[gone]))) == [("marker/paths/1", None)]

@@ -30,6 +30,7 @@ from im_pnt_display.page.site import (
 )
 from im_pnt_display.page.state import MOST_CELL_PARTS, REFUSALS_KEPT, DisplayState
 from im_pnt_display.page.viewers import Viewers
+from support.viewer import next_change
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
 
@@ -71,11 +72,11 @@ def told(server, *texts, kinds=("answer",)):
 
     async def talk():
         async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
-            heard = [await viewer.receive_json(timeout=60.0)]
+            heard = [await next_change(viewer)]
             for text in texts:
                 await viewer.send_str(text)
             while kinds and heard[-1]["kind"] not in kinds:
-                heard.append(await viewer.receive_json(timeout=60.0))
+                heard.append(await next_change(viewer))
             return heard
 
     return asyncio.run(talk())
@@ -187,9 +188,9 @@ def test_without_the_token_a_page_only_looks(serve):
 
     async def talk():
         async with aiohttp.ClientSession() as session, session.ws_connect(f"{server.url}ws") as viewer:
-            await viewer.receive_json(timeout=60.0)
+            await next_change(viewer)
             await viewer.send_json(ASKED)
-            return await viewer.receive_json(timeout=60.0)
+            return await next_change(viewer)
 
     assert asyncio.run(talk())["message"] == READ_ONLY
     assert heard == []
@@ -210,22 +211,22 @@ def test_the_cell_is_for_who_looks_at_it_and_its_viewers_are_counted(serve, wait
             session.ws_connect(socket_of(server)) as viewer,
         ):
             for each in (other, viewer):
-                await each.receive_json(timeout=60.0)
+                await next_change(each)
             server.show(state.cell("robot", "<robot/>"))
             server.show(state.cell("marker/a/1", None))
             server.show({"kind": "done"})
-            assert (await viewer.receive_json(timeout=60.0))["kind"] == "done"
+            assert (await next_change(viewer))["kind"] == "done"
             await viewer.send_json({"net": "", "request": "look", "argument": "cell"})
-            parts = [await viewer.receive_json(timeout=60.0)]
+            parts = [await next_change(viewer)]
             server.show(state.cell("joints", {"j": 1.0}))
-            parts.append(await viewer.receive_json(timeout=60.0))
+            parts.append(await next_change(viewer))
             await viewer.send_json({"net": "", "request": "look", "argument": ""})
             while counted[-1] != (2, 0):
                 await asyncio.sleep(0.01)
             server.show(state.cell("joints", {"j": 2.0}))
             server.show({"kind": "done"})
-            assert (await viewer.receive_json(timeout=60.0))["kind"] == "done"
-            assert [(await other.receive_json(timeout=60.0))["kind"] for _ in range(2)] == ["done", "done"]
+            assert (await next_change(viewer))["kind"] == "done"
+            assert [(await next_change(other))["kind"] for _ in range(2)] == ["done", "done"]
             return parts
 
     assert [part["content"] for part in asyncio.run(talk())] == ["<robot/>", {"j": 1.0}]
@@ -258,7 +259,7 @@ def test_a_request_that_is_too_long_ends_its_own_connection_alone(serve):
 
     async def talk():
         async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
-            await viewer.receive_json(timeout=60.0)
+            await next_change(viewer)
             await viewer.send_str("x" * (LONGEST_REQUEST + 1))
             return (await viewer.receive(timeout=60.0)).type
 
@@ -305,7 +306,7 @@ def test_more_viewers_than_it_can_serve_are_told_so(serve, monkeypatch):
 
     async def look():
         async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server)) as viewer:
-            await viewer.receive_json(timeout=60.0)
+            await next_change(viewer)
             with pytest.raises(aiohttp.WSServerHandshakeError) as error:
                 await session.ws_connect(socket_of(server))
             return error.value.status
@@ -399,11 +400,11 @@ def test_what_one_viewer_may_not_do_is_told_to_that_viewer_alone(serve):
             session.ws_connect(socket_of(server)) as viewer,
         ):
             for each in (other, viewer):
-                await each.receive_json(timeout=60.0)
+                await next_change(each)
             await viewer.send_json(ASKED)
-            answer = await viewer.receive_json(timeout=60.0)
+            answer = await next_change(viewer)
             server.show({"kind": "done"})
-            return answer["message"], (await other.receive_json(timeout=60.0))["kind"]
+            return answer["message"], (await next_change(other))["kind"]
 
     assert asyncio.run(talk()) == (READ_ONLY, "done")
 
@@ -458,7 +459,7 @@ globalThis.document = { createElement: made };
 const element = made(), marking = { mode: "step", paused: false, proposed: [], in_doubt: [], sequence: 1 };
 const kept = (shown, changes) => {
   const before = element.parts;
-  showControls(element, shown, "n", { ...marking, ...changes }, () => {});
+  showControls(element, shown, "n", { ...marking, ...changes }, [], () => {});
   return before === element.parts;
 };
 console.log(JSON.stringify([

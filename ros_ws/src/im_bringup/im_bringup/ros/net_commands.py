@@ -21,7 +21,7 @@ def load() -> int:
 
     def use(machine: Machine) -> int:
         try:
-            print(machine.load_net(f"{text.rstrip()}\n", options.wait))
+            print(machine.load_net(f"{text.rstrip()}\n", options.wait, str(options.net)))
         except MachineError as error:
             complain(f"im load: {error.message}")
             match error.facts:

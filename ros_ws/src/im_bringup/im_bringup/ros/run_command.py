@@ -259,6 +259,8 @@ def show(result: ExecuteCommand.Result, who: str, as_json: bool, begun: bool) ->
         if result.status.code == ArgumentError.default_code and not begun:
             return USAGE
         return INTERRUPTED if result.status.code == "cancelled" else FAILED
+    if result.status.message:
+        print(f"{who}: {result.status.message}", file=sys.stderr)
     if not as_json:
         if isinstance(report := results.get("report"), dict) and report.get("cameras"):
             return show_calibration(results, who)

@@ -92,7 +92,7 @@ class InverseKinematics:
             Positions of the group, shape (n,) [rad or m].
 
         Raises:
-            DataError: The pose is out of reach (code ``unreachable``); the message says how near one comes.
+            DataError: The pose is out of reach (code ``unreachable``); the message says where the nearest solution is.
             ImError: It is within reach, but only in collision (code ``collision``).
         """
         best: IkAttempt | None = None
@@ -112,13 +112,16 @@ class InverseKinematics:
             raise blocked
         assert best is not None
         x, y, z = target.translation
+        near = self._model.pose(self._whole(q_all, best.q), self._frame).translation
         raise DataError(
-            f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach: the nearest solution is "
+            f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m is out of reach: the nearest solution is at "
+            f"({near[0]:.3f}, {near[1]:.3f}, {near[2]:.3f}) m, "
             f"{best.position_error * 1e3:.1f} mm and {np.degrees(best.rotation_error):.2f} deg off"
             f"{self._at_limits(best.q)}",
             code="unreachable",
             frame=self._frame,
             position_m=[float(x), float(y), float(z)],
+            nearest_m=near.tolist(),
         )
 
     def _at_limits(self, q: NDArray[np.float64]) -> str:

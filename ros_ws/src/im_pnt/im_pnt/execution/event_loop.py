@@ -12,6 +12,7 @@ from im_pnt.execution.events import (
     ActionEnded,
     Answer,
     Answered,
+    BreakpointSet,
     CommandCancelled,
     CommandHeld,
     CommandWritten,
@@ -42,7 +43,7 @@ from im_pnt.execution.timers import Timers
 from im_pnt.model.net import Role
 
 _NOTHING: frozenset[int] = frozenset()
-_BY_ITSELF = (Mode.AUTOMATIC, False, ())
+_BY_ITSELF = (Mode.AUTOMATIC, False, (), ())
 
 
 class EventLoop:
@@ -83,7 +84,7 @@ class EventLoop:
         self._pumping = False
         self._guard_clocks: set[str] = set()
         self._watched: set[int] = set()
-        self._told: tuple[Mode, bool, tuple[str, ...]] = (self.operator.mode, self.operator.paused, ())
+        self._told: tuple[Mode, bool, tuple[str, ...], tuple[str, ...]] = _BY_ITSELF
 
     @property
     def due(self) -> bool:
@@ -98,6 +99,10 @@ class EventLoop:
     def proposed(self) -> tuple[str, ...]:
         """Return the transitions in wait of a confirmation."""
         return tuple(self.rule.transitions[index].origin for index in self.operator.proposed)
+
+    def breakpoints(self) -> tuple[str, ...]:
+        """Return the transitions, as written, that wait to be confirmed in any mode."""
+        return tuple(sorted(self.rule.transitions[index].origin for index in self.operator.breakpoints))
 
     def pump(self, limit: int) -> bool:
         """Take all events and fire until nothing is enabled, or for ``limit`` firings.
@@ -150,7 +155,7 @@ class EventLoop:
 
     def confirm(self, name: str) -> None:
         """Fire a proposed transition, if still possible."""
-        index = self.rule.number.get(f"{name}.start", self.rule.number.get(name, -1))
+        index = self.written_number(name)
         if index not in self.operator.proposed:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it is not proposed")
             return
@@ -159,6 +164,10 @@ class EventLoop:
             self.fire(index, self.conflicts.owner(index))
         else:
             self.rule.notifier.troubled(f"transition {name} was confirmed, but it cannot fire any more")
+
+    def written_number(self, name: str) -> int:
+        """Return the number of a transition as written; of none -1."""
+        return self.rule.number.get(f"{name}.start", self.rule.number.get(name, -1))
 
     def resume(self) -> None:
         """Go on after the replay of a journal."""
@@ -223,6 +232,10 @@ class EventLoop:
                 self.operator.set_mode(mode)
             case PauseSet(paused):
                 self.operator.pause(paused)
+            case BreakpointSet(name, on):
+                if (index := self.written_number(name)) not in self.operator.written:
+                    raise ValueError(f"the net has no transition {name}")
+                self.operator.set_breakpoint(index, on)
             case _:
                 apply_entry(self.rule, entry)
 
@@ -260,7 +273,7 @@ class EventLoop:
                 self.conflicts.wake(f"data:{name}")
             case GuardsChanged(source):
                 self.conflicts.wake(source)
-            case ModeSet() | PauseSet():
+            case ModeSet() | PauseSet() | BreakpointSet():
                 if rule.record is not None:
                     rule.record(event)
                 self.apply(event)
@@ -346,7 +359,7 @@ class EventLoop:
 
     def _hold(self, index: int) -> None:
         """Keep an enabled transition for the operator: for a confirmation, or until firing is allowed again."""
-        if self.operator.asks and index in self.operator.written and self._may_fire(index):
+        if self.operator.asks(index) and self._may_fire(index):
             self.operator.proposed[index] = None
         elif index not in self.rule.enabling.stalled:
             self.operator.hold(index)
@@ -362,13 +375,13 @@ class EventLoop:
             self._arm_guard_clocks()
         if self.rule.ledger.visits:
             settle_visits(self.rule)
-        if self.rule.ledger.count and self.operator.free:
+        if self.rule.ledger.count and self.operator.idle:
             drop_stale(self.rule)
             close_forgotten(self.rule)
         if self.operator.free and self._told == _BY_ITSELF and not self.rule.held:
             return
         self.operator.spent()
-        told = (self.operator.mode, self.paused, self.proposed())
+        told = (self.operator.mode, self.paused, self.proposed(), self.breakpoints())
         if told != self._told:
             self._told = told
             self.rule.notifier.operated(*told)

@@ -201,13 +201,21 @@ class PauseSet:
 
 
 @dataclass(frozen=True, slots=True)
+class BreakpointSet:
+    """Event: an operator has a transition, as written, wait to be confirmed at each firing, or no more."""
+
+    transition: str
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class StepAsked:
     """An operator lets one transition fire (mode step)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Confirmed:
-    """An operator lets a proposed transition fire (mode supervised)."""
+    """An operator lets a proposed transition fire (mode supervised, or at a breakpoint)."""
 
     transition: str
 
@@ -228,6 +236,7 @@ Event = (
     | GuardsChanged
     | ModeSet
     | PauseSet
+    | BreakpointSet
     | StepAsked
     | Confirmed
 )

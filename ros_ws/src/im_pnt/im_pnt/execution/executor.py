@@ -172,6 +172,11 @@ class Executor:
         return self._loop.proposed()
 
     @property
+    def breakpoints(self) -> tuple[str, ...]:
+        """Transitions that wait for a confirmation in any mode."""
+        return self._loop.breakpoints()
+
+    @property
     def operator(self) -> Operator:
         """Operation of the net; only for the keeper of the net's state."""
         return self._loop.operator

@@ -21,6 +21,7 @@ from typing import NamedTuple
 from im_core.errors import ImError
 from im_pnt.errors import NetError
 from im_pnt.execution.events import (
+    BreakpointSet,
     CommandCancelled,
     CommandHeld,
     CommandWritten,
@@ -149,6 +150,7 @@ NetEntry = (
     | ActivityEnded
     | ModeSet
     | PauseSet
+    | BreakpointSet
     | GuardBroke
     | JobForgotten
 )

@@ -98,8 +98,10 @@ class Observer:
             taken: The transition that fires.
         """
 
-    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
-        """Take a change of the mode, the pause or the proposed transitions."""
+    def operated(
+        self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]
+    ) -> None:
+        """Take a change of the mode, the pause, the proposed transitions or the breakpoints."""
 
 
 class Departure(NamedTuple):
@@ -245,10 +247,10 @@ class Notifier:
         self.flush()
         self.observer.chose(self._net, places, probabilities, entropy, taken)
 
-    def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+    def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]) -> None:
         """Report the present operation of the net."""
         self.flush()
-        self.observer.operated(self._net, mode, paused, proposed)
+        self.observer.operated(self._net, mode, paused, proposed, breakpoints)
 
 
 def failure_of(job: Job | None, transition: Transition, failure: ImError | None = None) -> ImError:

@@ -1,4 +1,4 @@
-"""Modes of operation: automatic, confirmed firings, single steps; and the pause."""
+"""Modes of operation: automatic, confirmed firings, single steps; the pause, and breakpoints."""
 
 import enum
 from collections.abc import Iterable
@@ -23,6 +23,7 @@ class Operator:
         written: As given.
         mode: How the net is operated.
         paused: Whether nothing new is started; what runs goes on.
+        breakpoints: Transitions that wait to be confirmed, whatever the mode.
         free: Whether the net runs by itself.
         proposed: Transitions that wait to be confirmed, in the order in which they were found enabled.
     """
@@ -31,6 +32,7 @@ class Operator:
         self.written = frozenset(written)
         self.mode = Mode.AUTOMATIC
         self.paused = False
+        self.breakpoints: set[int] = set()
         self.free = True
         self.proposed: dict[int, None] = {}
         self._new = self.written | frozenset(accepting)
@@ -43,23 +45,33 @@ class Operator:
         if self.paused:
             return self._new
         free = self.mode is Mode.AUTOMATIC or (self.mode is Mode.STEP and self._credit)
-        return frozenset() if free else self.written
+        return frozenset(self.breakpoints) if free else self.written
+
+    def asks(self, transition: int) -> bool:
+        """Return whether an enabled transition is to be proposed."""
+        stops = self.mode is Mode.SUPERVISED or transition in self.breakpoints
+        return stops and not self.paused and transition in self.written
 
     @property
-    def asks(self) -> bool:
-        """Whether transitions are to be proposed."""
-        return self.mode is Mode.SUPERVISED and not self.paused
+    def idle(self) -> bool:
+        """Whether the net runs by itself, and waits for no confirmation."""
+        return self.mode is Mode.AUTOMATIC and not self.paused and not self.proposed
 
     def set_mode(self, mode: Mode) -> None:
         """Set the mode."""
         self.mode = mode
-        self.free = mode is Mode.AUTOMATIC and not self.paused
         self._credit = False
+        self._changed()
 
     def pause(self, paused: bool) -> None:
         """Has nothing new started, or everything go on."""
         self.paused = paused
-        self.free = self.mode is Mode.AUTOMATIC and not paused
+        self._changed()
+
+    def set_breakpoint(self, transition: int, on: bool) -> None:
+        """Have a transition wait to be confirmed at each firing, or no more."""
+        (self.breakpoints.add if on else self.breakpoints.discard)(transition)
+        self._changed()
 
     def hold(self, transition: int) -> None:
         """Keep an enabled transition until firing is allowed again."""
@@ -85,3 +97,6 @@ class Operator:
         self.proposed.clear()
         self._held.clear()
         return released
+
+    def _changed(self) -> None:
+        self.free = self.mode is Mode.AUTOMATIC and not self.paused and not self.breakpoints

@@ -18,6 +18,7 @@ MARKER_KINDS = {1: "cube", 2: "sphere", 3: "cylinder", 4: "strip", 5: "list"}
 _ADD = 0
 MOST_POINTS = 5000
 """Points of a marker."""
+LONGEST_TEXT = 200
 #: Colour type of PNG, and bytes of a pixel, by encoding.
 _PNG = {"mono8": (0, 1), "rgb8": (2, 3)}
 
@@ -54,7 +55,7 @@ def frames(message: Any) -> Iterator[Part]:
 
 
 def markers(message: Any) -> Iterator[Part]:
-    """Yield each marker that the page can draw: ``kind``, ``frame``, pose, ``scale`` [m], ``color`` and ``points`` [m].
+    """Yield each marker that the page can draw: kind, frame, text, pose, scale [m], color, points [m].
 
     Raises:
         ImError: A number of it is none, or it has too many points.
@@ -72,6 +73,7 @@ def markers(message: Any) -> Iterator[Part]:
             {
                 "kind": MARKER_KINDS[told.type],
                 "frame": told.header.frame_id,
+                "text": told.text[:LONGEST_TEXT],
                 "xyz": _numbers(place.x, place.y, place.z),
                 "quaternion": _numbers(turn.x, turn.y, turn.z, turn.w),
                 "scale": _numbers(told.scale.x, told.scale.y, told.scale.z),

@@ -16,7 +16,7 @@ from im_core.processes.process import ChildProcess
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
-from im_pnt_display.page.viewers import Audience, Operate, Viewers
+from im_pnt_display.page.viewers import VALUES, Audience, Operate, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -41,11 +41,12 @@ class DisplayServer:
         host: Address to listen on, 0.0.0.0 are all of IPv4 and :: all of IPv6; it answers to that name, to those of
             this computer for itself, and on all addresses to those of this computer for others.
         port: Port; the next free one is taken where it is in use, any free one for 0.
-        operate: Takes what viewers with the token want done; None: they only look.
+        operate: Takes what viewers ask for; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
         apart: Whether a process of its own answers, which begins with the first visitor: viewers cannot slow this one.
         audience: Takes each change of the numbers of viewers.
         token: That of the address at which viewers may operate; empty: a new one.
+        operable: Whether viewers with the token may have things done; if not, they only ask for values.
     """
 
     def __init__(
@@ -57,11 +58,12 @@ class DisplayServer:
         apart: bool = False,
         audience: Audience = lambda viewers, of_cell: None,
         token: str = "",
+        operable: bool = True,
     ) -> None:
         self.state = DisplayState()
         self._token, self._audience = token or secrets.token_urlsafe(16), audience
         self._host, self._port, self._recording, self._apart = host, port, recording, apart
-        self.state.operable = operate is not None
+        self.state.operable = operate is not None and operable
         self.state.recording = recording.overview if recording is not None else None
         self._operate, self._viewers = operate, Viewers(self.state, audience if not apart else _nobody)
         self._sockets: list[socket.socket] = []
@@ -78,7 +80,7 @@ class DisplayServer:
     @property
     def address(self) -> str:
         """Address of the page, where viewers may operate with the token; a secret of this user."""
-        return f"{self.url}?token={self._token}" if self._operate is not None else self.url
+        return f"{self.url}?token={self._token}" if self.state.operable else self.url
 
     def start(self) -> None:
         """Begin to serve.
@@ -158,7 +160,7 @@ class DisplayServer:
             wanted = read_json(dict[str, str], line.decode(), "a request")
             if wanted["request"] == "audience":
                 self._audience(*json.loads(wanted["argument"]))
-            elif self._operate is not None:
+            elif self._operate is not None and (self.state.operable or wanted["request"] == VALUES):
                 self._operate(wanted)
 
     def _listen(self) -> None:

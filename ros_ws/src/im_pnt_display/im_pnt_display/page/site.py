@@ -15,7 +15,7 @@ from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
-from im_pnt_display.page.viewers import Operate, Viewers
+from im_pnt_display.page.viewers import VALUES, Operate, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -33,6 +33,8 @@ MOST_CONNECTIONS = 150
 """Connections at a time, of viewers and others: each is an open file of a process that has more to do."""
 _AT_ONCE = 16
 """Connections that are taken before the first of them is looked at."""
+GATHERED_S = 0.05
+"""Shortest time between two messages with changes to a viewer [s]."""
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
 VIEWER_PER_S, VIEWER_AT_ONCE = 10.0, 30
@@ -75,7 +77,7 @@ class Site:
     Args:
         host: Address that it is served on.
         viewers: Those who look.
-        operate: Takes what viewers with the token want done; None: they only look.
+        operate: Takes what viewers ask for; None: they only look.
         recording: What is shown in the place of running nets, to each viewer the moment that it asks for.
         token: The one in the address of whoever may operate.
     """
@@ -126,7 +128,7 @@ class Site:
         """
         if (given := request.query.get("token")) is None:
             return False
-        if self._operate is None or not hmac.compare_digest(given.encode(), self._token.encode()):
+        if not self._viewers.state.operable or not hmac.compare_digest(given.encode(), self._token.encode()):
             raise web.HTTPForbidden(text=WRONG_TOKEN)
         return True
 
@@ -183,7 +185,7 @@ class Site:
             elif message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
                 if wanted["request"] == "look":
                     self._viewers.look(backlog, at_cell=wanted["argument"] == "cell")
-                elif refusal := self._refusal(may_operate):
+                elif refusal := self._refusal(may_operate or (self._recording is None and wanted["request"] == VALUES)):
                     await socket.send_json(self._viewers.state.answer(wanted["net"], False, refusal))
                 elif self._operate is not None:
                     self._operate(wanted)
@@ -229,8 +231,13 @@ async def _file(path: Path, request: web.Request) -> web.FileResponse:
 
 
 async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
+    """Send changes, a line each; those that follow each other closely in one message, of which each has its price."""
     while True:
-        await socket.send_str(await backlog.get())
+        changes = [await backlog.get()]
+        while not backlog.empty():
+            changes.append(backlog.get_nowait())
+        await socket.send_str("\n".join(changes))
+        await asyncio.sleep(GATHERED_S)
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:

@@ -1,13 +1,14 @@
 """State of a display: nets, markings, last firings, commands, and the cell; as plain data."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from im_pnt.model.net import Net
 from im_pnt_display.drawing.draw import draw
 
 FIRINGS_KEPT = 300
+LOG_KEPT = 300
 REFUSALS_KEPT = 20
 #: Parts of the cell: anybody may publish markers.
 MOST_CELL_PARTS = 200
@@ -47,6 +48,8 @@ class DisplayState:
         self._firings: deque[Change] = deque(maxlen=FIRINGS_KEPT)
         self._mcs: Change | None = None
         self._commands: dict[str, Change] = {}
+        self._breakpoints: dict[str, Change] = {}
+        self._log: deque[object] = deque(maxlen=LOG_KEPT)
         self._cell: dict[str, Change] = {}
         self.operable = False
         self.recording: Mapping[str, object] | None = None
@@ -72,6 +75,12 @@ class DisplayState:
                     del self._refusals[next(iter(self._refusals))]
             case "firing":
                 self._firings.append(change)
+            case "breakpoints":
+                self._breakpoints[str(change["node"])] = change
+            case "log":
+                lines = change["lines"]
+                assert isinstance(lines, list)
+                self._log.extend(lines)
             case "mcs":
                 if change == self._mcs:
                     return False
@@ -94,6 +103,8 @@ class DisplayState:
         self._refusals = {refusal["net"]: refusal for refusal in snapshot["refusals"]}
         self._firings = deque(snapshot["firings"], maxlen=FIRINGS_KEPT)
         self._mcs, self.operable, self.recording = (snapshot[key] for key in ("mcs", "operable", "recording"))
+        self._breakpoints = {change["node"]: change for change in snapshot["breakpoints"]}
+        self._log = deque(snapshot["log"], maxlen=LOG_KEPT)
         self._commands = {change["part"]: change for change in snapshot["commands"]}
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
@@ -150,6 +161,18 @@ class DisplayState:
         """
         return {"kind": "commands", "part": part, "content": content}
 
+    def breakpoints(self, node: str, breakpoints: Mapping[str, Sequence[str]]) -> Change:
+        """Return the change for the breakpoints of a node's nets: transitions by net."""
+        return {"kind": "breakpoints", "node": node, "breakpoints": breakpoints}
+
+    def log(self, lines: Sequence[object]) -> Change:
+        """Return the change for new lines of the log: time [s since 1970], level, node and text of each."""
+        return {"kind": "log", "lines": lines}
+
+    def values(self, net: str, part: str, content: object) -> Change:
+        """Return the values behind a part of a net, for passing on without keeping."""
+        return {"kind": "values", "net": net, "part": part, "content": content}
+
     def cell(self, part: str, content: object) -> Change:
         """Return the change for a part of the cell, for viewers of the cell alone.
 
@@ -174,6 +197,8 @@ class DisplayState:
             "firings": list(self._firings),
             "mcs": self._mcs,
             "commands": list(self._commands.values()),
+            "breakpoints": list(self._breakpoints.values()),
+            "log": list(self._log),
             "operable": self.operable,
             "recording": self.recording,
         }

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from im_pnt_display.page.state import Change, DisplayState
 
 VIEWER_BACKLOG = 500
+VALUES = "values"
+"""Request for the values behind a part of a net; whoever looks may ask."""
 
 Operate = Callable[[Mapping[str, str]], None]
 """Takes what a viewer asks for: ``net``, ``request`` and ``argument``; called in the server's thread."""

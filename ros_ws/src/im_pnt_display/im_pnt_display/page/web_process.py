@@ -40,7 +40,7 @@ async def answer_visitors(host: str, link: socket.socket, listening: Sequence[so
     viewers = Viewers(DisplayState(), count)
     token = (await reader.readline()).decode().strip()
     viewers.show(json.loads(await reader.readline()))
-    site = Site(host, viewers, operate if viewers.state.operable else None, token=token)
+    site = Site(host, viewers, operate, token=token)
     stop = asyncio.Event()
     async with asyncio.TaskGroup() as group:
         group.create_task(site.serve(listening, stop))

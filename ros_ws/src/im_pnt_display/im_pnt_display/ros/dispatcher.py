@@ -1,11 +1,9 @@
-"""Client of the Dispatcher and of MCS for the page: commands, the line, results, stops, diagnostics."""
+"""Client of the Dispatcher and of MCS for the page: commands, the line, results, stops."""
 
 import json
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -19,15 +17,12 @@ from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
 from im_core.text.bounded_json import read_json
 from im_msgs.action import ExecuteCommand
+from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, GroupCommand, ListCommands
 
 ANSWER_S = 5.0
 LOOK_S = 0.5
 """How often the line of commands is looked at while somebody views the page [s]."""
-ENDED_KEPT = 10
-MOST_DIAGNOSTICS = 200
-LONGEST_RESULT = 300
-"""Characters that are shown of a result; a report of a calibration has 280,000."""
 CONTROLS = ("cancel", "pause", "resume", "abandon")
 STOPS = {"estop": "/mcs/estop", "protective_stop": "/mcs/protective_stop", "reset": "/mcs/reset"}
 
@@ -45,30 +40,22 @@ class DispatcherClient:
 
     def __init__(self, node: ManagedNode, show: ShowPart) -> None:
         self._node, self._show = node, show
-        self._subscriptions: list[Subscription] = []
+        self._known: Subscription | None = None
         self._clients: dict[str, Client] = {}
         self._execute = GuardedActionClient(node, ExecuteCommand, "/dispatcher/execute")
-        self._attached: set[int] = set()
-        self._ended: dict[int, dict[str, object]] = {}
-        self._diagnostics: dict[str, dict[str, object]] = {}
         self._looking = False
         self._timer = node.create_timer(LOOK_S, self._look, clock=node.steady_clock)
         self._timer.cancel()
 
     def follow(self, viewed: bool) -> None:
         """Begin to follow the commands, or end; in the loop of the node."""
-        if not viewed:
-            self._timer.cancel()
-            for subscription in self._subscriptions:
-                self._node.destroy_subscription(subscription)
-            self._subscriptions = []
-        elif not self._subscriptions:
+        if viewed and self._known is None:
             self._timer.reset()
-            listen = self._node.create_subscription
-            self._subscriptions = [
-                listen(String, "/dispatcher/commands", self._know, qos.LATCHED),
-                listen(DiagnosticArray, "/diagnostics", self._diagnose, qos.STATUS),
-            ]
+            self._known = self._node.create_subscription(String, "/dispatcher/commands", self._know, qos.LATCHED)
+        elif self._known is not None and not viewed:
+            self._timer.cancel()
+            self._node.destroy_subscription(self._known)
+            self._known = None
 
     async def do(self, request: str, argument: str) -> str:
         """Carry out the request of a viewer: start a command, control one, or stop the machine.
@@ -118,9 +105,8 @@ class DispatcherClient:
                 begun.set_result(None)
 
         def ended(future: Future) -> None:
-            self._end(symbol, number[0] if number else 0, future)
-            outcome = future.result().result
             if not begun.done():
+                outcome = future.result().result
                 begun.set_result("" if outcome.success else outcome.status.message or "the dispatcher gave no reason")
 
         handle = await wait(
@@ -146,69 +132,37 @@ class DispatcherClient:
             return
         finally:
             self._looking = False
-        commands = [
+        self._show(
+            "listed",
+            [
+                {
+                    **_heading(each),
+                    "arguments": each.arguments,
+                    "state": each.state,
+                    "progress": round(float(each.progress), 3),
+                    "needs": list(each.needs),
+                }
+                for each in listed.commands
+            ],
+        )
+        ended = [
             {
-                "number": int(each.command_id),
-                "symbol": each.symbol,
-                "arguments": each.arguments,
-                "state": each.state,
-                "progress": round(float(each.progress), 3),
-                "message": each.message,
-                "needs": list(each.needs),
+                **_heading(each),
+                "success": each.state == "done",
+                "results": read_json(dict[str, str], each.results, "results"),
             }
-            for each in listed.commands
+            for each in listed.ended
         ]
-        self._show("listed", commands)
-        for each in listed.commands:
-            if each.command_id not in self._attached:
-                self._attached.add(each.command_id)
-                self._node.spawn(self._attach(each.symbol, int(each.command_id)))
-
-    async def _attach(self, symbol: str, number: int) -> None:
-        """Wait for the end of a command that anybody began."""
-        goal = ExecuteCommand.Goal(attach=True, command_id=number, symbol=symbol)
-        try:
-            handle = await wait(self._node, self._execute.send_goal_async(goal), ANSWER_S, f"command {number}")
-        except ImError:  # it is attached to at the next look
-            self._attached.discard(number)
-            return
-        handle.get_result_async().add_done_callback(partial(self._end, symbol, number))
-
-    def _end(self, symbol: str, number: int, future: Future) -> None:
-        outcome = future.result().result
-        self._attached.discard(number)
-        if not number or not (outcome.success or outcome.status.code):  # refused, or a dead dispatcher's
-            return
-        results = {
-            name: json.dumps(value)[:LONGEST_RESULT] for name, value in json.loads(outcome.results or "{}").items()
-        }
-        self._ended.pop(number, None)
-        self._ended[number] = {
-            "number": number,
-            "symbol": symbol,
-            "success": outcome.success,
-            "message": outcome.status.message,
-            "results": results,
-        }
-        while len(self._ended) > ENDED_KEPT:
-            del self._ended[next(iter(self._ended))]
-        self._show("ended", list(self._ended.values()))
+        self._show("ended", ended)
 
     def _know(self, message: String) -> None:
         self._show("known", read_json(dict[str, Any], message.data, "/dispatcher/commands").get("commands", []))
-
-    def _diagnose(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name not in self._diagnostics and len(self._diagnostics) >= MOST_DIAGNOSTICS:
-                continue  # names that somebody makes up
-            self._diagnostics[status.name] = {
-                "name": status.name,
-                "level": int.from_bytes(status.level, "little"),
-                "message": status.message,
-            }
-        self._show("diagnostics", sorted(self._diagnostics.values(), key=lambda each: str(each["name"])))
 
     def _client(self, kind: Any, name: str) -> Client:
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name)
         return self._clients[name]
+
+
+def _heading(told: CommandState) -> dict[str, object]:
+    return {"number": int(told.command_id), "symbol": told.symbol, "message": told.message}

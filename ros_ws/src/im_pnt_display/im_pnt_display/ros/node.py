@@ -6,12 +6,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+from pydantic import BaseModel
 from rclpy.client import Client
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 
-from im_core.errors import ImError, NotFoundError
+from im_core.errors import ImError, NotFoundError, StateError
 from im_core.files import read_text, write_whole
 from im_core.names import display_file
 from im_core.ros import qos
@@ -19,17 +22,29 @@ from im_core.ros.calls import call
 from im_core.ros.latest import Latest
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main as run_main
+from im_core.text.bounded_json import read_json
 from im_msgs.msg import Firing, Marking, McsState, NetDescription, NetRefusal
-from im_msgs.srv import ControlNet
+from im_msgs.srv import ControlNet, GetObject, NetValues
 from im_pnt_display.page import messages
 from im_pnt_display.page.cell import Part
 from im_pnt_display.page.descriptions import NetDescriptions
 from im_pnt_display.page.server import DisplayServer
+from im_pnt_display.page.viewers import VALUES
 from im_pnt_display.ros.cell import CellTopics
+from im_pnt_display.ros.diagnostics import DiagnosticsTopics
 from im_pnt_display.ros.dispatcher import ANSWER_S, DispatcherClient
 
 #: /mcs repeats its state twice a second; after this silence what it said last is stale [s], and how often that is seen.
 MCS_SILENCE_S, MCS_LOOK_S = 3.0, 1.0
+
+
+#: Data objects that are shown of a place, and characters of each.
+MOST_OBJECTS, LONGEST_OBJECT = 5, 2000
+
+
+class _Breakpoints(BaseModel):
+    node: str
+    breakpoints: dict[str, list[str]]
 
 
 class DisplayNode(ManagedNode):
@@ -48,19 +63,26 @@ class DisplayNode(ManagedNode):
         self.server = DisplayServer(
             host,
             port,
-            self._wanted if control else None,
+            self._wanted,
             apart=True,
             audience=self._count_viewers,
             token=_token_of_former() if control else "",
+            operable=control,
         )
         self._mcs: Latest[McsState] | None = None
         self._drawing = ThreadPoolExecutor(1, "drawing")  # a net of 1,000 places takes more than a second
         self._undrawn: dict[tuple[str, ...], Callable[[], None]] = {}
         self._undrawn_lock = threading.Lock()
         self._descriptions = NetDescriptions()
-        self._operators: dict[str, Client] = {}
+        self._askers: dict[str, Client] = {}
+        self._object = self.create_client(GetObject, "/dom/get")
         self._cell = CellTopics(self, self._show_cell)
         self._dispatcher = DispatcherClient(self, self._show_commands)
+        self._diagnostics = DiagnosticsTopics(
+            self,
+            partial(self._show_commands, "diagnostics"),
+            lambda lines: self.server.show(self.server.state.log(lines)),
+        )
 
     def phase_configure(self) -> None:
         """Open the page and follow the nets.
@@ -76,6 +98,7 @@ class DisplayNode(ManagedNode):
         self.create_subscription(NetDescription, "/pnt/nets", self._describe, qos.LATCHED_NETS)
         self.create_subscription(Marking, "/pnt/markings", self._mark, qos.LATCHED_NETS)
         self.create_subscription(Firing, "/pnt/firings", self._fire, qos.EVENTS)
+        self.create_subscription(String, "/pnt/breakpoints", self._show_breakpoints, qos.LATCHED_MANY)
         self.create_subscription(NetRefusal, "/pnt/refusals", self._refuse, qos.LATCHED_MANY)
         self._mcs = Latest(self, McsState, "/mcs/state", qos.LATCHED, MCS_SILENCE_S, self._show_mcs)
         self.create_timer(MCS_LOOK_S, self._show_mcs, clock=self.steady_clock)
@@ -159,6 +182,11 @@ class DisplayNode(ManagedNode):
             }
             self.server.show(self.server.state.marking(message.net, marking))
 
+    def _show_breakpoints(self, message: String) -> None:
+        with self._warning("a message of /pnt/breakpoints"):
+            told = read_json(_Breakpoints, message.data, "breakpoints")
+            self.server.show(self.server.state.breakpoints(told.node, told.breakpoints))
+
     def _fire(self, message: Firing) -> None:
         with self._warning(f"a firing of net {message.net}"):
             at_s = message.stamp.sec + message.stamp.nanosec * 1e-9
@@ -190,6 +218,7 @@ class DisplayNode(ManagedNode):
     async def _attend(self, viewed: bool, cell_viewed: bool) -> None:
         """Follow the viewed parts of the machine, and nothing else."""
         self._dispatcher.follow(viewed)
+        self._diagnostics.follow(viewed)
         self._cell.follow(cell_viewed)
 
     def _wanted(self, wanted: Mapping[str, str]) -> None:
@@ -201,23 +230,48 @@ class DisplayNode(ManagedNode):
                 done = await self._dispatcher.do(request, argument)
                 self.server.show(self.server.state.answer(net, True, done))
                 return
+            if request == VALUES:
+                found = await self._find_values(net, argument)
+                self.server.show(self.server.state.values(net, argument, found))
+                return
             asked = ControlNet.Request(net=net, request=request, argument=argument)
-            answer = await call(self, self._operator(net), asked, ANSWER_S, f"{request} of net {net}")
+            answer = await call(
+                self, self._asker(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}"
+            )
         except ImError as error:
             self.server.show(self.server.state.answer(net, False, error.message))
         else:
             self.server.show(self.server.state.answer(net, answer.success, answer.message))
 
-    def _operator(self, net: str) -> Client:
-        """Return the client for the operation of a net.
+    async def _find_values(self, net: str, part: str) -> dict[str, object]:
+        """Return the values behind a part of a net, with its data objects as JSON, long ones cut.
+
+        Raises:
+            ImError: There is no such part, or nobody answered.
+        """
+        asked = NetValues.Request(net=net, part=part)
+        answer = await call(self, self._asker(net, NetValues, "net_values"), asked, ANSWER_S, f"values of net {net}")
+        if not answer.success:
+            raise StateError(answer.message)
+        found = read_json(dict[str, Any], answer.json, f"the values of net {net}")
+        objects = {}
+        for name in found.pop("objects", [])[:MOST_OBJECTS]:
+            wanted = GetObject.Request(name=name, as_json=True)
+            told = await call(self, self._object, wanted, ANSWER_S, f"data object {name} for the page")
+            objects[name] = told.json[:LONGEST_OBJECT] if told.success else told.status.message
+        return {**found, "objects": objects}
+
+    def _asker(self, net: str, kind: type, service: str) -> Client:
+        """Return the client of a service of the node that runs a net.
 
         Raises:
             NotFoundError: There is no such net.
         """
         node, _ = self._descriptions.newest(net)
-        if node not in self._operators:
-            self._operators[node] = self.create_client(ControlNet, f"{node}/control_net")
-        return self._operators[node]
+        name = f"{node}/{service}"
+        if name not in self._askers:
+            self._askers[name] = self.create_client(kind, name)
+        return self._askers[name]
 
 
 def _token_of_former() -> str:

@@ -36,6 +36,7 @@ TAGS: Mapping[type, str] = {
     events.NodeForgotten: "node_forgotten",
     events.ModeSet: "mode",
     events.PauseSet: "pause",
+    events.BreakpointSet: "breakpoint",
     jobs.JobData: "data",
     journal_entries.JobChange: "change",
     journal_entries.ActivityEnded: "ended",

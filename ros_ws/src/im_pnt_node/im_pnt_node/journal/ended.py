@@ -103,6 +103,11 @@ class EndedCommands:
         self._forget()
         return next((self[number] for number in reversed(self._known) if self._known[number].symbol == symbol), None)
 
+    def newest(self, most: int) -> list[int]:
+        """Return the numbers of the commands that ended last, the newest last."""
+        self._forget()
+        return list(self._known)[-most:]
+
     def add(self, ended: EndedCommand) -> None:
         """Keep the end of a command; on a full disk until the death of the node."""
         line = self._keep(ended)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 from im_core.errors import StateError
 from im_pnt.errors import NetError, decode_error, encode_error
+from im_pnt.execution.events import BreakpointSet
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import FiringRule
 from im_pnt.execution.jobs import NO_LINEAGE, Activity, ActivityState, Job, JobData, Lineage
@@ -49,6 +50,7 @@ def net_state(executor: Executor) -> dict[str, object]:
         **({"held": [[number, scope] for number, scope in sorted(rule.held.items())]} if rule.held else {}),
         "mode": operator.mode.value,
         "paused": operator.paused,
+        **({"breakpoints": list(executor.breakpoints)} if operator.breakpoints else {}),
     }
 
 
@@ -107,6 +109,11 @@ def _restore(executor: Executor, state: Mapping[str, object]) -> None:
     rule.notifier.sequence = sequence
     operator.set_mode(Mode(mode))
     operator.pause(paused)
+    breakpoints = state.get("breakpoints", [])
+    assert isinstance(breakpoints, list)
+    for name in breakpoints:
+        if name in executor.written.transitions:  # the net may be the successor of another one
+            executor.replay(BreakpointSet(name, True))
 
 
 def _held_of(content: object) -> tuple[int, str]:

@@ -4,7 +4,7 @@ import json
 
 from im_core.errors import DataError, ImError
 from im_pnt.errors import decode_error, encode_error
-from im_pnt.execution.events import CommandCancelled, CommandWritten, ModeSet, PauseSet
+from im_pnt.execution.events import BreakpointSet, CommandCancelled, CommandWritten, ModeSet, PauseSet
 from im_pnt.execution.jobs import JobData, Reply
 from im_pnt.execution.journal_entries import (
     ActivityEnded,
@@ -21,7 +21,7 @@ from im_pnt_node.rerun.difference import first_difference
 from im_pnt_node.rerun.stream import Turn
 
 #: Entries that arrive from outside; the others are what the net makes of them.
-Input = Delivery | CommandWritten | CommandCancelled | ModeSet | PauseSet
+Input = Delivery | CommandWritten | CommandCancelled | ModeSet | PauseSet | BreakpointSet
 #: Codes of errors whose sentences say how long something took.
 BY_TIME = frozenset(("timeout", "in_doubt"))
 

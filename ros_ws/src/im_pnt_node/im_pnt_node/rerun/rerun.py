@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from im_core import plugins
 from im_core.errors import DataError, ImError
 from im_pnt.execution.actions import CheckObjects
-from im_pnt.execution.events import ActionEnded, GuardsChanged, ObjectInvalidated
+from im_pnt.execution.events import ActionEnded, Confirmed, GuardsChanged, ObjectInvalidated
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.jobs import Activity, Reply
@@ -297,6 +297,10 @@ class NodeRerun:
         if self._progress.pump(executor) or self._strike(executor, entries):
             return True
         entry = entries.next()
+        proposed = transition_of(entry).removesuffix(".start")
+        if proposed in executor.proposed:  # that the operator confirmed it is in no journal
+            executor.post(Confirmed(proposed))
+            return self._progress.pump(executor)
         if isinstance(entry, EndFired | PhaseFired | MessageBuilt) and entry.number in self._before[executor.net.name]:
             executor.replay(entry)
             return entries.advance(entry)

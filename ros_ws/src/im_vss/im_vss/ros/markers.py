@@ -95,6 +95,9 @@ def _residuals(rank: int, entry: CameraEntry, spots: Array, residuals: Array) ->
     marker = _marker("residuals", rank, entry.frame, Marker.LINE_LIST, _LEFT)
     marker.scale.x = 0.002
     seen = np.isfinite(spots).all(axis=1) & np.isfinite(residuals).all(axis=1)
+    if seen.any():
+        rms_px = np.sqrt((residuals[seen] ** 2).sum(axis=1).mean())
+        marker.text = f"{rms_px:.3f} px rms of {seen.sum()} spots"
     predicted = spots[seen] - residuals[seen]
     for ends in zip(predicted, predicted + _RESIDUALS_TIMES * residuals[seen], strict=True):
         # the lens's share of so short a line is not worth an inversion that may fail outside of the image

@@ -1,6 +1,7 @@
 """Entries of a net: applied now, and again, in the same order, in a replay of the journal."""
 
 from im_pnt.execution.events import (
+    BreakpointSet,
     CommandCancelled,
     CommandHeld,
     CommandWritten,
@@ -104,8 +105,8 @@ def apply_entry(rule: FiringRule, entry: NetEntry) -> None:
             job = _open_job(rule, number)
             rule.ledger.tape.withdraw(job)
             rule.close(job, error)
-        case ModeSet() | PauseSet():
-            raise ValueError("mode and pause are set by the operator, not by a rule")
+        case ModeSet() | PauseSet() | BreakpointSet():
+            raise ValueError("mode, pause and breakpoints are set by the operator, not by a rule")
 
 
 def _hold_request(rule: FiringRule, request_id: str, held: bool) -> None:

@@ -67,6 +67,7 @@ export class CellView {
   take({ part, content }) {
     const [kind, ...rest] = part.split("/"), name = rest.join("/");
     if (kind === "image" || kind === "spot") { this.show(name, kind, content); return; }
+    if (rest[0] === "residuals" && content) this.show(content.frame.replace(/_optical_frame$/, ""), "residuals", content.text);
     if (!this.three) { if (!this.flat) this.waiting.push({ part, content }); return; }
     switch (kind) {
       case "robot": if (content) this.build(content); break;
@@ -188,13 +189,17 @@ export class CellView {
       const figure = document.createElement("figure"), image = document.createElement("img");
       const spot = Object.assign(document.createElement("i"), { className: "spot", hidden: true });
       image.alt = `last image of camera ${camera}`;
-      figure.append(image, spot, Object.assign(document.createElement("figcaption"), { textContent: camera }));
-      this.images.set(camera, { image, spot, at: null });
+      const caption = document.createElement("figcaption");
+      figure.append(image, spot, caption);
+      this.images.set(camera, { image, spot, caption, at: null, residuals: "" });
       this.cameras.append(figure);
     }
     const entry = this.images.get(camera);
     if (kind === "image") entry.image.src = content ?? "";
-    else entry.at = content;
+    else if (kind === "spot") entry.at = content;
+    else entry.residuals = content;
+    entry.caption.textContent = [camera, entry.at && `spot at ${entry.at.map((each) => each.toFixed(1)).join(", ")} px`,
+      entry.residuals && `residuals ${entry.residuals}`].filter(Boolean).join("; ");
     const around = () => {
       const { at, image, spot } = entry;
       spot.hidden = !at || !image.naturalWidth;

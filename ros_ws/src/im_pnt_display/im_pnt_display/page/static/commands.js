@@ -50,6 +50,7 @@ export class Commands {
   constructor(ask, say) {
     Object.assign(this, { ask, say, known: [], listed: [], operable: false });
     byId("command").addEventListener("change", () => this.fill());
+    byId("start").addEventListener("input", () => say(true, ""));  // what was refused has been changed
     byId("start").addEventListener("submit", (event) => { event.preventDefault(); this.start(); });
     byId("estop").addEventListener("click", () => ask("estop", ""));
     byId("protect").addEventListener("click", () => ask("protective_stop", ""));
@@ -97,6 +98,7 @@ export class Commands {
   }
 
   start() {
+    this.say(true, "");
     const { symbol, arguments: schema } = this.chosen(), given = {};
     try {
       for (const input of byId("arguments").querySelectorAll("input, select")) {
@@ -156,7 +158,7 @@ export class Commands {
     byId("ended").replaceChildren(...ended.toReversed().map(({ number, symbol, success, message, results }) =>
       make("li", { className: success ? "done" : "failed" },
         make("b", { textContent: `${number} ${symbol} ${success ? "done" : "failed"}` }),
-        make("p", { textContent: success ? "" : message }),
+        make("p", { textContent: message }),
         ...Object.entries(results).map(([name, value]) => make("code", { textContent: `${name}: ${value}` })))));
   }
 

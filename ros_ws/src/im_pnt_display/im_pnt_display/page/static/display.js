@@ -4,7 +4,9 @@
 // A counterexample that is played takes the place of the running nets. Of a recording &t=12.5 shows that time [s].
 import { CellView, excuse } from "/static/cell.js";
 import { Commands } from "/static/commands.js";
+import { Log } from "/static/log.js";
 import { showControls } from "/static/operate.js";
+import { Part } from "/static/part.js";
 import { Player, readCounterexample, shown } from "/static/player.js";
 import { Recording } from "/static/recording.js";
 import { Scene } from "/static/scene.js";
@@ -13,6 +15,7 @@ const KEPT = 300, REFUSALS_KEPT = 20, LISTED = 120, PLAYER = 52, READABLE = 1, W
 const byId = (id) => document.getElementById(id);
 const nets = new Map();      // name -> description with drawing
 const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, mode, paused, proposed}
+const breakpoints = new Map();  // name -> transitions that wait to be confirmed each time
 const refusals = new Map();  // name -> {message, counterexample}
 const commands = new Map();  // name -> {progress, end} of its newest command
 const firings = [];
@@ -24,14 +27,19 @@ let followed = null;
 let socket = null;
 let operable = false;        // whether this page may operate nets
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
-const scene = new Scene(byId("scene"), (key) => {
+let size = { width: 0, height: 0 };  // of the drawing's window; to ask for it would have the layout made
+const scene = new Scene(byId("scene"), (net, node) => {
   if (dragged) return;
+  const key = `${net}.${node.name}`;
   if (!page.only.delete(key)) page.only.add(key);
   refresh(page.overview);
+  if (!player.counterexample) part.open(net, node);
 });
 const player = new Player(showStep, () => show({}));
 const recording = new Recording(showMoment, take, keepPage, (message) => say(false, message));
 const desk = new Commands((request, argument) => ask("", request, argument), say);
+const log = new Log();
+const part = new Part(ask, knownOf, () => !recording.overview);
 const cell = new CellView(byId("robot"), byId("cameras"));
 
 function readPage() {
@@ -105,6 +113,7 @@ function drawn(net) {
 function drawLive() {
   scene.draw(shownNets().map((name) => drawn(nets.get(name))), page.overview ? page.only : null, aspect());
   for (const marking of markings.values()) scene.mark(marking);
+  scene.stop(breakpoints);
 }
 
 let staged = null;
@@ -200,6 +209,23 @@ function showMcs(mcs) {
   line.classList.toggle("stale", mcs.stale);
 }
 
+// What the page itself knows of a part of a net.
+function knownOf({ net, name }) {
+  const { tokens = {}, proposed = [] } = markings.get(net) ?? {};
+  return { tokens: tokens[name] ?? 0, waits: proposed.includes(name), breakpoint: (breakpoints.get(net) ?? []).includes(name),
+    firings: firings.filter((firing) => firing.net === net && firing.transition === name).slice(-3).reverse() };
+}
+
+// The breakpoints of the nets of a node; of a net that has moved to another node, those of the newest message.
+const stopped = new Map();  // node -> transitions by net
+function takeBreakpoints({ node, breakpoints: told }) {
+  for (const net of Object.keys(stopped.get(node) ?? {})) breakpoints.delete(net);
+  stopped.set(node, told);
+  for (const [net, transitions] of Object.entries(told)) breakpoints.set(net, transitions);
+  scene.stop(breakpoints);
+  nets.forEach((_, name) => listRunning(name));
+}
+
 function listRefusals() {
   byId("refusals").replaceChildren(...[...refusals.values()].map(({ net, message, counterexample }) => {
     const row = document.createElement("li");
@@ -240,10 +266,11 @@ function listNets() {
 }
 
 function listRunning(name) {
+  part.refresh(name);
   const running = byId(`running-${name}`);
   if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
   const operate = byId(`operate-${name}`);
-  if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), ask);
+  if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), breakpoints.get(name) ?? [], ask);
 }
 
 function listProgress(name) {
@@ -287,11 +314,34 @@ function listFirings() {
   }));
 }
 
-let listing = false;
-function soon() {
-  if (listing) return;
-  listing = true;
-  requestAnimationFrame(() => { listing = false; listFirings(); });
+// What has changed is drawn once a frame, however often nets fire; the list of firings less often, for nobody reads so fast.
+const LIST_MS = 100;
+const changed = new Set();  // nets with a marking that is not drawn yet
+let drawing = false, listed = 0, unlisted = false, newest = null;
+function soon(change = {}) {
+  if (change.kind === "marking") changed.add(change.net);
+  else unlisted = true;
+  if (change.kind === "firing") newest = change;
+  if (drawing) return;
+  drawing = true;
+  requestAnimationFrame(drawChanges);
+}
+
+function drawChanges(now) {
+  drawing = false;
+  const names = [...changed].filter((name) => markings.has(name));
+  changed.clear();
+  if (names.filter((name) => unfold(markings.get(name))).length) refresh(true);
+  else if (!player.counterexample) for (const name of names) scene.mark(markings.get(name));
+  names.forEach(listRunning);
+  scene.flashAll(isSeen);
+  if (newest && !moved) keepInView(newest.net, newest.transition);
+  newest = null;
+  if (!unlisted) return;
+  if (now - listed < LIST_MS) { soon(); return; }
+  unlisted = false;
+  listed = now;
+  listFirings();
 }
 
 function take(change) {
@@ -300,7 +350,11 @@ function take(change) {
       nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
       operable = change.operable && token !== null && !wrongToken;
       desk.allow(operable);
+      stopped.clear();
+      change.breakpoints.forEach(takeBreakpoints);
       cell.clear();
+      log.clear();
+      log.take(change.log);
       unfolded.clear();
       change.nets.forEach(enterNet);
       for (const marking of change.markings) { markings.set(marking.net, marking); unfold(marking); }
@@ -317,6 +371,9 @@ function take(change) {
       enterNet(recording.overview.drawings[change.drawing]); refresh(true);
       break;
     case "mcs": showMcs(change); break;
+    case "breakpoints": takeBreakpoints(change); break;
+    case "log": log.take(change.lines); break;
+    case "values": part.take(change); break;
     case "commands": desk.take(change); break;
     case "cell": cell.take(change); break;
     case "net": enterNet(change); dropRefusal(change.net); refresh(true); break;
@@ -328,9 +385,7 @@ function take(change) {
       break;
     case "marking":
       markings.set(change.net, change);
-      if (unfold(change)) refresh(true);
-      else if (!player.counterexample) scene.mark(change);
-      listRunning(change.net);
+      soon(change);
       break;
     case "refusal":
       refusals.delete(change.net);
@@ -349,11 +404,10 @@ function take(change) {
       firings.push(change);
       if (firings.length > KEPT) firings.shift();
       noteCommand(change);
-      soon();
+      soon(change);
       if (player.counterexample) break;
       if (!page.nets.size && !page.overview && followed !== change.net && follow() === change.net) show({});
       scene.flash(change);
-      if (!moved) keepInView(change.net, change.transition);
   }
 }
 
@@ -389,7 +443,7 @@ async function connect() {
     document.body.classList.toggle("lost", !yes);
   };
   socket.onopen = () => connected(true);
-  socket.onmessage = (event) => take(JSON.parse(event.data));
+  socket.onmessage = (event) => { for (const line of event.data.split("\n")) take(JSON.parse(line)); };
   socket.onclose = () => { connected(false); setTimeout(connect, 1000); };
   const attempt = socket;
   setTimeout(() => { if (attempt.readyState === WebSocket.CONNECTING) attempt.close(); }, CONNECT_MS);
@@ -423,9 +477,15 @@ function hold() {
   view.y = within(view.y, box.height, height * view.scale);
 }
 
+// Whether a place of the drawing is in the window.
+function isSeen({ x, y }) {
+  const { width, height } = size, u = view.x + x * view.scale, v = view.y + y * view.scale;
+  return u > -50 && v > -50 && u < width + 50 && v < height + 50;
+}
+
 // Moves the view to a part of a net that is outside its middle.
 function keepInView(net, name) {
-  const at = scene.spots.get(`${net}.${name}`), box = canvas.getBoundingClientRect();
+  const at = scene.spots.get(`${net}.${name}`), box = size;
   if (!at || player.counterexample) return;
   const x = view.x + at.x * view.scale, y = view.y + at.y * view.scale;
   if (x > 0.15 * box.width && x < 0.85 * box.width && y > 0.15 * box.height && y < 0.85 * box.height) return;
@@ -505,7 +565,7 @@ byId("follow").addEventListener("click", () => show({ nets: new Set(), overview:
 byId("all").addEventListener("click", () => show({ nets: new Set(["all"]), overview: false }));
 byId("clear").addEventListener("click", () => show({ only: new Set(), overview: false }));
 byId("overview").addEventListener("click", () => show({ overview: !page.overview && page.only.size > 0 }));
-new ResizeObserver(() => { if (!moved) settle(); }).observe(canvas);
+new ResizeObserver(([{ contentRect }]) => { size = contentRect; if (!moved) settle(); }).observe(canvas);
 addEventListener("hashchange", () => {
   show(readPage());
   look();

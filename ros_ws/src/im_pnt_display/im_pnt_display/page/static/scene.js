@@ -1,5 +1,6 @@
 // The drawing: nets as SVG with tokens, running transitions, flashes of firings, and arcs traced under the pointer.
 const SVG = "http://www.w3.org/2000/svg";
+const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 const GAP = 28, TITLE = 44, RADIUS = 11, REFERENCE = 6.5, LINE = 12;
 
 function make(name, attributes, parent, text) {
@@ -102,6 +103,8 @@ export class Scene {
     this.between = [];         // {line, net, transition}
     this.spots = new Map();    // "net.name" -> node, with its place in the whole
     this.extent = { width: 1, height: 1 };
+    this.flashes = new Map();  // "net.name" -> {group, failed}, of this frame
+    this.due = null;
   }
 
   draw(nets, picked, aspect) {
@@ -157,6 +160,7 @@ export class Scene {
       make("rect", { x: node.x - left, y: node.y - height / 2, width: 2 * left, height, rx: 3 }, group);
       if (inner) make("rect", { x: node.x - left + inner, y: top, width: 2 * (left - inner), height: height - 2 * inner,
         rx: 3 }, group);
+      make("circle", { class: "stop", cx: node.x - left, cy: node.y - height / 2, r: 5 }, group);
       make("text", { x: node.x, y: top + 15, "text-anchor": "middle" }, group, node.label);
       node.notes.forEach((note, line) => make("text", { class: /^[?!]/.test(note) ? "note tape" : "note", x: node.x,
         y: top + 15 + LINE * (line + 1), "text-anchor": "middle" }, group, note));
@@ -164,12 +168,13 @@ export class Scene {
       const radius = node.kind === "reference" ? REFERENCE : RADIUS;
       make("circle", { class: "rim", cx: node.x, cy: node.y, r: radius }, group);
       token = make("g", { class: "token" }, group);
+      make("circle", { cx: node.x, cy: node.y, r: node.kind === "reference" ? 3 : 5 }, token);
       make("text", { x: node.x + radius + 4, y: node.y + (node.notes.length ? 1 : 4) }, group, node.label);
       node.notes.forEach((note, line) =>
         make("text", { class: "note", x: node.x + radius + 5, y: node.y + LINE * (line + 1) }, group, note));
     }
-    group.addEventListener("click", () => this.onPick(`${net}.${node.name}`));
-    group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(`${net}.${node.name}`); });
+    group.addEventListener("click", () => this.onPick(net, node));
+    group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(net, node); });
     group.addEventListener("pointerenter", () => this.trace(net, node, true));
     group.addEventListener("pointerleave", () => this.trace(net, node, false));
     return { group, node, token };
@@ -187,25 +192,35 @@ export class Scene {
       if (of === net && (same.has(arc.source) || same.has(arc.target))) line.classList.toggle("traced", on);
   }
 
-  mark({ net, tokens, active, cancelling, in_doubt }) {
-    const drawn = (names) => new Set(names.map((name) => this.part(net, name) || name));
-    const running = drawn(active), ending = drawn(cancelling), doubtful = drawn(in_doubt);
-    for (const { group, node, token } of (this.nodes.get(net) || new Map()).values()) {
+  mark({ net, tokens, active, cancelling, in_doubt, proposed }) {
+    const parts = (names) => new Set((names || []).map((name) => this.part(net, name) || name));
+    const running = parts(active), ending = parts(cancelling), doubtful = parts(in_doubt), waiting = parts(proposed);
+    for (const drawn of (this.nodes.get(net) || new Map()).values()) {
+      const { group, node, token } = drawn;
+      const now = token ? tokens[node.place] || 0
+        : [running, ending, doubtful, waiting].map((names) => Number(names.has(node.name))).join("");
+      if (drawn.shown === now) continue;  // most of a large net is as it was
+      drawn.shown = now;
       if (!token) {
         group.classList.toggle("active", running.has(node.name));
         group.classList.toggle("cancelling", ending.has(node.name));
         group.classList.toggle("doubt", doubtful.has(node.name));
+        group.classList.toggle("waits", waiting.has(node.name));
         continue;
       }
-      const count = tokens[node.place] || 0;
-      group.classList.toggle("marked", count > 0);
-      token.replaceChildren();
-      const radius = node.kind === "reference" ? 3 : 5;
-      if (count === 1) make("circle", { cx: node.x, cy: node.y, r: radius }, token);
-      else if (count > 1) make("text", { x: node.x, y: node.y + 4, "text-anchor": "middle" }, token, count);
+      group.classList.toggle("marked", now > 0);
+      group.classList.toggle("one", now === 1);  // a dot that is hidden and seen moves no other part: no new layout
+      token.querySelector("text")?.remove();
+      if (now > 1) make("text", { x: node.x, y: node.y + 4, "text-anchor": "middle" }, token, now);
     }
     for (const link of this.between)
       if (link.net === net) link.line.classList.toggle("live", running.has(link.transition));
+  }
+
+  // Marks the breakpoints: transitions by net.
+  stop(breakpoints) {
+    for (const [net, nodes] of this.nodes)
+      for (const { group, node } of nodes.values()) group.classList.toggle("stops", (breakpoints.get(net) ?? []).includes(node.name));
   }
 
   firstMarked() {
@@ -222,11 +237,23 @@ export class Scene {
   }
 
   flash({ net, transition, phase }) {
-    const found = this.nodes.get(net)?.get(this.part(net, transition));
+    const part = this.part(net, transition), found = this.nodes.get(net)?.get(part);
     if (!found) return;
-    found.group.classList.remove("fired", "failed");
-    found.group.getBoundingClientRect();
-    found.group.classList.add(phase === "FAILED" ? "failed" : "fired");
+    this.flashes.set(`${net}.${part}`, { group: found.group, failed: phase === "FAILED" });
+    this.due ??= requestAnimationFrame(() => this.flashAll(() => true));
+  }
+
+  // Shows the noted flashes of the parts that are seen. Classes that animate would have the layout made anew to begin again.
+  flashAll(isSeen) {
+    cancelAnimationFrame(this.due);
+    this.due = null;
+    for (const [key, { group, failed }] of this.flashes) {
+      const box = group.querySelector("rect");
+      if (STILL.matches || !box || !isSeen(this.spots.get(key)) || (!failed && group.classList.contains("active"))) continue;
+      for (const animation of box.getAnimations()) animation.cancel();
+      box.animate([{ fill: failed ? "var(--bad)" : "#7cc98a" }, {}], failed ? 1600 : 900);
+    }
+    this.flashes.clear();
   }
 
   flashPart(net, name) {

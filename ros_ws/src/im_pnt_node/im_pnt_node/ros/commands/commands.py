@@ -30,6 +30,7 @@ from im_pnt_node.ros.objects.scopes import CommandScopes
 
 ANSWER_S = 3.0
 """How long who cancels, pauses or operates waits for a journal that cannot be written [s]."""
+NOT_OBEYED = "it was asked to end early, and its net went on to the end all the same"
 MOST_EVENTS = 5
 """Events that are told with the failure of a command."""
 
@@ -416,9 +417,11 @@ class Commands:
         def closed(result: CommandResult) -> None:
             events = self._events.pop(number, [])
             ended = _ended(number, symbol, _explained(_tellable(symbol, result), events))
+            if ended.success and number in self._open and self._open[number].job.cancelled:
+                ended.message = NOT_OBEYED
             outcome = _outcome(ended)
             self.ended.add(ended)
-            how = "done" if ended.success else f"failed: {ended.message}"
+            how = ": ".join(filter(None, ("done" if ended.success else "failed", ended.message)))
             self._node.get_logger().info(f"command {number}: {symbol} {how}")
             self._open.pop(number, None)
             self._listeners.pop(number, None)

@@ -1,21 +1,33 @@
-"""The operator of a node's nets: service ``/<node>/control_net``."""
+"""The operator of a node's nets: service ``/<node>/control_net``; and the values: ``/<node>/net_values``."""
 
+import json
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any
 
 from im_core.errors import ImError, NotFoundError, StateError
 from im_core.ros.node import ManagedNode
-from im_msgs.srv import ControlNet
-from im_pnt.execution.events import Answer, Answered, Confirmed, Event, ModeSet, Outcome, PauseSet, StepAsked
+from im_msgs.srv import ControlNet, NetValues
+from im_pnt.execution.events import (
+    Answer,
+    Answered,
+    BreakpointSet,
+    Confirmed,
+    Event,
+    ModeSet,
+    Outcome,
+    PauseSet,
+    StepAsked,
+)
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import ActivityState
 from im_pnt.execution.operator import Mode
+from im_pnt.execution.token_values import values_of
 
-REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve")
+REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve", "break", "clear")
 
 
 class ControlService:
-    """Service for the operator of a net.
+    """Services for the operator of a net.
 
     Args:
         node: The node.
@@ -32,6 +44,7 @@ class ControlService:
     ) -> None:
         self._nets, self._on_file = nets, on_file
         node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control)
+        node.create_service(NetValues, f"/{node.task_name}/net_values", self._values)
 
     async def _control(self, request: Any, response: Any) -> Any:
         try:
@@ -47,6 +60,14 @@ class ControlService:
         paused = ", paused" if executor.paused else ""
         marked = ", ".join(f"{place}={count}" for place, count in executor.marking().items())
         response.state = f"{executor.operator.mode}{paused}: {marked}"
+        return response
+
+    def _values(self, request: NetValues.Request, response: NetValues.Response) -> NetValues.Response:
+        try:
+            response.json = json.dumps(values_of(self._net(request.net), request.part))
+            response.success = True
+        except ImError as error:
+            response.message = error.message
         return response
 
     def _net(self, name: str) -> Executor:
@@ -79,6 +100,12 @@ def _event(executor: Executor, request: str, argument: str) -> Event:
             return Confirmed(_proposed(executor.net.name, executor.proposed, argument))
         case "resolve":
             return _resolution(executor, argument)
+        case "break" | "clear":
+            if argument not in executor.written.transitions:
+                raise NotFoundError(kind="transition", name=argument, known=executor.written.transitions)
+            if request == "clear" and argument not in executor.breakpoints:
+                raise NotFoundError(kind="breakpoint", name=argument, known=executor.breakpoints)
+            return BreakpointSet(argument, request == "break")
     raise NotFoundError(kind="request to a net", name=request, known=REQUESTS)
 
 

@@ -22,10 +22,15 @@ from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, ListCommands
 from im_pnt.execution.executor import Executor
+from im_pnt.execution.token_values import shown_values
 from im_pnt.model.net import Net
+from im_pnt_node.journal.ended import EndedCommand
 from im_pnt_node.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 
 LOOK_S = 0.1
+
+#: Commands that have ended, as told with those under way.
+ENDED_TOLD = 10
 
 #: Priorities that a client may add to what a command declares.
 PRIORITIES = range(-10, 11)
@@ -67,6 +72,7 @@ class ExecuteServer:
         )
         node.create_service(ListCommands, f"/{node.task_name}/list_commands", self._list_open)
         node.create_service(ControlCommand, f"/{node.task_name}/control_command", self._control_command)
+        self._ended: dict[int, CommandState] = {}
         self.tell()
 
     def tell(self) -> None:
@@ -81,6 +87,9 @@ class ExecuteServer:
     def _list_open(self, _: ListCommands.Request, response: ListCommands.Response) -> ListCommands.Response:
         response.commands = [self._state(command) for command in self._commands.open()]
         response.last = self._commands.last
+        ended, told = self._commands.ended, self._ended
+        self._ended = {n: told.get(n) or _end_of(ended[n]) for n in ended.newest(ENDED_TOLD)}
+        response.ended = list(self._ended.values())
         return response
 
     def _state(self, command: OpenCommand) -> CommandState:
@@ -196,6 +205,17 @@ class ExecuteServer:
         else:
             goal.abort()
         return result
+
+
+def _end_of(ended: EndedCommand) -> CommandState:
+    return CommandState(
+        command_id=ended.number,
+        symbol=ended.symbol,
+        state="done" if ended.success else "failed",
+        progress=1.0 if ended.success else -1.0,
+        message=ended.message,
+        results=json.dumps(shown_values(ended.results)),
+    )
 
 
 def commands_of(net: Net) -> list[dict[str, object]]:

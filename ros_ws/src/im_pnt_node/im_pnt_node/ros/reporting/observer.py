@@ -81,6 +81,8 @@ class NodeObserver(Observer):
         """Publish a choice among strategies."""
         self.publisher.chose(net, probabilities, entropy, taken)
 
-    def operated(self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...]) -> None:
+    def operated(
+        self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]
+    ) -> None:
         """Has the marking shown anew."""
         self.publisher.changed(net)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from builtin_interfaces.msg import Time
 from rclpy.publisher import Publisher
+from std_msgs.msg import String
 
 from im_core.clock import monotonic
 from im_core.ros import qos
@@ -28,7 +29,7 @@ GONE_S = 60.0
 
 
 class PntPublisher:
-    """Publisher of ``/pnt/firings``, ``/pnt/markings``, ``/pnt/strategies``, ``/pnt/nets``.
+    """Publisher of ``/pnt/firings``, ``/pnt/markings``, ``/pnt/strategies``, ``/pnt/nets``, ``/pnt/breakpoints``.
 
     What was fired is published when the turn of the loop is over, so that nobody who waits for a token waits for it; of
     markings that follow each other quickly only the last one is. Each net has its own latched publisher of markings, so
@@ -44,6 +45,8 @@ class PntPublisher:
         self._firings = node.create_publisher(FiringMessage, "/pnt/firings", qos.EVENTS)
         self._choices = node.create_publisher(StrategyChoice, "/pnt/strategies", qos.EVENTS)
         self._refusals = node.create_publisher(NetRefusal, "/pnt/refusals", qos.LATCHED_MANY)
+        self._breakpoints = node.create_publisher(String, "/pnt/breakpoints", qos.LATCHED)
+        self._breakpoints_told: dict[str, list[str]] = {}
         self._markings: dict[str, Publisher] = {}
         self._descriptions: dict[str, Publisher] = {}
         self._going: dict[str, Alarm] = {}
@@ -93,6 +96,7 @@ class PntPublisher:
         def of(*states: ActivityState) -> list[str]:
             return sorted({activity.transition for activity in activities if activity.state in states})
 
+        self._tell_breakpoints(name, executor.breakpoints)
         if name not in self._markings:
             self._markings[name] = self._node.create_publisher(MarkingMessage, "/pnt/markings", qos.LATCHED)
         self._markings[name].publish(
@@ -110,6 +114,15 @@ class PntPublisher:
                 proposed=list(executor.proposed),
             )
         )
+
+    def _tell_breakpoints(self, net: str, breakpoints: Sequence[str]) -> None:
+        """Publish the breakpoints of all nets of the node, if those of a net have changed: JSON, transitions by net."""
+        if list(breakpoints) == self._breakpoints_told.get(net, []):
+            return
+        self._breakpoints_told[net] = list(breakpoints)
+        told = {name: each for name, each in self._breakpoints_told.items() if each}
+        content = {"node": self._node.get_fully_qualified_name(), "breakpoints": told}
+        self._breakpoints.publish(String(data=json.dumps(content)))
 
     def chose(self, net: str, probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
         """Publish a choice among strategies."""
@@ -139,6 +152,7 @@ class PntPublisher:
     def withdrawn(self, net: str) -> None:
         """Publish the removal of a net, as a description without content, kept for late subscribers for a minute."""
         self._descriptions[net].publish(NetDescription(net=net, node=self._node.get_fully_qualified_name()))
+        self._tell_breakpoints(net, ())
         self._going[net] = self._node.alarms.after(GONE_S, lambda: self._forget(net))
 
     def _forget(self, net: str) -> None:
