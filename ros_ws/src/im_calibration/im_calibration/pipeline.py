@@ -19,7 +19,7 @@ from im_calibration.judgement.agreement import CameraAgreement, camera_agreement
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
 from im_calibration.judgement.causes import find_cause, find_slip
 from im_calibration.judgement.checks import Checks, check
-from im_calibration.judgement.expected import expected_error
+from im_calibration.judgement.expected import expected_error, image_error
 from im_calibration.judgement.lenses import LensFault, lens_faults
 from im_calibration.judgement.neighbours import Neighbours, compare_neighbours
 from im_calibration.judgement.noise import UNLIKELY, Noise, noise_of
@@ -181,6 +181,10 @@ def _describe(
         verdicts=(),
         arm_error_m=0.0 if problem.arm_error is None else problem.arm_error.standard_deviation,
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
+        images=tuple(
+            image_error(unknowns, camera.covariance, c, camera.model, robot_positions[used[c]])
+            for c, camera in enumerate(cameras)
+        ),
         checks=checks,
         scale=_scale(problem, unknowns, covariance.matrix, used),
         noise=noise,

@@ -261,3 +261,12 @@ def test_a_spoilt_bag_is_one_sentence(plugin, tmp_path, capsys):
     assert run(tmp_path / "none", tmp_path / "out.json", "--poses", "/tool") == command.BAD_INPUT
     assert f"{tmp_path / 'none'}: cannot be read: " in capsys.readouterr().err
     assert run(data, tmp_path / "out.json", "--poses", "/tool", "--image-size", "640x480") == command.OK
+
+
+def test_successive_poses_that_are_the_same_are_one_reading(tmp_path):
+    same = [("/tool", pose(t, TOOLS[k // 3], TURNS[k // 3])) for k, t in enumerate(times())]
+    target, sized = tmp_path / "out.json", ["--poses", "/tool", "--image-size", "640x480"]
+    assert run(write(tmp_path / "bag", same + spots()), target, *sized) == command.OK
+    assert load_problems(target)[0].readings == tuple("111222333444")
+    assert run(write(tmp_path / "other", poses() + spots()), target, *sized) == command.OK
+    assert load_problems(target)[0].readings == ()

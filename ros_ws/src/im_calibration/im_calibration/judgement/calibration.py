@@ -7,6 +7,7 @@ import scipy
 from numpy.typing import NDArray
 
 from im_calibration.judgement.checks import Checks
+from im_calibration.judgement.expected import ImageError
 from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
@@ -108,6 +109,7 @@ class Calibration:
         rejections: What was left out, and why.
         verdicts: Reasons not to trust the result; empty for a good one.
         expected: Errors to expect in the workspace.
+        images: Errors to expect over the image of each camera.
         checks: How well parts of the data predict each other.
         scale: What known lengths say about the robot's scale; None without any.
         noise: What is known about the noise.
@@ -136,6 +138,7 @@ class Calibration:
     rejections: tuple[Rejection, ...]
     verdicts: tuple[Verdict, ...]
     expected: CalibrationError
+    images: tuple[ImageError, ...]
     checks: Checks
     scale: Scale | None
     noise: Noise
@@ -215,7 +218,9 @@ class Calibration:
         if any(self.neighbours.clause in verdict.reason for verdict in self.verdicts):
             pattern = ""  # said there, as one reason with the lens
         missing = " ".join(f"Left out: {each.reason} {each.advice}" for each in self.left_out)
-        parts = (self._outcome, missing, f"{condition}{self.noise.remark}", arm, pattern)
+        known = zip(self.cameras, self.images, strict=True)
+        rims = " ".join(f"{camera.name}: {image.told}." for camera, image in known if image.told and self.usable)
+        parts = (self._outcome, rims, missing, f"{condition}{self.noise.remark}", arm, pattern)
         return " ".join(text for text in parts if text)
 
     @property

@@ -1,4 +1,4 @@
-"""Errors to expect in the workspace, from the covariance alone: the user's errors, without known truth."""
+"""Errors to expect in workspace and images, from the covariance alone: the user's errors, without known truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +8,103 @@ from numpy.typing import NDArray
 
 from im_calibration.estimation.projection import project
 from im_calibration.estimation.unknowns import Unknowns
-from im_cell.calibration_error import CalibrationError
+from im_cell.calibration_error import CalibrationError, rms
+from im_cell.camera_model import CameraModel
 from im_cell.workspace import Workspace
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
+
+_COLUMNS, _ROWS = 13, 9
+_RIM_RATIO, _RIM_PX = 3.0, 0.5
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """Errors to expect of one camera over its image, at the distance of the spots.
+
+    Attributes:
+        u: Columns of a grid over the image, edges included, shape (k,) [px].
+        v: Rows of it, shape (m,) [px].
+        expected_px: Standard deviation of a projection there, NaN where the lens folds the image, shape (m, k).
+        at_spots_px: The same where the spots are, RMS.
+    """
+
+    u: Array
+    v: Array
+    expected_px: Array
+    at_spots_px: float
+
+    @property
+    def largest_px(self) -> float:
+        """Largest of the errors [px]; infinite where the lens folds the image."""
+        return float(np.nan_to_num(self.expected_px, nan=np.inf).max())
+
+    @property
+    def limit_px(self) -> float:
+        """Largest error that is like that at the spots [px]."""
+        return max(_RIM_RATIO * self.at_spots_px, _RIM_PX)
+
+    @property
+    def region(self) -> tuple[float, float, float, float]:
+        """Rectangle with errors like those at the spots: least and largest u, least and largest v; or NaN [px]."""
+        good = self.expected_px <= self.limit_px
+        left, right, top, bottom = 0, len(self.u), 0, len(self.v)
+        while left < right and top < bottom and not (inner := good[top:bottom, left:right]).all():
+            sides = [inner[:, 0].mean(), inner[:, -1].mean(), inner[0].mean(), inner[-1].mean()]
+            worst = int(np.argmin(sides))  # the side with most that is not good
+            left, right = left + (worst == 0), right - (worst == 1)
+            top, bottom = top + (worst == 2), bottom - (worst == 3)
+        if left >= right or top >= bottom:
+            return float("nan"), float("nan"), float("nan"), float("nan")
+        return float(self.u[left]), float(self.u[right - 1]), float(self.v[top]), float(self.v[bottom - 1])
+
+    @property
+    def told(self) -> str:
+        """Clause on a rim of the image where the camera is known far less well; empty if there is none."""
+        if self.largest_px <= self.limit_px:
+            return ""
+        most = f"up to {self.largest_px:.2g} px" if np.isfinite(self.largest_px) else "anything"
+        left, right, top, bottom = self.region
+        within = f"u {left:.0f} to {right:.0f}, v {top:.0f} to {bottom:.0f}"
+        return (
+            f"expect {self.at_spots_px:.2g} px where the spots are, and {most} at the rim of the image; "
+            f"below {self.limit_px:.2g} px within {within}"
+        )
+
+
+def image_error(unknowns: Unknowns, covariance: Array, c: int, model: CameraModel, points: Array) -> ImageError:
+    """Propagate the covariance of a camera to its whole image, to first order.
+
+    Args:
+        unknowns: The estimate.
+        covariance: Covariance of the parameters of the camera, shape (k, k).
+        c: Which camera.
+        model: The same camera.
+        points: Where it saw the LED, shape (n, 3) [m].
+    """
+
+    def expected(where: Array) -> Array:
+        by_camera = project(unknowns, where)[2][c]
+        return np.asarray(np.sqrt(np.einsum("mij,jk,mik->m", by_camera, covariance, by_camera)))
+
+    u, v = np.linspace(0.0, model.width - 1.0, _COLUMNS), np.linspace(0.0, model.height - 1.0, _ROWS)
+    depth = float(np.median(points @ model.R_cam_base[2] + model.t_cam_base[2])) if len(points) else 1.0
+    grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    ideal = np.column_stack((_undistorted(model, grid), np.ones(len(grid))))
+    over_image = expected((depth * ideal - model.t_cam_base) @ model.R_cam_base)
+    return ImageError(u, v, over_image.reshape(_ROWS, _COLUMNS), rms(expected(points)))
+
+
+def _undistorted(model: CameraModel, pixels: Array) -> Array:
+    """Return ideal points of pixels, NaN where the lens folds the image, shape (n, 2)."""
+    try:
+        return model.undistort(pixels)
+    except DataError:
+        if len(pixels) == 1:
+            return np.full_like(pixels, np.nan)
+        half = len(pixels) // 2
+        return np.concatenate((_undistorted(model, pixels[:half]), _undistorted(model, pixels[half:])))
 
 
 @dataclass(frozen=True)

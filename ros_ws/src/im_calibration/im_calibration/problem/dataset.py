@@ -203,7 +203,9 @@ class DataSet(_Section):
             led_offset_nominal=_place(self.led_offset_nominal_m),
             joint_offset_prior_sd=joint_prior,
             joint_jacobians=self.J_joint if joint_prior else None,
-            workspace=_box(trial.x_base_m) if self.workspace_m is None else Workspace(*map(_place, self.workspace_m)),
+            workspace=_box_around(trial.x_base_m)
+            if self.workspace_m is None
+            else Workspace(*map(_place, self.workspace_m)),
             pose_names=self.pose_names or (),
             readings=self.reading or (),
             lengths=self._lengths(trial),
@@ -357,7 +359,7 @@ def _placed(place: str, error: DataError) -> DataError:
     return placed
 
 
-def _box(positions: Array) -> Workspace:
+def _box_around(positions: Array) -> Workspace:
     """Box of most positions: errors are predicted where data are, which a file says nothing else about."""
     if not len(positions):
         return Workspace()

@@ -86,8 +86,13 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
         axes.plot(*problem.spots[c][calibration.used[c]].T, "o", color=USED, markersize=4, label="used")
         left_out = problem.spots[c][_left_out(calibration, problem, c)]
         axes.plot(*left_out.T, "x", color=REJECTED, markersize=6, label="rejected")
+        image = calibration.images[c]
+        levels = np.unique(np.array([1.5, 3.0, 10.0, 30.0, 100.0]) * image.at_spots_px)
+        if len(levels) == 5:
+            lines = axes.contour(image.u, image.v, image.expected_px, levels=levels, colors=NOISE, linewidths=0.8)
+            axes.clabel(lines, fmt="%.2g px", fontsize=7)
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-        _title(axes, f"{camera.name}: {camera.spots_used} spots in the image")
+        _title(axes, f"{camera.name}: {camera.spots_used} spots in the image, and errors to expect")
         _grid(axes)
         if c == 0:
             axes.legend(fontsize=8, loc="upper right", framealpha=0.9)

@@ -10,6 +10,7 @@ from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.estimation.unknowns import camera_parameters
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
 from im_calibration.judgement.checks import Checks
+from im_calibration.judgement.expected import ImageError
 from im_calibration.judgement.neighbours import Neighbours
 from im_calibration.judgement.noise import Noise
 from im_calibration.judgement.scale import Scale
@@ -43,7 +44,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             for r in calibration.rejections
         ],
         "points_not_seen": undetected,
-        "cameras": [_camera(camera) for camera in calibration.cameras],
+        "cameras": [_camera(*each) for each in zip(calibration.cameras, calibration.images, strict=True)],
         "led_offset_nominal_m": numbers(nominal),
         "led_offset_prior_sd_m": problem.led_offset_prior_sd,
         "led_offset_m": numbers(nominal + calibration.led_offset_error),
@@ -105,7 +106,7 @@ def _noise(noise: Noise) -> dict[str, Any]:
     }
 
 
-def _camera(camera: CameraEstimate) -> dict[str, Any]:
+def _camera(camera: CameraEstimate, image: ImageError) -> dict[str, Any]:
     model = camera.model
     return {
         "name": camera.name,
@@ -122,6 +123,13 @@ def _camera(camera: CameraEstimate) -> dict[str, Any]:
             zip(camera_parameters(model.lens), numbers(camera.standard_deviations), strict=True)
         ),
         "covariance": [numbers(row) for row in camera.covariance],
+        "image_error": {
+            "u_px": numbers(image.u),
+            "v_px": numbers(image.v),
+            "expected_px": [numbers(row) for row in image.expected_px],
+            "at_spots_px": number(image.at_spots_px),
+            "holds_within_u_u_v_v_px": numbers(image.region),
+        },
     }
 
 

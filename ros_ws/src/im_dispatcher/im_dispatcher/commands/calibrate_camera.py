@@ -239,7 +239,7 @@ class CalibrateCamera:
         await self.note_failure(ctx)
 
     async def report_failure(self, ctx: ActionContext) -> None:
-        """Write the report of a failed command, and what was observed."""
+        """Write the report of a failed command, and its observations."""
         reason = str(ctx.memory.get("reason") or _reason(ctx))
         ctx.result["message"] = reason
         self._expected = None
@@ -273,7 +273,7 @@ class CalibrateCamera:
         return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
-        """Write what was observed so far, if anything, as the calibration would have."""
+        """Write the observations so far, if any, in the format of a calibration."""
         observed: list[Mapping[str, object]] = []
         for number in range(1, _loop(ctx).taken + 1):
             with contextlib.suppress(NotFoundError):
