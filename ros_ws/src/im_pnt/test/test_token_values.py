@@ -59,3 +59,14 @@ def test_a_transition_tells_what_it_was_answered_last_for_each_job():
     net.rule.ledger.jobs()[0].replies["act"] = {"path": "p"}
     (answer,) = values_of(net, "act")["answers"]
     assert (answer["command"], answer["answer"]) == (1, {"path": '"p"'})
+
+
+def test_a_subnet_tells_what_runs_within():
+    made = Process([parse_net(NET.replace("  act:", "  cell.act:"))], {"f": hold})
+    made.command("n", "go")
+    net = made.exchange.nets["n"]
+    (action,) = values_of(net, "cell")["running"]
+    assert action["does"] == "function f"
+    assert values_of(net, "cell.act")["running"] == [
+        action | {"lasts": values_of(net, "cell.act")["running"][0]["lasts"]}
+    ]

@@ -19,7 +19,7 @@ def values_of(executor: Executor, part: str) -> dict[str, object]:
 
     Args:
         executor: The net.
-        part: Place or transition; of an action the transition as written.
+        part: Place, transition or subnet; of an action the transition as written.
 
     Returns:
         ``tokens``, of a place: for each the job (command, symbol, arguments, results, what failed last), nothing for a
@@ -40,10 +40,14 @@ def values_of(executor: Executor, part: str) -> dict[str, object]:
             jobs = {id(lineage.job): lineage.job for lineage in queue}
             told["objects"] = sorted({rule.object_name(stands_for, job) for job in jobs.values()})
         return told
-    if part in executor.written.transitions or part in net.transitions:
-        running = [_action(each) for each in executor.activities if each.transition == part]
+    inside = [name for name in executor.written.transitions if name == part or name.startswith(f"{part}.")]
+    if inside or part in net.transitions:
+        running = [_action(each) for each in executor.activities if each.transition in inside]
         answers = [
-            {**_job(job), "answer": shown_values(job.replies[part])} for job in executor.jobs() if part in job.replies
+            {**_job(job), "answer": shown_values(job.replies[name])}
+            for job in executor.jobs()
+            for name in inside
+            if name in job.replies
         ]
         return {"running": running[:MOST], "answers": answers[:MOST]}
     raise NotFoundError(

@@ -335,7 +335,7 @@ function drawChanges(now) {
   else if (!player.counterexample) for (const name of names) scene.mark(markings.get(name));
   names.forEach(listRunning);
   scene.flashAll(isSeen);
-  if (newest && !moved) keepInView(newest.net, newest.transition);
+  if (newest && !moved) keepInView(newest.net, scene.part(newest.net, newest.transition));
   newest = null;
   if (!unlisted) return;
   if (now - listed < LIST_MS) { soon(); return; }
@@ -464,8 +464,9 @@ function settle() {
 // Where the eye belongs: the newest firing, else the first marked place of the nets that are shown.
 function focus() {
   const names = shownNets();
-  const fired = firings.findLast(({ net, transition }) => names.includes(net) && scene.spots.has(`${net}.${transition}`));
-  if (fired) return scene.spots.get(`${fired.net}.${fired.transition}`);
+  const drawn = ({ net, transition }) => scene.spots.get(`${net}.${scene.part(net, transition)}`);
+  const fired = firings.findLast((firing) => names.includes(firing.net) && drawn(firing));
+  if (fired) return drawn(fired);
   return scene.firstMarked() ?? { x: scene.extent.width / 2, y: 0 };
 }
 

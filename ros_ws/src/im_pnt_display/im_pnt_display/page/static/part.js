@@ -33,7 +33,7 @@ export class Part {
   }
 
   open(net, node) {
-    this.at = { net, name: node.place || node.name, isPlace: node.kind !== "transition" };
+    this.at = { net, name: node.place || node.name, isPlace: node.kind !== "transition", subnet: Boolean(node.subnet) };
     byId("part").hidden = false;
     byId("part-name").textContent = `${net}.${this.at.name}`;
     byId("part-values").replaceChildren();
@@ -48,10 +48,10 @@ export class Part {
   // Shows what is known, and asks for the rest; called with each change of a net.
   refresh(net) {
     if (this.at?.net !== net) return;
-    const { tokens, waits, breakpoint, firings } = this.known(this.at), { isPlace } = this.at;
+    const { tokens, waits, breakpoint, firings } = this.known(this.at), { isPlace, subnet } = this.at;
     byId("part-state").textContent = isPlace ? `${tokens} token${tokens === 1 ? "" : "s"}`
       : [waits && "waits to be confirmed", breakpoint && "breakpoint"].filter(Boolean).join(", ");
-    byId("part-break").hidden = isPlace || !this.live();
+    byId("part-break").hidden = isPlace || subnet || !this.live();
     byId("part-break").textContent = breakpoint ? "clear the breakpoint" : "break before it";
     byId("part-go").hidden = !waits;
     byId("part-firings").replaceChildren(...firings.map(({ time, phase, duration, message }) => make("li",
