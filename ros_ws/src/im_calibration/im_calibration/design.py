@@ -201,7 +201,8 @@ class PoseFile(Model):
     Attributes:
         group: Group of joints that reaches them.
         frame: Frame of the poses; the base of the data set.
-        poses: The poses.
+        other_joints: tuple[float, ...] | None = None
+    poses: The poses.
     """
 
     group: str = ""
