@@ -201,12 +201,13 @@ class PoseFile(Model):
     Attributes:
         group: Group of joints that reaches them.
         frame: Frame of the poses; the base of the data set.
-        other_joints: tuple[float, ...] | None = None
-    poses: The poses.
+        other_joints: Where the other arm must stand [rad or m]; not needed here.
+        poses: The poses.
     """
 
     group: str = ""
     frame: Literal["world", "base"]
+    other_joints: tuple[float, ...] | None = None
     poses: Annotated[tuple[CandidatePose, ...], Field(min_length=1)]
 
 
