@@ -28,17 +28,15 @@ def physics(instance: str, cell: Cell, factor: float, seed: int, folder: Path) -
 
     Args:
         instance: Name of the machine.
-        cell: Its parameters.
+        cell: The machine's cell, maybe with another period.
         factor: Clock factor; 0: as fast as it goes.
         seed: Of the encoder noise.
-        folder: For the file of parameters and the log.
+        folder: For the log.
 
     Raises:
         LinkError: It does not start; its last words.
     """
-    file = folder / "cell.yaml"
-    file.write_text(cell.model_dump_json(), encoding="utf-8")  # JSON is YAML
-    arguments = ["--instance", instance, "--config", str(file), "--factor", repr(factor), "--seed", str(seed)]
+    arguments = ["--instance", instance, "--factor", repr(factor), "--seed", str(seed), "--period", repr(cell.period)]
     process = ChildProcess.of_module("im_sim.physics", arguments, log=folder / "physics.log")
     try:
         link = HostEnd.attach(instance, _ATTACH_S)

@@ -77,7 +77,7 @@ def make(reference: str, what: str, *arguments: object) -> object:
     except ImError:
         raise
     except FOREIGN as error:
-        sentence = f"{what} '{reference}' cannot be made: {type(error).__name__}: {error}"
+        sentence = f"{what} '{reference}' cannot be loaded: {type(error).__name__}: {error}"
         raise ConfigError(sentence, reference=reference) from error
 
 

@@ -37,7 +37,7 @@ def test_the_verdict_on_the_net_of_the_readme_fits_a_screen(capsys):
     assert main(["verify", str(root / net)]) == OK
     verdict = capsys.readouterr().out.splitlines()
     assert verdict[0] == "calibrate_camera: verified"
-    assert len(verdict) <= 12
+    assert len(verdict) <= 13
     assert max(map(len, verdict)) < 120
     (left_out,) = (re.findall(r"\d+", line) for line in verdict if "left out" in line)
     assert main(["verify", str(root / net), "--all"]) == OK
