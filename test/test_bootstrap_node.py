@@ -210,12 +210,12 @@ hosts:
     dom:
       dom: {package: im_dom, executable: dom, node: /dom}
     testbed:
-      testbed: {package: im_sim, executable: testbed, node: /testbed, parameters: {cell: none.yaml}}
+      testbed: {package: im_sim, executable: testbed, node: /testbed, parameters: {factor: -1.0}}
 """
     )
     done = script("start", path)
     assert done.returncode == 1
-    assert "start: not every task could be started:\n  testbed failed: none.yaml: cannot be read" in done.stderr
+    assert "start: not every task could be started:\n  testbed failed: factor -1.0 of /testbed is not between 0 and inf" in done.stderr
     assert leftovers.processes() == []
     assert machine.read() is None
 

@@ -12,7 +12,7 @@ TUTORIALS = ROOT / "docs" / "tutorials"
 FILES = re.compile(r"^```\w+ (my/\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 TYPED = re.compile(r"^```console\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: Pages with a test of their own: of Python files, which are imported.
-OTHERS = {"control_law.md", "vision_service.md", "your_robot.md"}
+OTHERS = {"control_law.md", "servo_rate.md", "vision_service.md", "your_robot.md"}
 
 
 def lines_of(page: str) -> list[tuple[str, list[str]]]:
