@@ -12,6 +12,8 @@ from im_pnt.model.action import RequestAction
 
 FIRST_PERIOD_S, LAST_PERIOD_S = 0.1, 10.0
 """An action that still runs is asked about again after as long as it is in doubt already, within these limits [s]."""
+UNKNOWN = "the outcome of"
+"""Begin of the sentence of an action that ends in doubt, and of no other."""
 ANSWER_LIMIT_S = 30.0
 """Time that an answer may take [s]; longer than it takes to discover who is asked."""
 
@@ -124,7 +126,7 @@ class Inquiry:
     def _unknown(self, activity: Activity, answer: Answer) -> ImError:
         now = self._clock()
         return ImError(
-            f"the outcome of {activity.action} of transition {activity.transition} of net {activity.net} is unknown: "
+            f"{UNKNOWN} {activity.action} of transition {activity.transition} of net {activity.net} is unknown: "
             f"{activity.doubt}; "
             f"asked for {now - activity.doubted:.3g} s: {answer.asked or 'no answer'}",
             code=DOUBT_CODE,

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from im_bag.reading import messages_of
 from im_core.errors import DataError
+from im_pnt.execution.doubt import UNKNOWN
 from im_pnt.execution.notification import Firing, Phase
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import expand
@@ -261,7 +262,10 @@ class _Rule:
     def fired(self, tokens: Mapping[str, int], firing: Firing) -> Mapping[str, int]:
         """Return the tokens after a firing; missing ones came from another net."""
         compiled = self._compiled
-        names = (f"{firing.transition}{ending}" for ending in _PHASES.get(firing.phase, ()))
+        endings = _PHASES.get(firing.phase, ())
+        if firing.phase == Phase.FAILED and firing.message.startswith(UNKNOWN):
+            endings = (".given_up", *endings)
+        names = (f"{firing.transition}{ending}" for ending in endings)
         found = [self._numbers[name] for name in names if name in self._numbers]
         if not found:
             return tokens
