@@ -215,7 +215,8 @@ hosts:
     )
     done = script("start", path)
     assert done.returncode == 1
-    assert "start: not every task could be started:\n  testbed failed: factor -1.0 of /testbed is not between 0 and inf" in done.stderr
+    sentence = "testbed failed: factor -1.0 of /testbed is not between 0 and inf"
+    assert f"start: not every task could be started:\n  {sentence}" in done.stderr
     assert leftovers.processes() == []
     assert machine.read() is None
 
