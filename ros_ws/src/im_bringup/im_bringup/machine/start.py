@@ -430,6 +430,7 @@ def spawn_bootstrap(
         *(("--control",) if deployment.control else ()),
         *(("--unproved",) if deployment.unproved else ()),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),
+        *(("--cell", deployment.cell) if deployment.cell else ()),
     ]
     return ChildProcess(
         argv,

@@ -267,8 +267,13 @@ class Deployment(Model):
             ConfigError: A value is out of range.
         """
         given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
-        given |= {"calibration": calibration, "control": control, "unproved": unproved, "foxglove": foxglove}
-        given["cell"] = cell
+        given |= {
+            "calibration": calibration,
+            "control": control,
+            "unproved": unproved,
+            "foxglove": foxglove,
+            "cell": cell,
+        }
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})

@@ -7,7 +7,7 @@
 | how a function that takes too long is ended | :mod:`.budget` |
 """
 
-from im_core.rate_groups.groups import LATENESS_S, Overrun, RateGroups, RateStatistics
+from im_core.rate_groups.groups import LATENESS_S, Overrun, RateGroups, RateStatistics, rate_fault
 from im_core.rate_groups.loop import RateLoop
 
-__all__ = ["LATENESS_S", "Overrun", "RateGroups", "RateLoop", "RateStatistics"]
+__all__ = ["LATENESS_S", "Overrun", "RateGroups", "RateLoop", "RateStatistics", "rate_fault"]

@@ -57,7 +57,6 @@ class Budget:
         try:
             self._called = True
             function(time_s)
-            self._called = False
         except _Timeout:
             pass
         finally:

@@ -57,6 +57,13 @@ class RateStatistics:
     ended: str = ""
 
 
+def rate_fault(every: int, times: int, phase: int) -> str:
+    """Return why a rate is impossible, empty if it is possible; arguments as of :meth:`RateGroups.register`."""
+    if every < 1 or times < 1 or (every > 1 and times > 1):
+        return f"every {every}, times {times}; both are at least 1, and one of them is 1"
+    return "" if 0 <= phase < every else f"phase {phase} is not from 0 to {every - 1}"
+
+
 @dataclass
 class _Rate:
     """A registered function; ``phase`` in base periods, ``budget_s`` None for trusted functions [s]."""
@@ -116,11 +123,8 @@ class RateGroups:
         """
         if name in self._rates:
             raise DataError(f"a function '{name}' is registered already", name=name)
-        if every < 1 or times < 1 or (every > 1 and times > 1):
-            given = f"every {every}, times {times}"
-            raise DataError(f"function '{name}': {given}; both are at least 1, and one of them is 1", name=name)
-        if not 0 <= phase < every:
-            raise DataError(f"function '{name}': phase {phase} is not from 0 to {every - 1}", name=name)
+        if fault := rate_fault(every, times, phase):
+            raise DataError(f"function '{name}': {fault}", name=name)
         if budget_s is not None:
             if not budget_s > 0.0:
                 raise DataError(f"function '{name}': a budget of {budget_s:g} s is not > 0", name=name)

@@ -7,7 +7,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from im_core.config import FieldError, Model, faults, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
-from im_core.rate_groups import Overrun
+from im_core.rate_groups import Overrun, rate_fault
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
 from im_mcs.limits.slots import Slot, Testbed, check_slots
 
@@ -137,10 +137,8 @@ class ServoFunction(Model):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        if self.every > 1 and self.times > 1:
-            raise ValueError(f"every {self.every} and times {self.times}: one of them is 1")
-        if self.phase >= self.every:
-            raise FieldError(("phase",), f"{self.phase} is not from 0 to {self.every - 1}")
+        if fault := rate_fault(self.every, self.times, self.phase):
+            raise ValueError(fault)
         return self
 
 

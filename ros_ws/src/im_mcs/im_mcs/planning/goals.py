@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 from im_core.errors import ImError
 from im_mcs.planning.checks.tolerances import TrajectoryTolerances
-from im_mcs.planning.motions.jog import JogFollower
 from im_mcs.planning.motions.preparation import Preparation
-from im_mcs.planning.motions.stream import StreamFollower, StreamLease
+from im_mcs.planning.motions.stream import OpenFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
 from im_mcs.planning.trajectories.trajectory import Trajectory
 from im_mcs.protocol.requests import SLOWEST, Move, Policy
@@ -81,7 +80,7 @@ class Current:
     asked: Trajectory | None = None
     asked_s: float = 0.0
     passed_s: float = 0.0
-    stream: StreamFollower | JogFollower | None = None
+    stream: OpenFollower | None = None
     lease: StreamLease | None = None
     ticks: int = 0
     at_once: bool = False

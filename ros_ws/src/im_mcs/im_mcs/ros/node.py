@@ -142,10 +142,9 @@ class McsNode(ManagedNode):
     def _publish_rates(self, stamp_ns: int) -> None:
         rates = self._mcs.client().rates
         if rates != self._rates:
+            told = {each.name: each.ended for each in self._rates}
             for each in rates:
-                if each.ended and each.ended not in (
-                    before.ended for before in self._rates if before.name == each.name
-                ):
+                if each.ended and each.ended != told.get(each.name):
                     self.get_logger().error(f"function '{each.name}' of the servo is called no more: {each.ended}")
             self._rates = rates
             self._topics.rates(stamp_ns, [rate_status("mcs", each) for each in rates])

@@ -19,7 +19,7 @@ from im_mcs.planning.checks.tolerances import tolerances_of
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.motions.jog import Jog, JogFollower, JogLimit, wrist_tracker
 from im_mcs.planning.motions.preparation import prepare
-from im_mcs.planning.motions.stream import LAPSED, StreamFollower, StreamLease
+from im_mcs.planning.motions.stream import LAPSED, OpenFollower, StreamFollower, StreamLease
 from im_mcs.planning.motions.tracked import TrackedTrajectory, TrackingFollower
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.planning.retiming import RetimedTrajectory
@@ -239,9 +239,7 @@ class ControlledGroup:
         current.lease = StreamLease(request.owner, request.lease_s, self.planner.period_s, what)
         return not opened
 
-    def _renewed(
-        self, before: StreamFollower | JogFollower | None, request: StreamRequest
-    ) -> StreamFollower | JogFollower:
+    def _renewed(self, before: OpenFollower | None, request: StreamRequest) -> StreamFollower | JogFollower:
         """Return the follower of a stream before, or of another kind a new one, with the newest target."""
         context, planner = self.context, self.planner
         if request.kind == "setpoint":

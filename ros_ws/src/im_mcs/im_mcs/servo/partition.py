@@ -5,12 +5,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from im_core import plugins
 from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.control import LawSource
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.checks.context import GENERATOR, PlanContext
 from im_mcs.planning.planner import GroupPlanner
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.rest_monitor import RestMonitor
@@ -25,6 +26,9 @@ class Partitions:
         limits: Limits of all joints.
         laws: Makes control laws.
         q_all: Gives the positions of all joints now, shape (18,) [rad or m].
+
+    Raises:
+        ConfigError: A trajectory generator cannot be loaded.
     """
 
     def __init__(
@@ -36,6 +40,8 @@ class Partitions:
         q_all: Callable[[], NDArray[np.float64]],
     ) -> None:
         self._config, self._model, self._limits, self._laws, self._q_all = config, model, limits, laws, q_all
+        for generator in config.planning.generators.model_dump().values():
+            plugins.load(generator, None, GENERATOR)  # refused now, not at the first motion
         self._groups: dict[tuple[str, ...], ControlledGroup] = {}
         self._monitors: dict[str, GuardedMonitor] = {}
 
@@ -43,7 +49,7 @@ class Partitions:
         """Return groups of a preset, and the collision monitor; a common group of two presets is one.
 
         Raises:
-            ConfigError: A control law, a trajectory generator or the collision monitor cannot be loaded.
+            ConfigError: A control law or the collision monitor cannot be loaded.
         """
         config = self._config.with_preset(preset)
         groups = {}
@@ -73,7 +79,6 @@ class Partitions:
             period_s=servo.period_s * servo.planning_divisor,
             config=config,
         )
-        assert context.generators  # loaded now, not at the first motion
         return ControlledGroup(
             name=name,
             planner=GroupPlanner(self._q_all()[index], servo.period_s, servo.planning_divisor, limits.motion.of(index)),

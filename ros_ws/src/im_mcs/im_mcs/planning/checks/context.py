@@ -14,6 +14,8 @@ from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.trajectories.trajectory import Setpoint
 
+GENERATOR = "trajectory generator"
+"""Name of what makes motions, in errors."""
 Start = Callable[[], Setpoint]
 """Gives the state that a motion begins with if it begins at the next knot."""
 
@@ -48,4 +50,4 @@ class PlanContext:
             ConfigError: One cannot be loaded.
         """
         named: dict[str, str] = self.config.planning.generators.model_dump()
-        return {kind: plugins.load(name, None, "trajectory generator") for kind, name in named.items()}  # type: ignore[misc]
+        return {kind: plugins.load(name, None, GENERATOR) for kind, name in named.items()}  # type: ignore[misc]

@@ -15,6 +15,7 @@ from im_core.errors import DataError, StateError
 from im_mcs.inverse.arm import Arm
 from im_mcs.inverse.tracking import ArmTracker
 from im_mcs.planning.checks.context import PlanContext
+from im_mcs.planning.motions.stream import OpenFollower
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.planning.trajectories.profile import place_of_rest, to_rest, towards_velocity
 from im_mcs.planning.trajectories.trajectory import Setpoint
@@ -55,11 +56,10 @@ class Jog:
     frame: str = ""
 
 
-class JogFollower:
+class JogFollower(OpenFollower):
     """Follower of the newest wanted velocity.
 
     Attributes:
-        fault: Why it jogs no more, but comes to rest.
         limit: What slows down or halts the jog now.
 
     Args:
@@ -70,22 +70,15 @@ class JogFollower:
         divisor: Servo ticks between two evaluations.
     """
 
-    finished = False
-    progress, point, sigma = 0.0, 0, 0.0
-    ahead = between = trajectory = None
-
     def __init__(
         self, start: Setpoint, context: PlanContext, tracker: ArmTracker | None, tick_s: float, divisor: int
     ) -> None:
-        self._state, self._context, self._tracker = start, context, tracker
-        self._limits = context.limits.motion.of(context.index)
-        self._divisor, self._knot_s = divisor, tick_s * divisor
+        super().__init__(start, context.limits.motion.of(context.index), tick_s, divisor)
+        self._context, self._tracker = context, tracker
         self._jog = Jog(np.zeros_like(start.q))
         self._wanted = np.zeros_like(start.q)
         self._stop: PiecewisePolynomial | None = None
         self._end, self._passed = place_of_rest(start, self._limits), 0.0
-        self.rate = 1.0
-        self.fault: DataError | None = None
         self.limit = JogLimit.NONE
 
     def renew(self, jog: Jog) -> None:
@@ -100,11 +93,6 @@ class JogFollower:
             if self._tracker is None:
                 raise StateError("a twist needs a group with a wrist and all joints of its arm")
         self._jog = jog
-
-    @property
-    def end_setpoint(self) -> Setpoint:
-        """Present setpoint; the end of a jog is unknown."""
-        return self._state
 
     @property
     def still(self) -> bool:

@@ -51,11 +51,38 @@ class StreamLease:
         )
 
 
-class StreamFollower:
-    """Chase the newest target, replanned at every knot in motion; a target with a velocity keeps moving.
+class OpenFollower:
+    """Common part of the followers of what a sender renews: the end is unknown.
 
     Attributes:
-        fault: Why it chases no more, but comes to rest: no motion to the target was found.
+        rate: Rate in force.
+        fault: Why it follows no more, but comes to rest.
+
+    Args:
+        start: Present setpoint.
+        limits: Of the group.
+        tick_s: Servo period [s].
+        divisor: Servo ticks between two evaluations.
+    """
+
+    finished = False
+    progress, point, sigma = 0.0, 0, 0.0
+    ahead = between = trajectory = None
+
+    def __init__(self, start: Setpoint, limits: MotionLimits, tick_s: float, divisor: int) -> None:
+        self._state, self._limits = start, limits
+        self._divisor, self._knot_s = divisor, tick_s * divisor
+        self.rate = 1.0
+        self.fault: ImError | None = None
+
+    @property
+    def end_setpoint(self) -> Setpoint:
+        """Present setpoint."""
+        return self._state
+
+
+class StreamFollower(OpenFollower):
+    """Chase the newest target, replanned at every knot in motion; a target with a velocity keeps moving.
 
     Args:
         start: Present setpoint.
@@ -66,10 +93,6 @@ class StreamFollower:
         divisor: Servo ticks between two evaluations.
     """
 
-    finished = False
-    progress, point, sigma = 0.0, 0, 0.0
-    ahead = between = trajectory = None
-
     def __init__(
         self,
         start: Setpoint,
@@ -79,26 +102,18 @@ class StreamFollower:
         tick_s: float,
         divisor: int,
     ) -> None:
-        self._state, self._limits = start, limits
+        super().__init__(start, limits, tick_s, divisor)
         self._lower, self._upper = lower, upper
-        self._divisor, self._knot_s = divisor, tick_s * divisor
         self._target, self._drift, self._age = start.q, np.zeros_like(start.q), 0.0
         self._chase: Chase | None = None
         self._halt: PiecewisePolynomial | None = None
         self._elapsed = 0.0
         self._held = np.zeros(len(start.q), dtype=np.bool_)
-        self.rate = 1.0
-        self.fault: ImError | None = None
 
     def renew(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Set a new target: position and velocity, shape (n,) each."""
         self._target, self._drift, self._age = q, v, 0.0
         self._chase = None
-
-    @property
-    def end_setpoint(self) -> Setpoint:
-        """Present setpoint; the end of a stream is unknown."""
-        return self._state
 
     @property
     def still(self) -> bool:
