@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_msgs.msg import TaskRegistry, TaskStatus
 from im_msgs.srv import GetObject, PutObject, QueryTask
+from support.whole_machine import ROOT
 
 
 @pytest.fixture
@@ -41,6 +43,11 @@ def observer(ros):
     node.create_subscription(TaskRegistry, "/bootstrap/tasks", node.registries.append, qos.LATCHED)
     node.create_subscription(TaskStatus, "/im/task_status", node.statuses.append, qos.STATUS)
     return ros(node)
+
+
+def run_im(*arguments):
+    """What ``im`` of this workspace does."""
+    return subprocess.run([ROOT / "scripts" / "im", *arguments], capture_output=True, text=True, check=False)
 
 
 def shared_memory():
@@ -79,6 +86,21 @@ def test_up_known_mended_down(small_machine, observer, wait_until, script):
         (1, "ready", "/dom"),
         (2, "ready", "/gripper_coordinator"),
     ]
+
+    # The same, and the load, for a person.
+    told = run_im("tasks", "--json")
+    shown = {task["name"]: task for task in json.loads(told.stdout)}
+    assert {name: task["pid"] for name, task in shown.items()} == {name: task.pid for name, task in tasks.items()}
+    assert all(task["process_memory_mib"] >= 0.0 and "callbacks_per_s" in task for task in shown.values())
+    table = run_im("tasks").stdout.splitlines()
+    assert [line.split()[:3] for line in table if line[0].isdigit()] == [
+        ["1", "dom", "ready"],
+        ["2", "gripper_coordinator", "ready"],
+    ]
+    for name in ("dom", "1", "/dom"):
+        assert "package: im_dom\n" in run_im("tasks", name).stdout
+    assert (run_im("tasks", "dm").returncode, run_im("tasks", "--timeout", "-1").returncode) == (1, 2)
+    assert "there is no task 'dm'; did you mean 'dom'" in run_im("tasks", "dm").stderr
 
     # By symbolic name.
     query = observer.create_client(QueryTask, "/bootstrap/query_task")

@@ -1,6 +1,7 @@
 """``im topic``, ``service``, ``action``, ``node``, ``lifecycle``, ``param``: the verbs of ros2cli, on any nodes."""
 
 import contextlib
+import re
 import subprocess
 import threading
 
@@ -305,6 +306,11 @@ def completed(*words):
         ["bash", "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     )
     return done.stdout.split()
+
+
+def test_a_shell_completes_the_subcommands_that_there_are():
+    script = (ROOT / "scripts" / "im").read_text()
+    assert sorted(completed("")) == sorted(re.findall(r"^  \[(\w+)\]=", script, re.MULTILINE))
 
 
 @pytest.mark.parametrize("kind", COMMANDS)

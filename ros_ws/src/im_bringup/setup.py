@@ -43,6 +43,7 @@ setup(
             "shared_process=im_bringup.ros.shared_process:main",
             "start=im_bringup.machine.start:main",
             "stop=im_bringup.machine.stop:main",
+            "tasks=im_bringup.ros.tasks:main",
             "topic=im_bringup.ros.graph.topic:main",
             "truth_error=im_bringup.ros.truth_error:main",
             "unload=im_bringup.ros.net_commands:unload",

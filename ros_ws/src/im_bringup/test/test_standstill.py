@@ -10,10 +10,11 @@ import pytest
 
 from im_bringup.tasks import standstill
 from im_bringup.tasks.agent import Agent, Died, ProcessCommand
-from im_bringup.tasks.standstill import Standstill, cpu_of
+from im_bringup.tasks.standstill import Standstill
 from im_core.processes import loop_heartbeat
 from im_core.processes.loop_heartbeat import Beat, Pulse
 from im_core.processes.loop_watch import TICK_S, LoopWatch, waits_of_threads
+from im_core.processes.procfs import cpu_of
 
 
 class Loop:
@@ -158,6 +159,7 @@ def test_the_agent_treats_a_hang_as_a_death(tmp_path, deaf):
 BEATS = """
 import sys
 from im_core.processes.loop_heartbeat import Beat, Pulse
+from im_core.processes.procfs import cpu_of
 pulse = Pulse(int(sys.argv[1]))
 print("begun", flush=True)
 for number in range(1, 500_000):

@@ -11,6 +11,7 @@ from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
+from im_bringup.tasks.loads import TaskLoads
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
 from im_core.errors import NotFoundError
 from im_core.patience import Silence
@@ -120,6 +121,7 @@ class Bootstrap:
 
     def __init__(self, tasks: Sequence[PlacedTask], agent: Agent, host: str, nets: MachineNets) -> None:
         self.registry = Registry(tasks, host)
+        self.loads = TaskLoads()
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
         self._agent, self._host, self._nets = agent, host, nets
@@ -160,6 +162,7 @@ class Bootstrap:
         progress = member(Progress, report.phase, f"the phase of task {report.task}")
         if placed.host == host:
             self._nets.reported(placed.task.node, report.nets)
+            self.loads.note(report, now)
             self.heard(report.task, pid, report.incarnation, progress, report.detail, now)
 
     @property

@@ -4,6 +4,7 @@ import threading
 from functools import partial
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.service_introspection import ServiceIntrospectionState
@@ -19,7 +20,8 @@ from im_bringup.ros.agents import ACKNOWLEDGED_S, RemoteAgents
 from im_bringup.ros.shared_names import LOOK_S, SharedNames
 from im_bringup.tasks.agent import Died
 from im_bringup.tasks.deployment import Deployment, options_text
-from im_bringup.tasks.registry import TaskRecord
+from im_bringup.tasks.loads import Load
+from im_bringup.tasks.registry import Progress, TaskRecord
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.errors import ImError, StoreError
@@ -36,6 +38,8 @@ from im_msgs.msg import NetDescription, TaskRegistry, TaskStatus
 from im_msgs.msg import TaskRecord as TaskRecordMessage
 from im_msgs.srv import QueryTask
 
+#: How often the load of the tasks is told [s], and where.
+LOADS_S, LOADS_TOPIC = 2.0, "/bootstrap/loads"
 #: How often the bootstrap looks at its processes while they start, and when the machine is ready [s].
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 
@@ -69,6 +73,8 @@ class BootstrapNode(GuardedNode):
         self._written: MachineRecord | None = None
         self._phase_publisher = self.create_publisher(UInt8, PHASE_TOPIC, qos.LATCHED)
         self._tasks_publisher = self.create_publisher(TaskRegistry, "/bootstrap/tasks", qos.LATCHED)
+        self._loads_publisher = self.create_publisher(DiagnosticArray, LOADS_TOPIC, qos.LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.STATUS)
         self.create_subscription(TaskStatus, STATUS_TOPIC, self._status, qos.STATUS)
         service = self.create_service(QueryTask, "/bootstrap/query_task", self._query)
         service.configure_introspection(self.get_clock(), qos.SERVICE_EVENTS, ServiceIntrospectionState.CONTENTS)
@@ -82,6 +88,7 @@ class BootstrapNode(GuardedNode):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._poll_timer = self.create_timer(STARTING_PERIOD_S, self._poll, clock=steady)
         self._names_timer = self.create_timer(LOOK_S, self._look_at_names, clock=steady)
+        self._loads_timer = self.create_timer(LOADS_S, self._tell_loads, clock=steady)
 
     def shut_down(self) -> None:
         """Stop all tasks, the last started first; then send a stop to other hosts."""
@@ -125,6 +132,14 @@ class BootstrapNode(GuardedNode):
             for sentence in self._shared_names.sentences.values():
                 self.log.warning(sentence)
             self._show()
+
+    def _tell_loads(self) -> None:
+        records = self._bootstrap.registry.records()
+        statuses = [load_status(record, self._bootstrap.loads.of(record.name)) for record in records]
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = wall_stamp()
+        self._loads_publisher.publish(message)
+        self._diagnostics.publish(message)
 
     def _note_alive(self) -> None:
         try:
@@ -215,6 +230,25 @@ def to_message(record: TaskRecord) -> TaskRecordMessage:
         restarts=record.restarts,
         phase=record.progress.word,
         detail=record.detail,
+    )
+
+
+def load_status(record: TaskRecord, load: Load) -> DiagnosticStatus:
+    """Return the load of a task as a diagnostic status: ERROR if the task has failed or died."""
+    bad = record.progress in (Progress.FAILED, Progress.DEAD)
+    values = {
+        "callbacks_per_s": f"{load.rate:.1f}",
+        "open_requests": load.requests,
+        "oldest_request_s": f"{load.oldest_s:.1f}",
+        "process_cpu": f"{load.cpu:.3f}",
+        "process_memory_mib": f"{load.memory_mib:.1f}",
+    }
+    return DiagnosticStatus(
+        level=DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK,
+        name=f"tasks: {record.name}",
+        hardware_id=record.placed.host,
+        message=f"{record.progress.word}{': ' + record.detail if record.detail else ''}",
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
     )
 
 

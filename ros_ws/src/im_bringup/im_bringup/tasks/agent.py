@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
+from im_bringup.tasks.loads import ProcessUsage
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
-from im_core import names
+from im_core import clock, names
 from im_core.config import package_file
 from im_core.errors import LinkError
 from im_core.executables import path_of
@@ -156,6 +157,7 @@ class Agent:
         #: Whether a process that died is started again.
         self.respawn = False
         self._order = ""
+        self._usage = ProcessUsage()
 
     def start(self) -> list[Started]:
         """Start all processes.
@@ -206,8 +208,9 @@ class Agent:
         Raises:
             DataError: A report makes no sense.
         """
+        self._usage.look([slot.child.pid for slot in self._slots if slot.child is not None], clock.monotonic())
         return [
-            (report, slot.child.pid)
+            (self._usage.told(report, slot.child.pid), slot.child.pid)
             for slot in self._slots
             if slot.socket is not None and slot.child is not None
             for report in slot.socket.reports()

@@ -1,7 +1,6 @@
 """Whether a thread of the middleware is stuck in one packet, and the process hears nothing any more."""
 
-from im_bringup.tasks.standstill import cpu_of
-from im_core.processes.procfs import thread_name, threads_of, waits_of
+from im_core.processes.procfs import cpu_of, thread_name, threads_of, waits_of
 
 #: A thread of the middleware that has not waited for so much CPU time is stuck [s].
 STUCK_S = 10.0

@@ -1,13 +1,10 @@
 """Detection of a hanging process, from reports on the loop and from the kernel's data."""
 
-import os
-
 from im_core.processes.loop_heartbeat import Pulse
-from im_core.processes.procfs import stat_fields
+from im_core.processes.procfs import cpu_of
 
 #: How often the CPU time of a process that does not tick is looked at [s].
 _LOOK_S = 1.0
-_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 class Standstill:
@@ -44,9 +41,3 @@ class Standstill:
         elif cpu_s - self._cpu_s >= 2.0 * beat.allowed_s:
             return f"its interpreter was held while it computed for {cpu_s - self._cpu_s:.1f} s"
         return ""
-
-
-def cpu_of(pid: int) -> float:
-    """Return the CPU time used by all threads of a process [s]; 0 without a process."""
-    fields = stat_fields(pid)
-    return 0.0 if fields is None else (int(fields[11]) + int(fields[12])) / _TICKS_PER_S

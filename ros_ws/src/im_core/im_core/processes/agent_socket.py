@@ -54,13 +54,28 @@ class AgentOrder:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """Report of a task to the agent; fields as of ``im_msgs/msg/TaskStatus``, and the digests of the nets by name."""
+    """Report of a task to the agent; the first fields as of ``im_msgs/msg/TaskStatus``.
+
+    Attributes:
+        task, incarnation, phase, detail: As there.
+        nets: The digests of its nets, by name.
+        turns: How many callbacks it has begun.
+        requests: How many requests of its services wait for an answer.
+        oldest_s: Age of the oldest of them [s].
+        cpu_s: CPU time of its process and the children of that, told by the agent [s].
+        memory_mib: Their private memory, told by the agent [MiB].
+    """
 
     task: str
     incarnation: int
     phase: int
     detail: str
     nets: dict[str, str] = field(default_factory=dict)
+    turns: int = 0
+    requests: int = 0
+    oldest_s: float = 0.0
+    cpu_s: float = 0.0
+    memory_mib: float = 0.0
 
 
 class AgentSocket:

@@ -1,12 +1,14 @@
 """Kernel data of running processes and threads in ``/proc``."""
 
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
 #: Longer than what is read here [bytes].
 _LINE = 4096
 _PAGE = os.sysconf("SC_PAGE_SIZE")
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 #: How ``/proc/self/maps`` tells of memory that is private, may be written, and is of no file.
 _ANONYMOUS = ["rw-p", "00000000", "00:00", "0"]
 
@@ -73,6 +75,26 @@ def processes_ending_in(bits: int, size: int) -> list[int]:
     with open("/proc/sys/kernel/pid_max", encoding="ascii") as file:
         largest = int(file.read())
     return [pid for pid in range(bits, largest + 1, 1 << size) if _start_of_running(pid) >= 0]
+
+
+def families(roots: Collection[int]) -> dict[int, list[int]]:
+    """Return each of some processes together with its descendants that run now."""
+    parents = {pid: int(fields[1]) for pid in map(int, filter(str.isdecimal, os.listdir("/proc")))
+               if (fields := stat_fields(pid)) is not None}  # fmt: skip
+    found: dict[int, list[int]] = {root: [root] for root in roots}
+    for pid in parents:
+        ancestor = pid
+        while (ancestor := parents.get(ancestor, 0)) > 0:
+            if ancestor in found:
+                found[ancestor].append(pid)
+                break
+    return found
+
+
+def cpu_of(pid: int) -> float:
+    """Return the CPU time used by all threads of a process [s]; 0 without a process."""
+    fields = stat_fields(pid)
+    return 0.0 if fields is None else (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
 
 
 def has_loaded(pid: int, file: str) -> bool:

@@ -32,6 +32,7 @@ from im_core.ros.failures import Failures, few, sentence
 from im_core.ros.logger import Logger
 from im_core.ros.messages.interfaces import type_name
 from im_core.ros.messages.status import to_status
+from im_core.ros.open_requests import OpenRequests
 from im_core.ros.peers.client_identity import client_of, nodes_of, process_of, sender_of
 from im_core.ros.peers.servers import node_of
 from im_core.ros.rclpy_fixes import one_reader
@@ -63,6 +64,7 @@ class GuardedNode(Node):
     Attributes:
         failures: What they raised.
         late_answers: Answers whose clients are not reached yet.
+        open_requests: Requests of its services that wait for their answers.
         turns: How many callbacks have begun; it stands still with the loop.
         standstill_s: How long the loop may stand still now [s]; see :class:`im_core.processes.loop_watch.LoopWatch`.
             Whoever lowers it counts a turn first.
@@ -85,6 +87,7 @@ class GuardedNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
         self.late_answers = LateAnswers(self, self._note_lost)
+        self.open_requests = OpenRequests()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
         super().__init__(name, **options)
@@ -477,10 +480,13 @@ class _Answers:
         self._node.begin(self._finish(response, header))
 
     async def _finish(self, response: Any, header: Any) -> None:
+        ticket = self._node.open_requests.begin()
         try:
             self._deliver(await response, header)
         except FOREIGN as error:  # as above
             self._refuse(as_exception(error), header)
+        finally:
+            self._node.open_requests.end(ticket)
 
     def _deliver(self, response: Any, header: Any) -> None:
         self._node.late_answers.send(self._what, header, partial(self._send, response, header))

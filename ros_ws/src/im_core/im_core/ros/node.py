@@ -253,4 +253,10 @@ class ManagedNode(GuardedNode):
         )
         self._status_publisher.publish(message)
         if self._agent is not None:
-            self._agent.report(TaskReport(self.task_name, self.incarnation, self._phase, self._detail, self.nets))
+            waiting = self.open_requests
+            self._agent.report(
+                TaskReport(
+                    self.task_name, self.incarnation, self._phase, self._detail, self.nets,
+                    self.turns, len(waiting), waiting.oldest_s(),
+                )
+            )  # fmt: skip
