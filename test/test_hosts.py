@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
+import im_cell
 from im_bringup.tasks.middleware import PROFILE, loopback_profile, open_profile
+from im_core.config import package_file
+from support.whole_machine import write_few_poses
 
 WAIT_S = 60.0
 #: How long a stranger looks for a machine that it must not find [s]; the one that it may find takes a second.
@@ -34,6 +37,7 @@ own = ("/stranger/", "/dom/put")  # a client counts as a name, too
 services = [name for name, _ in node.get_service_names_and_types() if not name.startswith(own)]
 print(json.dumps({"answered": answered, "nodes": names, "topics": topics, "services": services}))
 """
+NAMES = ("localhost", "coordination", "display")
 NOBODY = {"answered": False, "nodes": [], "topics": [], "services": []}
 
 
@@ -96,28 +100,43 @@ def environment_with(changes):
     return {**plain, **changes}
 
 
+def connected(stack, wait_until, count):
+    """Make hosts whose cables meet in a switch, which is in a network of its own."""
+    switch = Host(stack, "")
+    hosts = [Host(stack, f"10.99.7.{number}") for number in range(1, count + 1)]
+    commands = [switch.argv("ip", "link", "add", "switch", "type", "bridge")]
+    commands.append(switch.argv("ip", "link", "set", "switch", "up"))
+    for number, host in enumerate(hosts, start=1):
+        plug = f"port{number}"
+        commands.append(f"ip link add eth7 netns {host.pid} type veth peer name {plug} netns {switch.pid}".split())
+        commands.append(switch.argv("ip", "link", "set", plug, "master", "switch"))
+        commands.append(switch.argv("ip", "link", "set", plug, "up"))
+        up = (f"addr add {host.address}/24 dev eth7", "link set lo up", "link set eth7 up")
+        commands.extend(host.argv("ip", *rest.split()) for rest in up)
+    for command in commands:
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+        except FileNotFoundError:
+            pytest.skip(f"there is no command {command[0]}")
+        if done.returncode:
+            pytest.skip(f"no network between namespaces here: {done.stderr.strip()}")
+    for host in hosts:  # DDS takes the interfaces that are up when it begins
+        wait_until(lambda host=host: "state UP" in host.run("ip", "link", "show", "eth7").stdout, "the cable")
+    return hosts
+
+
 @pytest.fixture
 def hosts(wait_until):
     """Two hosts that reach each other."""
     with ExitStack() as stack:
-        here, there = Host(stack, "10.99.7.1"), Host(stack, "10.99.7.2")
-        for command in (
-            f"ip link add eth7 netns {here.pid} type veth peer name eth7 netns {there.pid}",
-            *(
-                f"nsenter --target {host.pid} --net ip {rest}"
-                for host in (here, there)
-                for rest in (f"addr add {host.address}/24 dev eth7", "link set lo up", "link set eth7 up")
-            ),
-        ):
-            try:
-                done = subprocess.run(command.split(), capture_output=True, text=True, check=False)
-            except FileNotFoundError:
-                pytest.skip("there is no command ip")
-            if done.returncode:
-                pytest.skip(f"no network between namespaces here: {done.stderr.strip()}")
-        for host in (here, there):  # DDS takes the interfaces that are up when it begins
-            wait_until(lambda host=host: "state UP" in host.run("ip", "link", "show", "eth7").stdout, "the cable")
-        yield here, there
+        yield connected(stack, wait_until, 2)
+
+
+@pytest.fixture
+def three(wait_until):
+    """Three hosts that reach each other."""
+    with ExitStack() as stack:
+        yield connected(stack, wait_until, 3)
 
 
 def neighbours(host):
@@ -155,12 +174,8 @@ def test_a_node_is_reached_from_another_host_only_where_it_is_opened(hosts, seve
             assert found == NOBODY
 
 
-def test_a_deployment_over_two_hosts_opens_itself(hosts, tmp_path):
-    """The file alone decides: neither the terminal of the start nor that of the agent says anything of DDS."""
-    here, there = hosts
-    deployment = tmp_path / "two.yaml"
-    deployment.write_text(
-        """\
+TWO_HOSTS = """\
+addresses: {localhost: 10.99.7.1, far: 10.99.7.2}
 hosts:
   localhost:
     dom:
@@ -169,16 +184,112 @@ hosts:
     gripper_coordinator:
       gripper_coordinator: {package: im_coordinators, executable: gripper_coordinator, node: /gripper_coordinator}
 """
-    )
-    far, near = (neighbours(host)[0] for host in hosts)
-    agent = there.start(sys.executable, "-m", "im_bringup.ros.agent", "far", deployment, **far)
-    try:
-        done = here.run(sys.executable, "-m", "im_bringup.machine.start", deployment, "--timeout", 3 * WAIT_S, **near)
-        assert done.returncode == 0, done.stderr
-        assert "DDS listens on all interfaces, for hosts localhost, far (docs/security.md)" in done.stdout
-    finally:
-        assert here.run(sys.executable, "-m", "im_bringup.machine.stop", **near).returncode == 0
+START = (sys.executable, "-m", "im_bringup.machine.start")
+STOP = (sys.executable, "-m", "im_bringup.machine.stop")
+
+
+@pytest.fixture
+def two(hosts, tmp_path):
+    """Two hosts and a deployment over both; a machine on them is stopped."""
+    deployment = tmp_path / "two.yaml"
+    deployment.write_text(TWO_HOSTS)
+    here, there = hosts
+    yield here, there, deployment
+    here.run(*STOP)
+
+
+def tasks_of(host):
+    """Name, host, state and reason of each task, as ``im tasks`` tells on a host."""
+    done = host.run(sys.executable, "-m", "im_bringup.ros.tasks", "--json")
+    assert done.returncode == 0, done.stderr
+    return [(task["name"], task["host"], task["phase"], task["detail"]) for task in json.loads(done.stdout)]
+
+
+def test_a_deployment_over_two_hosts_opens_itself_and_survives_a_cut_cable(two, wait_until):
+    """The file alone decides: neither the terminal of the start nor that of the agent says anything of DDS."""
+    here, there, deployment = two
+    agent = there.start(*START, deployment, "--host", "far")
+    done = here.run(*START, deployment, "--timeout", 3 * WAIT_S)
+    assert done.returncode == 0, done.stderr
+    assert "DDS listens on all interfaces, for hosts localhost, far (docs/security.md)" in done.stdout
+    assert [task[:3] for task in tasks_of(here)] == [
+        ("dom", "localhost", "ready"),
+        ("gripper_coordinator", "far", "ready"),
+    ]
+    there.run("ip", "link", "set", "eth7", "down")
+    vanished = "nothing was heard of host far for "
+    wait_until(lambda: tasks_of(here)[1][2:] == ("dead", tasks_of(here)[1][3]), "the host to be missed", 6 * WAIT_S)
+    assert tasks_of(here)[1][3].startswith(vanished)
+    there.run("ip", "link", "set", "eth7", "up")
+    wait_until(lambda: tasks_of(here)[1][2] == "ready", "the host to come back", 6 * WAIT_S)
+    assert here.run(*STOP).returncode == 0
     assert agent.wait(WAIT_S) == 0
+
+
+def test_a_host_without_an_agent_is_named_with_the_line_that_is_missing_there(two):
+    here, _, deployment = two
+    done = here.run(*START, deployment, "--timeout", 8)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "start: not every task was ready after 8 s:",
+        "  host far: no agent was heard; on it: start.sh FILE --host far",
+    ]
+
+
+def test_a_host_with_another_cell_or_other_tasks_is_named_and_gets_no_orders(two, tmp_path):
+    here, there, deployment = two
+    cell = tmp_path / "cell.yaml"
+    shipped = (Path(im_cell.__file__).parent / "robot" / "cell.yaml").read_text()
+    cell.write_text(shipped.replace("gravity: 9.81", "gravity: 9.80"))
+    other = tmp_path / "other.yaml"
+    other.write_text(f"cell: {cell}\n{TWO_HOSTS.replace('gripper_', 'motion_')}")
+    there.start(*START, other, "--host", "far")
+    done = here.run(*START, deployment, "--timeout", 3 * WAIT_S)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "start: not every task could be started:",
+        "  host far differs from host localhost in: cell, tasks of the deployment file; give both the same files",
+    ]
+
+
+def test_a_task_that_dies_on_another_host_is_told_with_its_last_words(two):
+    here, there, deployment = two
+    dies = "    doctor:\n      doctor: {package: im_bringup, executable: doctor, node: /doctor}\n"
+    deployment.write_text(TWO_HOSTS + dies)
+    there.start(*START, deployment, "--host", "far")
+    done = here.run(*START, deployment, "--timeout", WAIT_S)
+    assert done.returncode == 1
+    assert "  doctor died: it ended with exit code 2: " in done.stderr
+    assert "unrecognized arguments: --ros-args" in done.stderr
+
+
+@pytest.mark.end_to_end
+def test_cameras_are_calibrated_over_three_hosts_and_a_command_is_given_from_each(three, tmp_path):
+    cell, coordination, display = three
+    shipped = (package_file("im_bringup", "deployments/three_hosts.yaml")).read_text()
+    addresses = ", ".join(f"{name}: {host.address}" for name, host in zip(NAMES, three, strict=True))
+    deployment = tmp_path / "three.yaml"
+    deployment.write_text(f"addresses: {{{addresses}}}\n{shipped}")
+    agents = [host.start(*START, deployment, "--host", name) for host, name in zip(three[1:], NAMES[1:], strict=True)]
+    done = cell.run(*START, deployment, "--factor", 0, "--timeout", 5 * WAIT_S)
+    try:
+        assert done.returncode == 0, done.stderr
+        run = (sys.executable, "-m", "im_bringup.ros.run_command")
+        done = coordination.run(*run, "calibrate_camera", "--poses_file", write_few_poses(tmp_path))
+        assert done.returncode == 0, done.stdout + done.stderr
+        there = {PROFILE: str(open_profile()), "ROS_STATIC_PEERS": coordination.address}
+        done = display.run(*run, "home", **there)
+        assert done.returncode == 0, done.stdout + done.stderr
+    finally:
+        assert cell.run(*STOP).returncode == 0
+    assert [agent.wait(WAIT_S) for agent in agents] == [0, 0]
+
+
+def test_options_of_the_machine_are_refused_at_an_agent():
+    for given in (("--seed", "3"), ("--control",), ("--foreground",)):
+        done = subprocess.run([*START, "--host", "far", *given], capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert f"{given[0]} is given at the start on the first host" in done.stderr
 
 
 @pytest.mark.end_to_end

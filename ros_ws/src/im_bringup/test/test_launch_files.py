@@ -128,7 +128,9 @@ def process_of(described, name, **given):
 
 def test_each_option_of_start_is_an_argument_of_the_launch_file(described):
     arguments = described("machine.launch.py").arguments
-    options = {action.dest: action for action in start.parser()._actions if action.dest not in ("help", "foreground")}
+    options = {
+        action.dest: action for action in start.parser()._actions if action.dest not in ("help", "foreground", "host")
+    }
     assert arguments.keys() == options.keys()
     for name, option in options.items():
         assert (arguments[name].choices == ["true", "false"]) == (option.nargs == 0)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from im_bringup.tasks.loads import Load, ProcessUsage, TaskLoads
+from im_bringup.tasks.loads import Load, ProcessLoad, TaskLoads
 from im_core.processes.agent_socket import TaskReport
 from im_core.processes.procfs import families
 
@@ -55,16 +55,16 @@ def parent():
 
 def test_a_process_counts_with_its_descendants(parent, wait_until):
     wait_until(lambda: len(families([parent.pid])[parent.pid]) == 3, "the child and its child")
-    usage = ProcessUsage()
+    usage = ProcessLoad()
     usage.look([parent.pid], now=0.0)
-    alone = ProcessUsage()
+    alone = ProcessLoad()
     alone.look([families([parent.pid])[parent.pid][-1]], now=0.0)
     whole, part = usage.told(report(), parent.pid), alone.told(report(), families([parent.pid])[parent.pid][-1])
     assert whole.memory_mib > 2.0 * part.memory_mib > 0.0
 
 
 def test_a_process_that_is_not_there_uses_nothing():
-    usage = ProcessUsage()
+    usage = ProcessLoad()
     usage.look([2**22 - 3], now=0.0)
     assert usage.told(report(), 2**22 - 3) == report()
     assert usage.told(report(), 1) == report()

@@ -27,6 +27,27 @@ def test_tasks_on_several_hosts_open_it_and_it_is_said():
     assert reach({}, TWO) == "DDS listens on all interfaces, for hosts here, far (docs/security.md)"
 
 
+def test_addresses_of_the_file_are_the_peers_unless_the_user_has_named_some():
+    addresses = {"here": "10.0.0.1", "far": "lab-2.local"}
+    both = TWO.model_copy(update={"addresses": addresses})
+    assert middleware({}, both)["ROS_STATIC_PEERS"] == "10.0.0.1;lab-2.local"
+    assert "ROS_STATIC_PEERS" not in middleware({"ROS_STATIC_PEERS": "10.9.9.9"}, both)
+    assert "ROS_STATIC_PEERS" not in middleware({}, TWO)
+
+
+@pytest.mark.parametrize(
+    ("addresses", "sentence"),
+    [
+        ({"here": "10.0.0.1", "fra": "10.0.0.2"}, "there is no host 'fra'; there are here, far"),
+        ({"here": "10.0.0.1"}, "host 'far' has no address; give one to every host, or to none"),
+        ({"here": "10.0.0.1;10.0.0.3", "far": "10.0.0.2"}, "addresses.here"),
+    ],
+)
+def test_wrong_addresses_are_refused(addresses, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        Deployment.model_validate({**TWO.model_dump(), "addresses": addresses})
+
+
 @pytest.mark.parametrize("deployment", [ONE, TWO])
 def test_a_profile_of_the_users_own_is_theirs_and_it_is_said(deployment):
     own = {PROFILE: "/home/me/dds.xml"}

@@ -113,23 +113,38 @@ def test_a_task_that_dies_later_is_started_again_and_catches_up(tmp_path):
     assert (value.phase, value.state) == (StartupPhase.START, machine.READY)
 
 
-def test_tasks_of_other_hosts_are_known_by_their_heartbeats():
+def test_tasks_of_other_hosts_are_as_their_agent_tells():
     registry = Registry(placed(host="far"), local_host="localhost")
-    assert registry.heard("one", 4, 1, Progress.READY, "", now=0.0)
-    assert not registry.heard("one", 4, 1, Progress.READY, "", now=5.0)
-    assert registry.silence(10.0) == []
-    (record,) = registry.silence(12.0)
-    assert record.detail == "nothing was heard of it for 7.0 s"
-    assert registry.heard("one", 5, 2, Progress.READY, "", now=13.0)
+    registry.agent_heard("far", now=0.0)
+    assert registry.heard("one", 4, 1, Progress.READY, "")
+    assert not registry.heard("one", 4, 1, Progress.READY, "")
+    registry.agent_heard("far", now=5.0)
+    assert registry.silence(10.0) == []  # a task may say nothing for long while its agent lives
+    silent = registry.silence(12.0)
+    assert [record.name for record in silent] == list(NAMES)
+    assert {record.detail for record in silent} == {
+        "nothing was heard of host far for 7.0 s; its agent has ended, or the network between the hosts is cut"
+    }
+    assert registry.silence(13.0) == []
+    assert registry.heard("one", 5, 2, Progress.READY, "")
     assert registry.find("one").restarts == 1
-    assert not registry.heard("stranger", 5, 2, Progress.READY, "", now=13.0)
+    assert not registry.heard("stranger", 5, 2, Progress.READY, "")
+
+
+def test_the_death_of_a_task_of_another_host_is_told_by_its_agent():
+    registry = Registry(placed(host="far"), local_host="localhost")
+    registry.heard("one", 4, 1, Progress.READY, "")
+    assert registry.heard("one", 0, 1, Progress.DEAD, "it was killed by SIGKILL")
+    assert (registry.find("one").progress, registry.find("one").detail) == (Progress.DEAD, "it was killed by SIGKILL")
+    assert registry.heard("one", 9, 2, Progress.READY, "")
+    assert registry.find("one").restarts == 1
 
 
 def test_phases_pass_one_by_one():
     registry = Registry(placed(), local_host="localhost")
     for name in NAMES:
         registry.started(name, 7, 0)
-        registry.heard(name, 7, 1, Progress.READY, "", now=0.0)
+        registry.heard(name, 7, 1, Progress.READY, "")
     phase = StartupPhase.LOAD
     for expected in (StartupPhase.CONFIGURE, StartupPhase.START, StartupPhase.START):
         phase = phases.next_phase(phase, registry.records())

@@ -4,13 +4,14 @@ No task enters a phase before all tasks have finished the one before.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 
 from im_bringup.machine import machine_state as machine
 from im_bringup.machine.nets import MachineNets
 from im_bringup.tasks.agent import Agent, Died, Started
 from im_bringup.tasks.deployment import PlacedTask
+from im_bringup.tasks.host_digest import differences
 from im_bringup.tasks.loads import TaskLoads
 from im_bringup.tasks.registry import Progress, Registry, TaskRecord
 from im_core.errors import NotFoundError
@@ -117,14 +118,25 @@ class Bootstrap:
         agent: Agent of this host.
         host: Name of this host in the deployment.
         nets: Finds out whether the nets of the tasks may run together, before START.
+        digests: Of this host; empty for a deployment on one host.
     """
 
-    def __init__(self, tasks: Sequence[PlacedTask], agent: Agent, host: str, nets: MachineNets) -> None:
+    def __init__(
+        self,
+        tasks: Sequence[PlacedTask],
+        agent: Agent,
+        host: str,
+        nets: MachineNets,
+        digests: Mapping[str, str] | None = None,
+    ) -> None:
         self.registry = Registry(tasks, host)
         self.loads = TaskLoads()
         self.phase = StartupPhase.LOAD
         self.state = machine.STARTING
         self._agent, self._host, self._nets = agent, host, nets
+        self._digests = digests or {}
+        self._unlike: dict[str, str] = {}  # sentence on each host that has other files than this one
+        self._unheard = {placed.host for placed in tasks} - {host}
         self._silence = SilentTasks()
         self._changed = True
         #: How long the parts of the start have taken, in their order [s].
@@ -138,8 +150,8 @@ class Bootstrap:
             self._note(event)
 
     def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> None:
-        """Take the report of a task; arguments as in :meth:`im_bringup.tasks.registry.Registry.heard`."""
-        if self.registry.heard(name, pid, incarnation, progress, detail, now):
+        """Take the report of a task, at a monotonic time [s]; see :meth:`im_bringup.tasks.registry.Registry.heard`."""
+        if self.registry.heard(name, pid, incarnation, progress, detail):
             self._changed = True
             self._silence.heard(name, pid, progress)
             if progress is Progress.FAILED:
@@ -164,6 +176,28 @@ class Bootstrap:
             self._nets.reported(placed.task.node, report.nets)
             self.loads.note(report, now)
             self.heard(report.task, pid, report.incarnation, progress, report.detail, now)
+
+    def agent_heard(self, host: str, digests: Mapping[str, str], now: float) -> str:
+        """Note a report of the agent of a host; return how the host's files differ from those here, as a sentence.
+
+        A host that has others gets no orders; before the machine was ready the start fails.
+
+        Args:
+            host: The host.
+            digests: Of the host.
+            now: Monotonic time [s].
+        """
+        self.registry.agent_heard(host, now)
+        self._changed |= host in self._unheard
+        self._unheard.discard(host)
+        unlike = differences(self._digests, digests)
+        sentence = f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
+        self._changed |= bool(unlike) != (host in self._unlike)
+        self._unlike.pop(host, None)
+        if not unlike:
+            return ""
+        self._unlike[host] = sentence
+        return sentence
 
     @property
     def awaits_nets(self) -> bool:
@@ -212,12 +246,21 @@ class Bootstrap:
     def missing(self) -> list[str]:
         """Return a sentence for each task keeping the machine from ready; if some are broken, for broken ones only.
 
-        Where none is to blame, what is known of the nets.
+        Where none is to blame, what is known of the nets. Of a host without an agent, or with other files, one for the
+        host.
         """
+        if self._unlike:
+            return list(self._unlike.values())
         records = self.registry.records()
         if not broken(records) and self.phase is StartupPhase.CONFIGURE and done(self.phase, records):
             return self._nets.failure.splitlines() or self._nets.waits(records)
-        return missing(StartupPhase.START, broken(records) or records)
+        if bad := broken(records):
+            return missing(StartupPhase.START, bad)
+        if absent := sorted(self._unheard):
+            rest = [record for record in records if record.placed.host not in self._unheard]
+            agents = [f"host {host}: no agent was heard; on it: start.sh FILE --host {host}" for host in absent]
+            return agents + missing(self.phase, rest)
+        return missing(StartupPhase.START, records)
 
     def shut_down(self) -> list[str]:
         """Stop the processes of the local host; return the names of the killed ones."""
@@ -227,7 +270,7 @@ class Bootstrap:
 
     def _advance(self, now: float) -> None:
         records = self.registry.records()
-        if broken(records):
+        if broken(records) or self._unlike:
             self.state, self._changed = machine.FAILED, True
             return
         following = next_phase(self.phase, records)

@@ -91,6 +91,12 @@ def parser() -> argparse.ArgumentParser:
         help="let Foxglove connect, to ws://localhost:%(const)s or another port; it only looks (default: no bridge)",
     )
     parser.add_argument(
+        "--host",
+        metavar="NAME",
+        help="run the tasks of another host of the deployment file instead, as the host's agent, until the machine "
+        "ends; options of the machine are those of its start on the first host",
+    )
+    parser.add_argument(
         "--foreground", action="store_true", help="stay until the machine ends; Ctrl-C stops it (default: return)"
     )
     unfinished = parser.add_mutually_exclusive_group()
@@ -119,6 +125,8 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Run the command."""
     arguments = parser().parse_args()
+    if arguments.host is not None:
+        become_agent(arguments)
     interrupt_once()
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     failure = 2
@@ -141,6 +149,22 @@ def main() -> int:
     except ImError as error:
         complain(f"start: {error.message}")
         return failure
+
+
+def become_agent(arguments: argparse.Namespace) -> None:
+    """Replace the program by the agent of a host.
+
+    Args:
+        arguments: Of the command line; exits with a sentence if an option is for the first host.
+    """
+    usual = parser().parse_args([])
+    kept = ("host", "deployment", "timeout")
+    for name, value in vars(arguments).items():
+        if name not in kept and value != getattr(usual, name):
+            parser().error(f"--{name} is given at the start on the first host; --host takes it from there")
+    path = Path(arguments.deployment or deployments.default_path()).resolve()
+    program = path_of("im_bringup", "agent")
+    os.execv(program, [str(program), arguments.host, str(path)])
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:

@@ -16,9 +16,19 @@ from im_bringup.machine import run_state
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
+from im_bringup.tasks.host_digest import digests
 from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
-from im_bringup.tasks.signed_link import HostOrder, SignedLink, agent_name, orders_topic, read_secret, reports_topic
+from im_bringup.tasks.registry import Progress
+from im_bringup.tasks.signed_link import (
+    HostOrder,
+    HostReport,
+    SignedLink,
+    agent_name,
+    orders_topic,
+    read_secret,
+    reports_topic,
+)
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
 from im_core.processes.agent_socket import TaskReport
@@ -58,6 +68,8 @@ class AgentNode(GuardedNode):
         self._upkeep.start()
         self._link = SignedLink(secret, host)
         self._reports: dict[str, tuple[TaskReport, int]] = {}
+        self._incarnations: dict[str, int] = {}
+        self._digests = digests(deployment)
         self._report_at = 0.0
         self._started = False
         self.finished = False
@@ -102,14 +114,18 @@ class AgentNode(GuardedNode):
         now = clock.monotonic()
         for report, pid in self._agent.reports():
             self._reports[report.task] = report, pid
+            self._incarnations[report.task] = report.incarnation
             if report.phase == TaskStatus.FAILED:
                 self._agent.replace(report.task, pid, report.detail, now)
         for event in self._agent.poll(now):
             if isinstance(event, Died):
                 self.log.error(str(event))
+                for task in event.tasks:
+                    known = self._incarnations.get(task, 0)
+                    self._reports[task] = TaskReport(task, known, Progress.DEAD, event.sentence), 0
         if self._reports or now >= self._report_at:
             self._report_at = now + REPORT_PERIOD_S
-            content = json.dumps([(asdict(report), pid) for report, pid in self._reports.values()])
+            content = json.dumps(asdict(HostReport(list(self._reports.values()), self._digests)))
             self._reports.clear()
             self._publisher.publish(String(data=self._link.sign(reports_topic(self._host), content)))
         if self.finished:

@@ -9,11 +9,12 @@ from rclpy.duration import Duration
 from std_msgs.msg import String
 
 from im_bringup.machine.bootstrap import Bootstrap
-from im_bringup.tasks.signed_link import HostOrder, HostReports, SignedLink, orders_topic, reports_topic
+from im_bringup.tasks.signed_link import HostOrder, HostReport, SignedLink, orders_topic, reports_topic
 from im_core import clock
 from im_core.processes.startup import start_timeout_s
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
+from im_core.ros.repeated_warnings import Reminders
 from im_core.text.bounded_json import read_json
 
 ACKNOWLEDGED_S = 2.0
@@ -36,6 +37,7 @@ class RemoteAgents:
         self, node: GuardedNode, bootstrap: Bootstrap, hosts: Collection[str], options: str, secret: bytes
     ) -> None:
         self._bootstrap, self._options = bootstrap, options
+        self._reminders, self._warned = Reminders(node), dict.fromkeys(hosts, "")
         self._links = {host: SignedLink(secret, host) for host in hosts}
         self._sent = dict.fromkeys(hosts, "")
         self._publishers = {host: node.create_publisher(String, orders_topic(host), qos.EVENTS) for host in hosts}
@@ -64,10 +66,23 @@ class RemoteAgents:
         signed = self._links[host].sign(orders_topic(host), content, receiver)
         self._publishers[host].publish(String(data=signed))
 
+    def _warn(self, host: str, sentence: str) -> None:
+        if sentence == self._warned[host]:
+            return
+        self._warned[host] = sentence
+        self._reminders.end(host)
+        if sentence:
+            self._reminders.add(host, sentence)
+
     def _hear(self, host: str, message: String) -> None:
         topic = reports_topic(host)
         opened = self._links[host].open(topic, message.data)
         if opened.content is not None:
-            for report, pid in read_json(HostReports, opened.content, topic):
+            told = read_json(HostReport, opened.content, topic)
+            unlike = self._bootstrap.agent_heard(host, told.digests, clock.monotonic())
+            self._warn(host, unlike)
+            if unlike:
+                return
+            for report, pid in told.tasks:
                 self._bootstrap.reported(report, pid, host, clock.monotonic())
         self._send(host, opened.sender)

@@ -16,6 +16,7 @@ from im_bringup.machine.nets import PROVER, MachineNets
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import MARKER, Agent, commands, environment
 from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.host_digest import digests
 from im_bringup.tasks.memory_limit import limit_memory
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.signed_link import read_secret
@@ -89,7 +90,8 @@ def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     run_dir, host, tasks = names.run_dir().resolve(), deployment.local_host(), list(deployment.tasks())
     agent = Agent(commands(deployment, host, run_dir), environment(os.environ, run_dir, deployment))
     nets = MachineNets(run_dir, unproved=deployment.unproved)
-    bootstrap = Bootstrap(tasks, agent, host, nets)
+    common = digests(deployment) if len(deployment.hosts) > 1 else {}
+    bootstrap = Bootstrap(tasks, agent, host, nets, common)
     bootstrap.start(clock.monotonic())
     return nets, bootstrap
 

@@ -13,8 +13,7 @@ from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_core.errors import NotFoundError
 from im_core.options import NumberParser, seconds
 from im_core.ros import qos
-from im_core.ros.messages.message_fields import fields_of
-from im_msgs.msg import TaskRegistry
+from im_msgs.msg import TaskRecord, TaskRegistry
 
 _WAIT_S = 10.0
 _COLUMNS = {
@@ -59,7 +58,7 @@ class TasksNode(InterruptibleNode):
             timeout_s,
         )
         registry, loads = self._registry or TaskRegistry(), self._loads or {}
-        return [{**fields_of(task), **loads.get(task.name, {})} for task in registry.tasks]
+        return [as_dict(task) | loads.get(task.name, {}) for task in registry.tasks]
 
     def _register(self, message: TaskRegistry) -> None:
         self._registry = message
@@ -69,6 +68,11 @@ class TasksNode(InterruptibleNode):
             status.name.removeprefix("tasks: "): {value.key: float(value.value) for value in status.values}
             for status in message.status
         }
+
+
+def as_dict(task: TaskRecord) -> dict[str, Any]:
+    """Return the fields of a task by name."""
+    return {name: getattr(task, name) for name in task.get_fields_and_field_types()}
 
 
 def table(tasks: Sequence[Mapping[str, Any]]) -> str:
@@ -119,7 +123,8 @@ def main() -> int:
     parser = NumberParser(
         prog="im tasks",
         description="Show the tasks of the running machine: where each runs, how far it is, and its load. CPU and "
-        "memory are those of a task's process with its children: tasks of one process share them. CPU 1 is one processor.",
+        "memory are those of a task's process with its children: tasks of one process share them. CPU 1 is one "
+        "processor.",
         epilog="Example: im tasks dispatcher . Exit codes: 0 done, 1 there is no such task, 2 bad usage, 3 no machine "
         "runs here or its bootstrap does not answer, 130 interrupted.",
     )

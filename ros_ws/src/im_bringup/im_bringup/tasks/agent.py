@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment, ParameterValue
-from im_bringup.tasks.loads import ProcessUsage
+from im_bringup.tasks.loads import ProcessLoad
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
 from im_bringup.tasks.middleware import middleware
 from im_bringup.tasks.receivers import Receivers
@@ -157,7 +157,7 @@ class Agent:
         #: Whether a process that died is started again.
         self.respawn = False
         self._order = ""
-        self._usage = ProcessUsage()
+        self._usage = ProcessLoad()
 
     def start(self) -> list[Started]:
         """Start all processes.

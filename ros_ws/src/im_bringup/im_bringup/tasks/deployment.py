@@ -22,6 +22,7 @@ Scalar = bool | int | float | str
 ParameterValue = Scalar | list[Scalar]
 Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=253)]
+Address = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]*$", max_length=253)]
 NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$", max_length=200)]
 
 MOST_TASKS = 100
@@ -126,6 +127,8 @@ class Deployment(Model):
             file relative to it.
         keep: What is kept of logs and results.
         memory_mib: How much memory each process may have before it is ended and started again [MiB].
+        addresses: Host name -> its address in the network of the hosts, for discovery without multicast; all hosts or
+            none.
         hosts: Host name -> process name -> task name -> task, in starting order. The tasks of one process share its
             interpreter, its DDS participant and its loop, and die and start together.
     """
@@ -147,6 +150,7 @@ class Deployment(Model):
     unproved: bool = False
     keep: Keep = Keep()
     memory_mib: Annotated[int, pydantic.Field(ge=512, le=2**20)] = DEFAULT_MIB
+    addresses: dict[HostName, Address] = pydantic.Field(default_factory=dict)
     hosts: Annotated[dict[HostName, dict[Name, dict[Name, Task]]], pydantic.Field(min_length=1)]
 
     @pydantic.model_validator(mode="after")
@@ -168,7 +172,16 @@ class Deployment(Model):
                         raise FieldError((*here, name), sentence)
                     names[name], nodes[task.node] = place, name
         self._check_shared_memory()
+        self._check_addresses()
         return self
+
+    def _check_addresses(self) -> None:
+        """Refuse addresses of unknown hosts, and hosts without one where others have one."""
+        for host in self.addresses:
+            if host not in self.hosts:
+                raise FieldError(("addresses", host), f"there is no host '{host}'; there are {', '.join(self.hosts)}")
+        if self.addresses and (without := [host for host in self.hosts if host not in self.addresses]):
+            raise FieldError(("addresses",), f"host '{without[0]}' has no address; give one to every host, or to none")
 
     def _check_shared_memory(self) -> None:
         """Refuse tasks on another host than the testbed with which they share memory."""

@@ -29,7 +29,7 @@ class Load:
     memory_mib: float = 0.0
 
 
-class ProcessUsage:
+class ProcessLoad:
     """CPU time and memory of processes with their children, measured at most every :data:`LOOK_S`."""
 
     def __init__(self) -> None:

@@ -10,6 +10,8 @@ from im_core.config import package_file
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 #: With it the rmw takes memory policy, publish mode and data sharing from the profile, all of which ours has.
 QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+#: Addresses at which discovery looks for others, also where no multicast goes; those of the user come first.
+PEERS = "ROS_STATIC_PEERS"
 #: Without it Fast DDS also reads a file of the working directory.
 _SKIP = {"SKIP_DEFAULT_XML_FILE": "1"}
 _PACKAGE = "im_bringup"
@@ -33,16 +35,17 @@ def own_profile(base: Mapping[str, str]) -> str:
 
 
 def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str]:
-    """Return the environment variables for the DDS profile, and for the memory kept by DDS.
+    """Return the environment variables for the DDS profile, the memory kept by DDS, and the peers of discovery.
 
     Args:
         base: Environment of whoever starts the machine.
         deployment: What is started; tasks on several hosts open it.
     """
     ours = open_profile() if len(deployment.hosts) > 1 else loopback_profile()
+    peers = {PEERS: ";".join(deployment.addresses.values())} if deployment.addresses and not base.get(PEERS) else {}
     if own := own_profile(base):
-        return {PROFILE: own, **_SKIP}
-    return {PROFILE: str(ours), QOS_FROM_PROFILE: "1", **_SKIP}
+        return {PROFILE: own, **_SKIP, **peers}
+    return {PROFILE: str(ours), QOS_FROM_PROFILE: "1", **_SKIP, **peers}
 
 
 def reach(base: Mapping[str, str], deployment: Deployment) -> str:

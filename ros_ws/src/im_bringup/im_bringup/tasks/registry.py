@@ -8,7 +8,7 @@ from im_bringup.tasks.deployment import PlacedTask
 from im_core.errors import NotFoundError
 from im_core.processes.agent_socket import TaskIncarnation
 
-#: A task of another host of which nothing is reported for longer is taken for dead [s].
+#: A host whose agent reports nothing for longer is taken for dead, with its tasks [s].
 SILENCE_S = 6.0
 
 
@@ -40,7 +40,6 @@ class TaskRecord:
         restarts: How often it was started again.
         progress: How far it is.
         detail: Why it failed or died, or empty.
-        heard: When its report came last, monotonic time [s]; negative if never.
     """
 
     placed: PlacedTask
@@ -49,7 +48,6 @@ class TaskRecord:
     restarts: int = 0
     progress: Progress = Progress.STARTING
     detail: str = ""
-    heard: float = -1.0
 
     @property
     def name(self) -> str:
@@ -68,6 +66,7 @@ class Registry:
     def __init__(self, tasks: Iterable[PlacedTask], local_host: str) -> None:
         self._records = {placed.name: TaskRecord(placed) for placed in tasks}
         self._local_host = local_host
+        self._agents: dict[str, float] = {}  # when the agent of each other host was heard last
 
     def records(self) -> list[TaskRecord]:
         """All records, in starting order."""
@@ -92,7 +91,7 @@ class Registry:
         """The process of the task ended."""
         self._records[name] = replace(self.find(name), progress=Progress.DEAD, detail=detail)
 
-    def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str, now: float) -> bool:
+    def heard(self, name: str, pid: int, incarnation: int, progress: Progress, detail: str) -> bool:
         """Record a report of a task.
 
         Args:
@@ -101,11 +100,10 @@ class Registry:
             incarnation: Number it drew when it started.
             progress: How far it is.
             detail: Why it failed, or empty.
-            now: Monotonic time [s].
 
         Returns:
-            Whether the record changed in more than the time of the report. Reports of unknown tasks, and late ones of
-            processes that were replaced, change nothing.
+            Whether the record changed. Reports of unknown tasks, and late ones of processes that were replaced, change
+            nothing.
         """
         record = self._records.get(name)
         if record is None:
@@ -114,17 +112,10 @@ class Registry:
         if local and (pid != record.pid or record.progress is Progress.DEAD):
             return False
         again = bool(record.incarnation) and incarnation != record.incarnation
-        new = TaskRecord(
-            record.placed,
-            pid=pid,
-            incarnation=incarnation,
-            restarts=record.restarts + (1 if again and not local else 0),
-            progress=progress,
-            detail=detail,
-            heard=now,
-        )
+        restarts = record.restarts + (1 if again and not local else 0)
+        new = TaskRecord(record.placed, pid, incarnation, restarts, progress, detail)
         self._records[name] = new
-        return replace(record, heard=now) != new
+        return new != record
 
     def incarnations(self, host: str) -> dict[str, TaskIncarnation]:
         """Return the present incarnations of all tasks, in the form for the agent of a host."""
@@ -137,8 +128,14 @@ class Registry:
             for record in self.records()
         }
 
+    def agent_heard(self, host: str, now: float) -> None:
+        """Note a report of the agent of another host, at a monotonic time [s]."""
+        self._agents[host] = now
+
     def silence(self, now: float) -> list[TaskRecord]:
-        """Mark silent tasks of other hosts as dead.
+        """Mark the tasks of hosts with a silent agent as dead.
+
+        A task may be silent for long while its agent lives: the agent knows the deaths of its own tasks.
 
         Args:
             now: Monotonic time [s].
@@ -147,9 +144,15 @@ class Registry:
             The records that changed.
         """
         changed = []
-        for record in self.records():
-            remote = record.placed.host != self._local_host
-            if remote and record.heard >= 0 and record.progress is not Progress.DEAD and now - record.heard > SILENCE_S:
-                self.died(record.name, f"nothing was heard of it for {now - record.heard:.1f} s")
-                changed.append(self.find(record.name))
+        for host, heard in self._agents.items():
+            if now - heard <= SILENCE_S:
+                continue
+            sentence = (
+                f"nothing was heard of host {host} for {now - heard:.1f} s; its agent has ended, or the network between"
+                " the hosts is cut"
+            )
+            for record in self.records():
+                if record.placed.host == host and record.progress is not Progress.DEAD:
+                    self.died(record.name, sentence)
+                    changed.append(self.find(record.name))
         return changed

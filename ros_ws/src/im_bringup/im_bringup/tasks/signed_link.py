@@ -48,8 +48,17 @@ class HostOrder:
     options: str
 
 
-#: What an agent tells the bootstrap: the reports of its tasks, each with its process.
-HostReports = list[tuple[TaskReport, int]]
+@dataclass(frozen=True)
+class HostReport:
+    """Report of an agent to the bootstrap.
+
+    Attributes:
+        tasks: The reports of its tasks, each with its process.
+        digests: Of what the host has, as of :func:`im_bringup.tasks.host_digest.digests`.
+    """
+
+    tasks: list[tuple[TaskReport, int]]
+    digests: dict[str, str]
 
 
 def orders_topic(host: str) -> str:
@@ -58,7 +67,7 @@ def orders_topic(host: str) -> str:
 
 
 def reports_topic(host: str) -> str:
-    """The topic on which the agent of a host tells the bootstrap :data:`HostReports`."""
+    """The topic on which the agent of a host tells the bootstrap :class:`HostReport`."""
     return f"/{agent_name(host)}/reports"
 
 

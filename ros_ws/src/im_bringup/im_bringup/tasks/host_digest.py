@@ -1,0 +1,51 @@
+"""Digests of a host: digests of everything that the hosts of a deployment must have in common."""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from im_bringup.tasks.deployment import Deployment
+from im_core.files import read_bytes
+
+_MESSAGES = "im_msgs"
+#: Of a definition of a message [bytes].
+_LARGEST = 1 << 20
+
+
+def digests(deployment: Deployment) -> dict[str, str]:
+    """Return the digest of each thing by its name, for :func:`differences`.
+
+    Args:
+        deployment: As read from the file of the host.
+
+    Raises:
+        ConfigError: The cell is missing or wrong.
+    """
+    from im_cell.robot import load_cell  # half a second that starts on one host do not need
+
+    cell = load_cell(deployment.cell or None)
+    return {
+        "tasks of the deployment file": _digest([deployment.model_dump_json(include={"hosts"}).encode()]),
+        "cell": _digest([cell.model_dump_json().encode()]),
+        f"messages ({_MESSAGES})": _digest(_interfaces(Path(get_package_share_directory(_MESSAGES)))),
+    }
+
+
+def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> list[str]:
+    """Return the names of the things that differ between two hosts."""
+    return sorted(name for name in {*ours, *theirs} if ours.get(name) != theirs.get(name))
+
+
+def _interfaces(share: Path) -> Iterator[bytes]:
+    for path in sorted(path for kind in ("msg", "srv", "action") for path in share.glob(f"{kind}/*.{kind}")):
+        yield path.name.encode()
+        yield read_bytes(path, _LARGEST)
+
+
+def _digest(parts: "Iterator[bytes] | list[bytes]") -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(hashlib.sha256(part).digest())
+    return digest.hexdigest()
