@@ -182,12 +182,14 @@ class BagWriter:
         if self._file.path in self._parts:
             return  # the next could not be begun
         self._file.close()
-        if self._file.is_empty():
-            if self._parts:  # they are listed; without, the empty file tells why there is no message
+        try:
+            if not self._file.is_empty():
+                complete_file(self._file.path)
+                write_metadata(self.path, [*self._parts, self._file.path])
+            elif self._parts:  # they are listed; without, the empty file tells why there is no message
                 self._file.path.unlink(missing_ok=True)
-            return
-        complete_file(self._file.path)
-        write_metadata(self.path, [*self._parts, self._file.path])
+        except OSError as error:
+            raise StoreError.of("completed", self.path, error) from error
 
     def _attempt(self, act: Callable[[], Any]) -> Any:
         """Run an operation on the disk; a failure (for example a full disk) fails all later operations, too."""

@@ -22,8 +22,8 @@ from im_dom.salvage import Salvage, salvage
 from im_dom.schema import COLUMNS, SCHEMA, SCHEMA_VERSION, record_of, request_checksum, row_of
 from im_dom.transactions import Listed, TransactionList, read_list
 
-_LIST = "-list"
-_BESIDE = ("", "-wal", "-shm", _LIST)
+_LIST, _JOURNAL = "-list", "-journal"
+_BESIDE = ("", "-wal", "-shm", _JOURNAL, _LIST)
 
 #: How long the write-ahead log, or the list of its transactions, may be before it is moved into the file [byte].
 _MOST_LOG, _MOST_LIST = 4 * MEBIBYTE, MEBIBYTE // 4
@@ -112,10 +112,10 @@ class StoreFile:
                 self.move_log()
                 self._most_log = max(_MOST_LOG, self._path.stat().st_size // 4)
 
-    def move_log(self) -> None:
-        """Move the write-ahead log into the file; if the disk refuses the move now, the log stays."""
+    def move_log(self) -> bool:
+        """Move the log into the file, and return whether it is there; if the disk refuses the move now, the log stays."""
         if self._path is None:
-            return
+            return True
         with suppress(sqlite3.Error, OSError):
             if self._list is not None:
                 self._list.begin_move()
@@ -126,6 +126,8 @@ class StoreFile:
                 if self._list is not None:
                     self._list.close()
                 self._list = begun
+                return True
+        return False
 
     def close(self) -> None:
         """Close the file.
@@ -133,10 +135,18 @@ class StoreFile:
         Raises:
             sqlite3.Error: It cannot be closed.
         """
-        self.move_log()
-        self.db.close()
+        if self.move_log():
+            self.db.close()
+        else:
+            self._close_unmoved()
         if self._list is not None:
             self._list.close()
+
+    def _close_unmoved(self) -> None:
+        """Close the file, and keep SQLite from moving the log, unlisted: its last connection that may write would."""
+        with suppress(sqlite3.Error), closing(_read_only(self._path or Path())) as reader:
+            reader.execute("SELECT number FROM last").fetchone()
+            self.db.close()
 
     def _check(self, path: Path) -> Salvage | None:
         """Look for damage; if there is any, set the files aside and return the intact content.
@@ -145,6 +155,7 @@ class StoreFile:
             DataError: It cannot be opened.
             StoreError: It cannot be moved aside.
         """
+        _undo_begun(path)
         listed = read_list(path.with_name(path.name + _LIST))
         fault = _fault(path, listed)
         if not fault.text:
@@ -179,6 +190,16 @@ class StoreFile:
         self.db.execute("COMMIT")
 
 
+def _undo_begun(path: Path) -> None:
+    """Have SQLite undo the begun creation of a store; a rollback journal exists only until the store has its log.
+
+    A death in between leaves the journal, and with it the store cannot be opened for reading alone.
+    """
+    if path.with_name(path.name + _JOURNAL).exists():
+        with suppress(sqlite3.Error), closing(sqlite3.connect(path)) as db:
+            db.execute("SELECT count(*) FROM sqlite_schema")
+
+
 @dataclass(frozen=True)
 class _Fault:
     """Why a store cannot be used.
@@ -206,13 +227,17 @@ def _fault(path: Path, listed: Listed | None) -> _Fault:
     if told is not None and (fault := _difference(told, path)):
         return _Fault(f"is damaged ({fault})", file=True)
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as db:
+        with closing(_read_only(path)) as db:
             db.text_factory = lambda text: text.decode("utf-8", "replace")  # a wrong checksum says more
             return _fault_within(db, listed, checked=told is not None)
     except sqlite3.Error as error:
         if error.sqlite_errorcode & 0xFF in _UNREADABLE:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         return _Fault(f"is damaged ({error})", file=True)
+
+
+def _read_only(path: Path) -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
 
 
 def _difference(told: tuple[int, int], path: Path) -> str:

@@ -1,0 +1,285 @@
+"""Stores on a disk of which each call fails in turn; in a process in which ``failing_disk.c`` was loaded before libc.
+
+``python -m support.failing_disk STORE FOLDER``: carries the story of a store out once for each call that it makes of
+the disk, with that call failing (EIO), and once more with the disk failing from that call on. Then the story of a store
+is carried out with each allocation of memory failing in turn. A failure may be told, or end the process; whatever was
+acknowledged must be there afterwards, whole. Prints how many stories were told; ends with 1 at the first that is wrong.
+"""
+
+import _testcapi
+import ctypes
+import errno
+import json
+import os
+import shutil
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from im_core.errors import ImError
+
+Say = Callable[[object], None]
+_ALLOCATIONS = 60
+"""Of a story so many fail, spread over all of them."""
+
+
+def attempt(say: Say, what: object, work: Callable[[], object]) -> bool:
+    """Say that something is tried, and that it is done; return whether it is."""
+    say(["tried", what])
+    try:
+        work()
+    except ImError:
+        return False
+    say(["done", what])
+    return True
+
+
+class Dom:
+    """Data objects."""
+
+    STEPS = (("a", "one"), ("b", "two"), ("a", "three"), ("a", "four"), ("b", "five"))
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_dom.store import ObjectStore
+
+        try:
+            store = ObjectStore(folder / "dom.sqlite")
+        except ImError:
+            return
+        for name, data in Dom.STEPS:
+            attempt(
+                say, [name, data], lambda name=name, data=data: store.put(name, "t/msg/T", data.encode(), "", "", 0)
+            )
+        try:
+            store.close()
+        except ImError:
+            return
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_dom.store import ObjectStore
+
+        store = ObjectStore(folder / "dom.sqlite")
+        assert not store.aside, store.aside
+        assert not store.damages()
+        found = {record.name: store.get(record.name)[1].decode() for record in store.records()}
+        store.close()
+        for name in ("a", "b"):
+            tried = [data for how, (of, data) in said if how == "tried" and of == name]
+            done = [data for how, (of, data) in said if how == "done" and of == name]
+            newest = tried[tried.index(done[-1]) :] if done else [None, *tried]
+            assert found.get(name) in newest, f"{name}: {found.get(name)} instead of one of {newest}"
+
+
+class Journal:
+    """The journal of a node."""
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_pnt_node.journal.folder import Folder
+        from im_pnt_node.journal.log import Log, Sync
+
+        try:
+            files = Folder(folder / "journal")
+            files.lock()
+            log = Log(files, Sync.DISK)
+            log.recover()
+        except ImError:
+            return
+        if not attempt(say, ["begin"], lambda: log.replace({"node": "test"}, {"state": 0})):
+            return
+        for number in range(3):
+            attempt(say, [number], lambda number=number: log.append(f"[{number}]"))
+        attempt(say, ["snapshot"], lambda: log.replace({"node": "test"}, {"state": 1}))
+        for number in range(3, 6):
+            attempt(say, [number], lambda number=number: log.append(f"[{number}]"))
+        log.close()
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_pnt_node.journal.folder import Folder
+        from im_pnt_node.journal.log import look
+
+        recovered = look(Folder(folder / "journal"))
+        done = [what for how, (what,) in said if how == "done"]
+        tried = [what for how, (what,) in said if how == "tried"]
+        if recovered is None:
+            assert not done
+            return
+        batches = [number for _, (number,) in recovered.batches]
+        assert recovered.state in ({"state": 0}, {"state": 1})
+        assert recovered.state == {"state": 1} or "snapshot" not in done
+        first = 3 if recovered.state == {"state": 1} else 0
+        assert set(batches) <= set(tried), batches
+        lost = [number for number in done if isinstance(number, int) and number >= first and number not in batches]
+        assert not lost, f"{lost} of {done} lost; {batches} are there"
+        assert batches == sorted(batches)
+
+
+class Bag:
+    """A recording."""
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_bag import BagWriter, Delivery, PartLimits
+
+        try:
+            writer = BagWriter(folder / "bag", PartLimits(size_bytes=250, free_bytes=0))
+            writer.add_topic("/a", "std_msgs/msg/String", Delivery(reliable=True, latched=False, depth=1))
+        except ImError:
+            return
+        for number in range(6):
+            data = str(number).zfill(100).encode()
+            try:
+                writer.write("/a", number, data)
+            except ImError:
+                break
+            attempt(say, number, writer.flush)
+        try:
+            writer.close()
+        except ImError:
+            return
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_bag import BagReader
+
+        done = [number for how, number in said if how == "done"]
+        if not done:
+            return
+        with BagReader(folder / "bag") as reader:
+            found = [int(data) for _, _, data in reader.messages(["/a"])]
+        assert found == sorted(set(found)), found
+        assert set(done) <= set(found), f"{sorted(set(done) - set(found))} lost; {found} are there"
+
+
+class Results:
+    """The report of a command, and what points to the latest."""
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_dispatcher.report import make_directory, write_report
+
+        for number in (1, 2):
+            try:
+                made = make_directory(folder, f"20260101-00000{number}")
+            except ImError:
+                continue
+            attempt(say, number, lambda made=made, number=number: write_report(made, {"number": number}))
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        done = [number for how, number in said if how == "done"]
+        reports = [json.loads(path.read_text())["number"] for path in folder.glob("*/report.json")]
+        assert set(done) <= set(reports), f"{done} told, {reports} there"
+        if done:
+            latest = json.loads((folder / "latest" / "report.json").read_text())["number"]
+            assert latest >= done[-1], f"the latest is {latest}, told was {done[-1]}"
+
+
+class Ended:
+    """How commands have ended: kept in memory on a disk that fails, so that only what a disk that works took counts."""
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_pnt_node.journal.ended import EndedCommand, EndedCommands
+
+        ended = EndedCommands()
+        try:
+            ended.keep_in(folder / "ended", sync=True)
+        except ImError:
+            return
+        for number in (1, 2, 3):
+            command = EndedCommand(
+                number=number, symbol="home", time=4e9, success=True, code="", message="", facts={}, results={}
+            )
+            attempt(say, number, lambda command=command: ended.add(command))
+        assert ended.newest(3) == [1, 2, 3]
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_pnt_node.journal.ended import EndedCommands
+
+        ended = EndedCommands()
+        ended.keep_in(folder / "ended", sync=True)
+        assert set(ended.newest(3)) <= {number for how, number in said if how == "tried"}
+
+
+STORES = {kind.__name__.lower(): kind for kind in (Dom, Journal, Bag, Results, Ended)}
+
+
+def in_child(
+    arm: Callable[[], None], tell: Callable[[Path, Say], None], folder: Path
+) -> tuple[list[list[object]], int]:
+    """Carry a story out in a child process; return what it has said, and its last word, a number of calls."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        code = 0
+        try:
+            os.close(reading)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            arm()
+            tell(folder, lambda what: os.write(writing, json.dumps(what).encode() + b"\n") and None)
+        except MemoryError:
+            code = 0
+        except BaseException:
+            _testcapi.remove_mem_hooks()
+            os.write(writing, json.dumps(["broken", traceback.format_exc()]).encode() + b"\n")
+            code = 1
+        _testcapi.remove_mem_hooks()
+        os.write(writing, json.dumps(["calls", disk().failing_disk_count()]).encode() + b"\n")
+        os._exit(code)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        said = [json.loads(line) for line in pipe.read().splitlines() if line.endswith(b"]")]
+    os.waitpid(child, 0)
+    calls = next((count for how, count in said if how == "calls"), 0)
+    return [each for each in said if each[0] != "calls"], calls
+
+
+def disk() -> ctypes.CDLL:
+    """Return the library that was loaded before libc."""
+    return ctypes.CDLL(None)
+
+
+def stories(kind: type, folder: Path) -> Iterator[str]:
+    """Carry all stories of a store out, and check each; yields what was done in each."""
+
+    def story(name: str, arm: Callable[[], None], may_be_told: bool) -> int:
+        place = folder / "place"
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        said, calls = in_child(arm, kind.tell, place)
+        broken = [why for how, why in said if how == "broken"]
+        assert may_be_told or not broken, f"{kind.__name__}, {name}: {broken[0]}"
+        try:
+            kind.check(place, [each for each in said if each[0] != "broken"])
+        except Exception as error:
+            raise AssertionError(f"{kind.__name__}, {name}, after {said}: {error}") from error
+        return calls
+
+    warm = folder / "warm"
+    warm.mkdir()
+    kind.tell(warm, lambda _: None)  # what it loads and makes once is there in each child
+    place = str(folder / "place").encode()
+    calls = story("nothing fails", lambda: disk().failing_disk_arm(place, ctypes.c_long(0), 0, 0), False)
+    assert calls > 5, f"only {calls} calls of the disk were seen"
+    for nth in range(1, calls + 1):
+        for onwards in (0, 1):
+            name = f"call {nth} of {calls} fails{' and all that follow' if onwards else ''}"
+            arm = lambda nth=nth, on=onwards: disk().failing_disk_arm(place, ctypes.c_long(nth), errno.EIO, on)  # noqa: E731
+            story(name, arm, False)
+            yield name
+    nth, step = 1, 1
+    for _ in range(_ALLOCATIONS):
+        name = f"allocation {nth} fails"
+        story(name, lambda nth=nth: _testcapi.set_nomemory(nth, nth + 1), True)
+        yield name
+        nth, step = nth + step, step + 1 + step // 8
+
+
+if __name__ == "__main__":
+    print(sum(1 for _ in stories(STORES[sys.argv[1]], Path(sys.argv[2]))))
