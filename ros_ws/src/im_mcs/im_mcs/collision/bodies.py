@@ -46,7 +46,7 @@ class Bodies:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
-        for number, capsule in enumerate(model.cell.capsules):
+        for number, capsule in enumerate(model.cell.bodies):
             self._add_capsule(f"{capsule.link}_{number}", capsule.link, capsule.p0, capsule.p1, capsule.radius)
         for box in model.cell.obstacles:
             shape = coal.Box(*box.size)
