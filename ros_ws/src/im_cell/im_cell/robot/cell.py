@@ -85,7 +85,7 @@ class Cell(Model):
     @field_validator("urdf")
     @classmethod
     def _found(cls, urdf: str, info: ValidationInfo) -> str:
-        return str(_resolved(urdf, Path(str((info.context or {}).get("file", ""))).parent))
+        return str(resolved(urdf, Path(str((info.context or {}).get("file", "")))))
 
     @model_validator(mode="after")
     def _references(self) -> Self:
@@ -335,19 +335,24 @@ def _require(name: str, known: Collection[str], where: Location, what: str) -> N
         raise FieldError(where, f"'{name}' is not {what}{nearest(name, tuple(known))}")
 
 
-def _resolved(urdf: str, folder: Path) -> Path:
-    """Return the path of a URDF: beside the cell file, absolute, or in a package of ROS.
+def resolved(named: str, beside: Path) -> Path:
+    """Return the path of a URDF or mesh: absolute, beside another file, or in a package of ROS.
+
+    Args:
+        named: As written; `package://` begins one in a package.
+        beside: File that names it; the folders above it are looked at too where a package is not installed.
 
     Raises:
         ValueError: The package is not there.
     """
-    package, slash, below = urdf.removeprefix("package://").partition("/")
-    if not urdf.startswith("package://"):
-        return folder / urdf
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix and slash and (path := Path(prefix) / "share" / package / below).is_file():
+    if not named.startswith("package://"):
+        return beside.parent / named
+    package, _, below = named.removeprefix("package://").partition("/")
+    installed = [Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    for folder in (*installed, *beside.absolute().parents):
+        if (path := folder / package / below).is_file():
             return path
-    raise ValueError(f"package {package} has no file '{below}' in any workspace that is sourced")
+    raise ValueError(f"package {package} with '{below}' is in no workspace that is sourced, and in no folder above")
 
 
 def shipped_cells() -> tuple[str, ...]:
