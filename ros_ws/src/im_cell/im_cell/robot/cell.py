@@ -348,7 +348,9 @@ def resolved(named: str, beside: Path) -> Path:
     if not named.startswith("package://"):
         return beside.parent / named
     package, _, below = named.removeprefix("package://").partition("/")
-    installed = [Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    installed = [
+        Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix
+    ]
     for folder in (*installed, *beside.absolute().parents):
         if (path := folder / package / below).is_file():
             return path

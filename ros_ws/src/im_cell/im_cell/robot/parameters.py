@@ -113,7 +113,7 @@ class Drive(Model):
         acceleration, jerk: Largest magnitudes, by s2, s3; None: full speed and full acceleration take a stated time.
         torque: Largest motor torque, where the URDF has none [Nm or N].
         range: Range, where the URDF has none or a wider one [rad or m].
-        motor: Motor behind a gear; None: no rotor and no friction, a brake of full torque.
+        motor: Motor behind a gear; None: one of the order of those of geared arms, see :mod:`im_cell.robot.tree`.
         stiffness: For joint impedance [Nm/rad or N/m]; None: full torque at 0.05 rad or 5 mm.
     """
 

@@ -18,6 +18,8 @@ SPEED_TIME_S, ACCELERATION_TIME_S = 0.25, 0.1
 """Times to full speed and to full acceleration, where a cell has no limits of acceleration and jerk."""
 FULL_TURNS, SLOW, GIVE = 2.0 * pi, 1.0, {"prismatic": 0.005}
 """Range of a joint without one [rad], speed [rad/s or m/s], and yield of a spring at full torque where no file says."""
+ROTOR, FRICTION = 125.0, 0.02
+"""Acceleration of an assumed rotor alone under full torque [1/s2], and its frictions as a share of full torque."""
 _ENCODER_STEP = 1e-5
 """Resolution of an encoder where no motor is known [rad or m]."""
 
@@ -173,7 +175,7 @@ def joint_of(joint: UrdfJoint, place: FixedFrame, drive: Drive, encoder: Encoder
         jerk=drive.jerk or acceleration / ACCELERATION_TIME_S, torque=torque,
     )  # fmt: skip
     stiffness = drive.stiffness or torque / GIVE.get(joint.kind, 0.05)
-    motor = drive.motor or Motor(inertia=0.0, gear=1.0, viscous=0.0, coulomb=(0.0, 0.0), brake=torque)
+    motor = drive.motor or _motor(limits)
     gear = abs(motor.gear)
     forwards, backwards = motor.coulomb if motor.gear > 0.0 else (-motor.coulomb[1], -motor.coulomb[0])
     resolution = _ENCODER_STEP if drive.motor is None else 2.0 * pi / (encoder.counts_per_turn * gear)
@@ -183,6 +185,15 @@ def joint_of(joint: UrdfJoint, place: FixedFrame, drive: Drive, encoder: Encoder
         rotor_inertia=gear**2 * motor.inertia, viscous=gear**2 * motor.viscous,
         coulomb_positive=gear * forwards, coulomb_negative=-gear * backwards,
         brake=gear * motor.brake, resolution=resolution, noise=encoder.noise_counts * resolution, stiffness=stiffness,
+    )  # fmt: skip
+
+
+def _motor(limits: Limits) -> Motor:
+    """Return the motor of a joint of which nothing is said: of the order of those of geared arms."""
+    friction = FRICTION * limits.torque
+    return Motor(
+        inertia=limits.torque / ROTOR, gear=1.0, viscous=friction / limits.velocity, coulomb=(friction, -friction),
+        brake=limits.torque,
     )  # fmt: skip
 
 
@@ -210,7 +221,10 @@ def assumptions(tree: Tree, drives: Mapping[str, Drive]) -> tuple[list[str], lis
                 f"joint {joint.name} has no limit of jerk; full acceleration after {ACCELERATION_TIME_S:g} s is assumed"
             )
         if drive.motor is None:
-            other.append(f"joint {joint.name} has no motor; no rotor, no friction, a brake of full torque are assumed")
+            other.append(
+                f"joint {joint.name} has no motor; a rotor that full torque accelerates by {ROTOR:g} /s2, dry and "
+                f"viscous friction of {100 * FRICTION:g} % and a brake of full torque are assumed"
+            )
     needed += [f"link {link.name} has no mass" for link in tree.links if link.mass == 0.0]
     return needed, other
 

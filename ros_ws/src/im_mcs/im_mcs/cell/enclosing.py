@@ -33,7 +33,9 @@ def capsule_around(link: UrdfLink, urdf: Path) -> Capsule | None:
         return None
     found = [_points(shape, link.name, urdf) @ matrix_of_rpy(shape.rpy).T + shape.xyz for shape in link.shapes]
     start, end, radius = enclose(np.vstack(found))
-    return Capsule(link=link.name, p0=_rounded(start), p1=_rounded(end), radius=round(float(np.ceil(1e3 * radius + 0.1)) * 1e-3, 3))
+    return Capsule(
+        link=link.name, p0=_rounded(start), p1=_rounded(end), radius=round(float(np.ceil(1e3 * radius + 0.1)) * 1e-3, 3)
+    )
 
 
 def enclose(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
@@ -93,7 +95,7 @@ def _vertices(shape: UrdfShape, link: str, urdf: Path) -> NDArray[np.float64]:
     except (ValueError, RuntimeError) as error:
         raise DataError(f"the mesh {shape.mesh} of link {link}: {error}", link=link, mesh=shape.mesh) from error
     if (size := float(np.ptp(points, axis=0).max())) > _LARGEST_M:
-        text = f"is {size:.0f} m large: its lengths are millimetres, it seems; scale=\"0.001 0.001 0.001\" mends that"
+        text = f'is {size:.0f} m large: its lengths are millimetres, it seems; scale="0.001 0.001 0.001" mends that'
         raise DataError(f"the mesh {shape.mesh} of link {link} {text}", link=link, mesh=shape.mesh)
     return points
 

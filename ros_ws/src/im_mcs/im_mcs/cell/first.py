@@ -185,7 +185,10 @@ def _written(
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
         lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(each.link, *ends, each.radius))
     if never:
-        lines += ["", "never:                  # pairs of links that are not looked at: their shapes overlap by construction"]
+        lines += [
+            "",
+            "never:                  # pairs of links that are not looked at: their shapes overlap by construction",
+        ]
         lines += [f"  - [{first}, {second}]" for first, second in never]
     box = Box.model_validate(_FLOOR)
     size, centre, color = (f"[{', '.join(map(str, each))}]" for each in (box.size, box.center, box.color))
