@@ -303,6 +303,12 @@ class Cell(Model):
         return self.gripper.reach if self.groups[group].gripper else 0.0
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of groups, their devices and cameras, and ``laser`` if there is one: what programs may need."""
+        devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
+        return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
+
+    @property
     def light_names(self) -> tuple[str, ...]:
         """Names of the wrist lights, in the order of the testbed link."""
         return tuple(self.devices("light"))
