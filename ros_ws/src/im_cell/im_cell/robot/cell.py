@@ -370,11 +370,17 @@ def shipped_cells() -> tuple[str, ...]:
 
 
 def cell_file(named: Path | str) -> Path:
-    """Return the file of a cell: a shipped one by its name, or a path."""
+    """Return the file of a cell: a shipped one by its name, or a path.
+
+    Raises:
+        ConfigError: It is a name, and no cell is shipped under it.
+    """
     path = Path(named)
-    if path.name == str(named) and not path.exists() and path.name in shipped_cells():
-        return package_file("im_cell", f"cells/{path.name}/cell.yaml")
-    return path
+    if path.exists() or path.suffix or path.name != str(named):
+        return path
+    if path.name not in (known := shipped_cells()):
+        raise ConfigError(f"there is no cell '{named}', neither a file nor a shipped one{nearest(path.name, known)}")
+    return package_file("im_cell", f"cells/{path.name}/cell.yaml")
 
 
 def load_cell(path: Path | str | None = None) -> Cell:
