@@ -4,13 +4,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.robot import load_cell, shipped_cells
-from im_core.errors import ImError
+from im_cell.robot import cell_file, load_cell, shipped_cells
+from im_core.errors import ConfigError, ImError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import CollisionChecker
+from im_mcs.control import LawSource
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
-from im_mcs.model import CellModel
+from im_mcs.model import CellModel, ControlledModel
 
 OTHERS = [name for name in shipped_cells() if name != "puma_pair"]
 SIX = ["ur5", "panda", "ur_pair"]
@@ -89,7 +90,7 @@ def test_a_straight_line_is_straight(each, bench_of):
     bench.to_motion(group)
     model = bench.mcs.control_model
     start = model.pose(bench.driver.plant.q, frame)
-    end = start.translation + [0.0, 0.06, -0.05]
+    end = start.translation + np.array([0.0, 0.06, -0.05])
     pose = [*end, *pin.Quaternion(start.rotation).coeffs()]
     places = []
     reply = bench.ask(
@@ -132,10 +133,20 @@ def test_links_that_meet_are_named(name):
     random = np.random.default_rng(0)
     for _ in range(2000):
         q = random.uniform(cell.per_joint("limits.lower"), cell.per_joint("limits.upper"))
-        try:
-            checker.require_free(q)
-        except ImError as error:
+        if checker.closest(q).distance < 0.0:
+            with pytest.raises(ImError, match="would collide with") as told:
+                checker.require_free(q)
             bodies = {body.link for body in cell.bodies} | {"floor"}
-            assert {error.facts["first"], error.facts["second"]} <= bodies
+            assert {told.value.facts["first"], told.value.facts["second"]} <= bodies
             return
     pytest.fail("no position of 2000 has links that meet")
+
+
+def test_a_law_that_gives_torques_refuses_a_cell_without_masses_or_torques(tmp_path):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text().replace('effort="28.0"', 'effort="0"', 1)
+    (tmp_path / "ur5.urdf").write_text(text)
+    (tmp_path / "cell.yaml").write_text(cell_file("ur5").read_text())
+    cell = load_cell(tmp_path / "cell.yaml")
+    config, model = load_config(cell=cell), ControlledModel(cell)
+    with pytest.raises(ConfigError, match="needs what the cell does not say: joint wrist_1_joint has no limit of eff"):
+        LawSource(config, model, cell.per_joint("limits.torque"), 0.0)

@@ -57,7 +57,7 @@ class World:
         self._part(obstacles)
 
     def _part(self, obstacles: Sequence[int]) -> None:
-        """Let links and obstacles that overlap at home pass each other: a foot is let into the floor by construction."""
+        """Let links and obstacles that overlap at home pass each other: a foot may be let into the floor."""
         for obstacle in obstacles:
             for point in pybullet.getClosestPoints(self.body, obstacle, 0.0, **self._options):
                 pybullet.setCollisionFilterPair(self.body, obstacle, point[3], -1, 0, **self._options)

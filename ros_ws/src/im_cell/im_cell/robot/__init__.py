@@ -3,8 +3,8 @@
 ``load_cell()`` gives a :class:`Cell`; ``urdf(cell)`` the same as URDF, ``robot_description(cell, limits)`` that of
 ``/robot_description``. Joints are in the order of the URDF's tree, those below one link by name.
 World frame ``world``: z up; ``mount`` of the cell file says where in it the URDF's root stands.
-:mod:`im_cell.robot.truth`, what the simulated cell is really like, is not part of the public face: only who simulates or
-judges imports it.
+:mod:`im_cell.robot.truth`, what the simulated cell is really like, is not part of the public face: only who simulates
+or judges imports it.
 """
 
 from im_cell.robot.cell import Cell, cell_file, load_cell, shipped_cells

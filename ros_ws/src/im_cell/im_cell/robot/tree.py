@@ -20,6 +20,10 @@ FULL_TURNS, SLOW, GIVE = 2.0 * pi, 1.0, {"prismatic": 0.005}
 """Range of a joint without one [rad], speed [rad/s or m/s], and yield of a spring at full torque where no file says."""
 ROTOR, FRICTION = 125.0, 0.02
 """Acceleration of an assumed rotor alone under full torque [1/s2], and its frictions as a share of full torque."""
+_ASSUMED_MOTOR = (
+    f"a rotor that full torque accelerates by {ROTOR:g} /s2, dry and viscous friction of {100 * FRICTION:g} % of full "
+    "torque each, and a brake of full torque"
+)
 _ENCODER_STEP = 1e-5
 """Resolution of an encoder where no motor is known [rad or m]."""
 
@@ -202,29 +206,24 @@ def assumptions(tree: Tree, drives: Mapping[str, Drive]) -> tuple[list[str], lis
     needed, other = [], []
     for joint in tree.description.joints:
         if joint.kind in MOVING and joint.name not in tree.moving:
-            why = f", as {joint.mimic} moves it" if joint.mimic else ""
+            why = f", though it follows {joint.mimic}" if joint.mimic else ""
             other.append(f"joint {joint.name} is in no group and stands still{why}")
+    lacking: dict[str, list[str]] = {}
     for joint, _ in tree.joints:
         drive = drives.get(joint.name, Drive())
         if not joint.effort and drive.torque is None:
             needed.append(f"joint {joint.name} has no limit of effort")
-        if drive.range is None and (joint.kind == "continuous" or joint.lower is None):
-            other.append(f"joint {joint.name} has no range; two turns to both sides are assumed")
-        if not joint.velocity:
-            other.append(f"joint {joint.name} has no limit of velocity; {SLOW:g} rad/s is assumed")
-        if drive.acceleration is None:
-            other.append(
-                f"joint {joint.name} has no limit of acceleration; full speed after {SPEED_TIME_S:g} s is assumed"
-            )
-        if drive.jerk is None:
-            other.append(
-                f"joint {joint.name} has no limit of jerk; full acceleration after {ACCELERATION_TIME_S:g} s is assumed"
-            )
-        if drive.motor is None:
-            other.append(
-                f"joint {joint.name} has no motor; a rotor that full torque accelerates by {ROTOR:g} /s2, dry and "
-                f"viscous friction of {100 * FRICTION:g} % and a brake of full torque are assumed"
-            )
+        endless = drive.range is None and (joint.kind == "continuous" or joint.lower is None)
+        for missing, assumed in (
+            (endless, "no range; a turn to both sides"),
+            (not joint.velocity, f"no limit of velocity; {SLOW:g} rad/s or m/s"),
+            (drive.acceleration is None, f"no limit of acceleration; full speed after {SPEED_TIME_S:g} s"),
+            (drive.jerk is None, f"no limit of jerk; full acceleration after {ACCELERATION_TIME_S:g} s"),
+            (drive.motor is None, f"no motor; {_ASSUMED_MOTOR}"),
+        ):
+            if missing:
+                lacking.setdefault(assumed, []).append(joint.name)
+    other += [f"{', '.join(joints)}: {assumed}" for assumed, joints in lacking.items()]
     needed += [f"link {link.name} has no mass" for link in tree.links if link.mass == 0.0]
     return needed, other
 

@@ -13,7 +13,7 @@ from im_cell.robot.description import UrdfLink, UrdfShape
 from im_cell.rotations import matrix_of_rpy
 from im_core.errors import DataError
 
-_CENTRING = 64
+_CENTRING = 256
 _SHORTEST_M = 1e-3
 _LARGEST_M = 20.0
 _TURN = 24
@@ -52,7 +52,7 @@ def _along(
     points: NDArray[np.float64], axis: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     across = points - np.outer(points @ axis, axis)
-    centre = (across.min(axis=0) + across.max(axis=0)) / 2.0
+    centre = across.mean(axis=0)
     for k in range(1, _CENTRING):
         centre = centre + (across[np.argmax(np.linalg.norm(across - centre, axis=1))] - centre) / (k + 1)
     away = np.linalg.norm(across - centre, axis=1)
