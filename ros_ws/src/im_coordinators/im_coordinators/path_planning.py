@@ -77,7 +77,7 @@ def tucked_seed(position: Sequence[float], tucked: Sequence[float], carriers: in
 
 
 def detour(start: Sequence[float], goal: Sequence[float], tucked: Sequence[float], carriers: int) -> list[list[float]]:
-    """Return a path around an obstacle: tuck the arm, move what carries it, stretch the arm again.
+    """Return a path around an obstacle: tuck the arm, move the carriers, stretch the arm again.
 
     Args:
         start: Joint positions now, shape (n,) [rad, m].

@@ -8,9 +8,9 @@ import pytest
 
 from im_cell.robot import cell_file, load_cell
 from im_core.errors import ConfigError, DataError
+from im_mcs.cell.capsules import enclose
 from im_mcs.cell.command import main
-from im_mcs.cell.enclosing import enclose
-from im_mcs.cell.first import first_cell
+from im_mcs.cell.template import first_cell
 from im_mcs.limits.configuration import load_config
 
 

@@ -327,13 +327,13 @@ def load_parts(cell: str) -> tuple[str, ...]:
 
 
 def left_out(deployment: Deployment, parts: Collection[str]) -> dict[str, list[str]]:
-    """Return the tasks that a cell with some parts cannot have, with what each lacks."""
+    """Return the tasks that a cell with some parts cannot have, with the parts that each lacks."""
     lack = {placed.name: [need for need in placed.task.needs if need not in parts] for placed in deployment.tasks()}
     return {name: needs for name, needs in lack.items() if needs}
 
 
 def for_cell(deployment: Deployment, parts: Collection[str]) -> Deployment:
-    """Return the deployment without the tasks that need what a cell lacks.
+    """Return the deployment without the tasks that need other parts than a cell has.
 
     Raises:
         ConfigError: No task is left.

@@ -1,4 +1,4 @@
-"""The cell: a URDF, what a cell file says beside it, and derived values."""
+"""The cell: a URDF, the cell file beside it, and derived values."""
 
 import math
 import os
@@ -12,20 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import Description, UrdfShape, parse_description
+from im_cell.robot.description import RobotDescription, UrdfGeometry, parse_description
 from im_cell.robot.parameters import (
     Box,
     BrakeSpec,
     Camera,
     Capsule,
     CellGroup,
-    Drive,
+    CellMount,
+    DriveSpec,
     EncoderSpec,
     Gripper,
     Group,
     Led,
     Number,
-    RootMount,
     Size,
     Vector,
     WristSensor,
@@ -58,10 +58,10 @@ class Cell(Model):
     """
 
     urdf: str
-    mount: RootMount = RootMount()
+    mount: CellMount = CellMount()
     groups: Annotated[dict[str, CellGroup], Field(min_length=1)]
     presets: dict[str, dict[str, Group]] = Field(default_factory=dict)
-    drives: dict[str, Drive] = Field(default_factory=dict)
+    drives: dict[str, DriveSpec] = Field(default_factory=dict)
     standing: dict[str, Number] = Field(default_factory=dict)
     capsules: tuple[Capsule, ...] = ()
     never: tuple[tuple[str, str], ...] = ()
@@ -98,7 +98,7 @@ class Cell(Model):
         self._check_frames()
         return self
 
-    def _check_groups(self, description: Description) -> None:
+    def _check_groups(self, description: RobotDescription) -> None:
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
@@ -176,7 +176,7 @@ class Cell(Model):
         return self.model_copy(update={"period": period, "substeps": substeps})
 
     @cached_property
-    def description(self) -> Description:
+    def description(self) -> RobotDescription:
         """The robot as the URDF has it.
 
         Raises:
@@ -189,13 +189,13 @@ class Cell(Model):
 
     @cached_property
     def tree(self) -> Tree:
-        """What moves in the cell, and what is fixed to it."""
+        """The moving joints and links of the cell, and the links fixed to these."""
         moving = [joint for name in self.groups for joint in self.joints_of(name)]
         return Tree(self.description, moving, self.standing, (self.mount.xyz, self.mount.rpy))
 
-    def drive(self, joint: str) -> Drive:
+    def drive(self, joint: str) -> DriveSpec:
         """Return the drive of a joint; one that says nothing, where the cell has none."""
-        return self.drives.get(joint, Drive())
+        return self.drives.get(joint, DriveSpec())
 
     def joints_of(self, group: str) -> tuple[str, ...]:
         """Return the names of a group's joints."""
@@ -229,12 +229,12 @@ class Cell(Model):
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
-        """Sentences on what neither URDF nor cell file says."""
+        """Assumptions where URDF and cell file are silent, as sentences."""
         return tuple(assumptions(self.tree, self.drives)[1])
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:
-        """Sentences on what torques would need and neither URDF nor cell file says."""
+        """Data that torques would need and neither URDF nor cell file has, as sentences."""
         return tuple(assumptions(self.tree, self.drives)[0])
 
     @cached_property
@@ -304,7 +304,7 @@ class Cell(Model):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of groups, their devices and cameras, and ``laser`` if there is one: what programs may need."""
+        """Names of groups, their devices and cameras, and ``laser`` if there is one: needs of tasks are among these."""
         devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
         return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
 
@@ -321,7 +321,7 @@ class Cell(Model):
         return np.array(values, dtype=np.float64)
 
 
-def around(shape: UrdfShape, link: str) -> Capsule:
+def around(shape: UrdfGeometry, link: str) -> Capsule:
     """Return the capsule around a box, cylinder or sphere of a link."""
     turn, origin = matrix_of_rpy(shape.rpy), np.array(shape.xyz)
     if shape.kind == "sphere":

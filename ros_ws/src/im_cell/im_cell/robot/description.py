@@ -1,4 +1,4 @@
-"""Robots as URDF describes them: joints, links and shapes, with sentences about what no machine can use."""
+"""Robots as URDF describes them: joints, links and shapes, with sentences about faults."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -42,7 +42,7 @@ class UrdfJoint:
 
 
 @dataclass(frozen=True)
-class UrdfShape:
+class UrdfGeometry:
     """A collision shape.
 
     Attributes:
@@ -76,11 +76,11 @@ class UrdfLink:
     com: Vector
     rpy: Vector
     inertia: tuple[float, ...]
-    shapes: tuple[UrdfShape, ...]
+    shapes: tuple[UrdfGeometry, ...]
 
 
 @dataclass(frozen=True)
-class Description:
+class RobotDescription:
     """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them.
 
     Attributes:
@@ -95,7 +95,7 @@ class Description:
 
 
 @lru_cache(maxsize=8)
-def parse_description(text: str, name: str) -> Description:
+def parse_description(text: str, name: str) -> RobotDescription:
     """Read a URDF.
 
     Args:
@@ -119,7 +119,7 @@ def parse_description(text: str, name: str) -> Description:
         raise ConfigError(f"{name}: {error}", file=name) from error
 
 
-def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> Description:
+def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> RobotDescription:
     below: dict[str, list[UrdfJoint]] = {name: [] for name in links}
     carried: dict[str, str] = {}
     names: set[str] = set()
@@ -149,7 +149,7 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> Description:
     if len(ordered) < len(joints):
         lost = sorted(names - {joint.name for joint in ordered})
         raise ValueError(f"joints {', '.join(lost)} are a closed chain, which the root does not carry")
-    return Description(roots[0], ordered, links)
+    return RobotDescription(roots[0], ordered, links)
 
 
 def _link(element: ET.Element) -> UrdfLink:
@@ -164,18 +164,18 @@ def _link(element: ET.Element) -> UrdfLink:
     return UrdfLink(name, mass, xyz, rpy, inertia, tuple(_shape(each, name) for each in element.findall("collision")))
 
 
-def _shape(element: ET.Element, link: str) -> UrdfShape:
+def _shape(element: ET.Element, link: str) -> UrdfGeometry:
     xyz, rpy = _origin(element, link)
     geometry = _child(element, "geometry", link)
     if (box := geometry.find("box")) is not None:
-        return UrdfShape("box", _numbers(box.get("size", ""), 3, link), "", xyz, rpy)
+        return UrdfGeometry("box", _numbers(box.get("size", ""), 3, link), "", xyz, rpy)
     if (cylinder := geometry.find("cylinder")) is not None:
         size = (_number(cylinder, "radius", link), _number(cylinder, "length", link))
-        return UrdfShape("cylinder", size, "", xyz, rpy)
+        return UrdfGeometry("cylinder", size, "", xyz, rpy)
     if (sphere := geometry.find("sphere")) is not None:
-        return UrdfShape("sphere", (_number(sphere, "radius", link),), "", xyz, rpy)
+        return UrdfGeometry("sphere", (_number(sphere, "radius", link),), "", xyz, rpy)
     mesh = _child(geometry, "mesh", link)
-    return UrdfShape("mesh", _numbers(mesh.get("scale", "1 1 1"), 3, link), mesh.get("filename", ""), xyz, rpy)
+    return UrdfGeometry("mesh", _numbers(mesh.get("scale", "1 1 1"), 3, link), mesh.get("filename", ""), xyz, rpy)
 
 
 def _joint(element: ET.Element) -> UrdfJoint:

@@ -106,8 +106,8 @@ class Box(Model):
     collision: bool = True
 
 
-class Drive(Model):
-    """Drive of a joint: what URDF has no words for.
+class DriveSpec(Model):
+    """Drive of a joint: data that URDF has no words for.
 
     Attributes:
         acceleration, jerk: Largest magnitudes, by s2, s3; None: full speed and full acceleration take a stated time.
@@ -126,7 +126,7 @@ class Drive(Model):
 
 
 class CellGroup(Model):
-    """Chain of joints that ends in a tool frame, with what is mounted there.
+    """Chain of joints that ends in a tool frame, with the devices mounted there.
 
     Attributes:
         tip: Frame of the tool, the last link as a rule.
@@ -170,7 +170,7 @@ class Group(Model):
         return self
 
 
-class RootMount(Model):
+class CellMount(Model):
     """Pose of the URDF's root in the world [m, rad]."""
 
     xyz: Vector = (0.0, 0.0, 0.0)

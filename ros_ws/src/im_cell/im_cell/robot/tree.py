@@ -1,4 +1,4 @@
-"""Joints and links of the cell as a tree, ready for physics and control: what moves, and what is fixed to it."""
+"""Joints and links of the cell as a tree, ready for physics and control."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.robot.description import MOVING, Description, UrdfJoint, UrdfLink
-from im_cell.robot.parameters import Capsule, Drive, EncoderSpec, Limits, Motor, Vector
+from im_cell.robot.description import MOVING, RobotDescription, UrdfJoint, UrdfLink
+from im_cell.robot.parameters import Capsule, DriveSpec, EncoderSpec, Limits, Motor, Vector
 from im_cell.rotations import matrix_of_rpy, matrix_of_vector, rpy_of_matrix
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
@@ -106,7 +106,7 @@ class FixedFrame:
 
 
 class Tree:
-    """What moves in a description, and what does not.
+    """The moving joints of a description, and the links fixed to others.
 
     Args:
         description: The robot.
@@ -121,7 +121,7 @@ class Tree:
 
     def __init__(
         self,
-        description: Description,
+        description: RobotDescription,
         moving: Iterable[str],
         standing: Mapping[str, float],
         mount: tuple[Vector, Vector],
@@ -166,8 +166,8 @@ class Tree:
         return capsule.model_copy(update={"link": place.parent, **ends})
 
 
-def joint_of(joint: UrdfJoint, place: FixedFrame, drive: Drive, encoder: EncoderSpec) -> Joint:
-    """Return a moving joint with its drive; what neither file says is assumed (:func:`assumptions`)."""
+def joint_of(joint: UrdfJoint, place: FixedFrame, drive: DriveSpec, encoder: EncoderSpec) -> Joint:
+    """Return a moving joint with its drive; missing data are assumed (:func:`assumptions`)."""
     velocity = joint.velocity or SLOW
     lower, upper = (-FULL_TURNS, FULL_TURNS) if joint.lower is None else (joint.lower, joint.upper or 0.0)
     if drive.range is not None:
@@ -193,7 +193,7 @@ def joint_of(joint: UrdfJoint, place: FixedFrame, drive: Drive, encoder: Encoder
 
 
 def _motor(limits: Limits) -> Motor:
-    """Return the motor of a joint of which nothing is said: of the order of those of geared arms."""
+    """Return the motor of a joint without data: of the order of those of geared arms."""
     friction = FRICTION * limits.torque
     return Motor(
         inertia=limits.torque / ROTOR, gear=1.0, viscous=friction / limits.velocity, coulomb=(friction, -friction),
@@ -201,8 +201,8 @@ def _motor(limits: Limits) -> Motor:
     )  # fmt: skip
 
 
-def assumptions(tree: Tree, drives: Mapping[str, Drive]) -> tuple[list[str], list[str]]:
-    """Return sentences on what neither URDF nor cell file says: what torques need, and all else."""
+def assumptions(tree: Tree, drives: Mapping[str, DriveSpec]) -> tuple[list[str], list[str]]:
+    """Return sentences on data that neither URDF nor cell file has: those that torques need, and others."""
     needed, other = [], []
     for joint in tree.description.joints:
         if joint.kind in MOVING and joint.name not in tree.moving:
@@ -210,7 +210,7 @@ def assumptions(tree: Tree, drives: Mapping[str, Drive]) -> tuple[list[str], lis
             other.append(f"joint {joint.name} is in no group and stands still{why}")
     lacking: dict[str, list[str]] = {}
     for joint, _ in tree.joints:
-        drive = drives.get(joint.name, Drive())
+        drive = drives.get(joint.name, DriveSpec())
         if not joint.effort and drive.torque is None:
             needed.append(f"joint {joint.name} has no limit of effort")
         endless = drive.range is None and (joint.kind == "continuous" or joint.lower is None)

@@ -21,7 +21,7 @@ ZONE, LASER = "zone", "laser"
 
 
 def resources_of(cell: Cell) -> tuple[str, ...]:
-    """Return the resources of a cell: arm, what carries it, gripper and light of each group, cameras, laser, zone."""
+    """Return the resources of a cell: arm, cart, gripper and light of each group, cameras, laser, zone."""
     found: list[str] = []
     for name, group in cell.groups.items():
         there = {"arm": True, "cart": bool(cell.chain("", group.base)), "gripper": group.gripper, "led": group.light}

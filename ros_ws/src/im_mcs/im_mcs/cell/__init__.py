@@ -1,1 +1,1 @@
-"""Cell files: the first one from a URDF, and what one leaves open."""
+"""Cell files: the first one of a URDF, and checks of others."""

@@ -9,7 +9,7 @@ from im_cell.robot import Cell, cell_file, load_cell
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
-from im_mcs.cell.first import first_cell, touching_pairs
+from im_mcs.cell.template import first_cell, touching_pairs
 
 _EPILOG = """\
 exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def findings(cell: Cell, file: str) -> list[str]:
-    """Return sentences about a cell: its groups, what is missing, and what is assumed."""
+    """Return sentences about a cell: its groups, missing and assumed data."""
     lines = [f"{file}: {len(cell.joints)} joints"]
     for name, group in cell.groups.items():
         devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]

@@ -33,7 +33,7 @@ class Part:
 
 
 def part_of(name: str, config: McsConfig, cell: Cell, preset: str | None = None) -> Part:
-    """Return a part by name: the arm of a group, without what carries it, or a group of a preset, in the world then.
+    """Return a part by name: the arm of a group, without its carriers, or a group of a preset, in the world then.
 
     Args:
         name: Name of the part.
@@ -89,7 +89,7 @@ def _short(text: str, length: int = 60) -> str:
 
 
 class PartModel:
-    """Kinematics and dynamics of a part; other joints stand at home, the brakes on; what carries it stands upright.
+    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright.
 
     Args:
         part: Joints and frames.
@@ -139,7 +139,7 @@ class PartModel:
         return links_and_motors if motors else links_and_motors - np.diag(self._model.rotor_inertia[self.index])
 
     def _whole(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions of all joints, shape (n,); those that carry the part and turn are at 0."""
+        """Return positions of all joints, shape (n,); turning carriers of arms are at 0."""
         cell = self._model.cell
         carriers = {joint for group in cell.groups.values() for joint in cell.chain("", group.base)}
         upright = [joint.name in carriers and joint.kind == "revolute" for joint in cell.joints]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Capsule, Cell
 from im_cell.robot.cell import resolved
-from im_cell.robot.description import UrdfLink, UrdfShape
+from im_cell.robot.description import UrdfGeometry, UrdfLink
 from im_cell.rotations import matrix_of_rpy
 from im_core.errors import DataError
 
@@ -72,7 +72,7 @@ def _volume(capsule: tuple[NDArray[np.float64], NDArray[np.float64], float]) -> 
     return float(np.pi * radius**2 * (np.linalg.norm(end - start) + 4.0 / 3.0 * radius))
 
 
-def _points(shape: UrdfShape, link: str, urdf: Path) -> NDArray[np.float64]:
+def _points(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]:
     """Return corners of a shape, or vertices of a mesh, in its own frame, shape (n, 3) [m]."""
     if shape.kind == "mesh":
         return _vertices(shape, link, urdf)
@@ -85,7 +85,7 @@ def _points(shape: UrdfShape, link: str, urdf: Path) -> NDArray[np.float64]:
     return np.vstack([np.column_stack([circle, np.full(_TURN, height)]) for height in (-half, half)])
 
 
-def _vertices(shape: UrdfShape, link: str, urdf: Path) -> NDArray[np.float64]:
+def _vertices(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]:
     try:
         path = resolved(shape.mesh, urdf)
         if not path.is_file():

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.robot import Box, Capsule, Cell
-from im_cell.robot.description import Description, UrdfJoint, parse_description
+from im_cell.robot.description import RobotDescription, UrdfJoint, parse_description
 from im_core.errors import ConfigError, DataError
 from im_core.files import MEBIBYTE, FileError, read_text
-from im_mcs.cell.enclosing import enclosing_capsules
+from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.collision.bodies import Bodies
 from im_mcs.model import CellModel
 
@@ -58,7 +58,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     return _written(urdf, grouped, tips, home, capsules, never)
 
 
-def _chains(description: Description, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
+def _chains(description: RobotDescription, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
     of = {joint.child: joint for joint in description.joints}
     taken: set[str] = set()
     found: dict[str, Sequence[UrdfJoint]] = {}
@@ -74,7 +74,7 @@ def _chains(description: Description, tips: Sequence[str]) -> dict[str, Sequence
     return found
 
 
-def _tips(description: Description) -> list[str]:
+def _tips(description: RobotDescription) -> list[str]:
     """Return the tool frames: where a chain of joints ends, or the hand that only fingers hang on."""
     below: dict[str, list[UrdfJoint]] = {}
     for joint in description.joints:
@@ -105,7 +105,7 @@ def _tips(description: Description) -> list[str]:
     return walk(description.root, 0)
 
 
-def _is_finger(description: Description, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
+def _is_finger(description: RobotDescription, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
     """Whether a last joint moves a jaw: a tool frame beside it stays where it is."""
     beside = [other.child for other in below[joint.parent] if other.kind == "fixed"]
     return joint.kind == "prismatic" or any(_TOOL.search(frame) for frame in beside)
@@ -131,11 +131,11 @@ def _always(cell: Cell) -> tuple[tuple[str, str], ...]:
     for q in _samples(cell):
         bodies.place(q)
         touched += [bodies.distance(pair) <= 0.0 for pair in range(len(bodies.pairs))]
-    found = (bodies.pair_names(pair) for pair in np.flatnonzero(touched >= _ALWAYS * _SAMPLES))
+    found = (bodies.pair_names(int(pair)) for pair in np.flatnonzero(touched >= _ALWAYS * _SAMPLES))
     return tuple(dict.fromkeys((first, second) for first, second in found))
 
 
-def _told(srdf: Path, description: Description) -> tuple[tuple[str, str], ...]:
+def _told(srdf: Path, description: RobotDescription) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links that an SRDF switches off."""
     try:
         robot = ET.fromstring(_text(srdf))
