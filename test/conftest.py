@@ -274,32 +274,12 @@ class VisionMachine:
 
     def light_at_home(self):
         """True place of the left light at the home position, by the Denavit-Hartenberg rows of the cell [m]."""
-        import numpy as np
-        from scipy.spatial.transform import Rotation
-
         from im_cell.robot import load_cell
+        from support.puma import wrist_pose
 
-        cell = load_cell()
-        side, arm, cart = cell.sides["left"], cell.arm_models["puma_560"], cell.cart
-        track, rotation, tilt, *joints = side.home
-        pose = np.eye(4)
-
-        def then(rotvec=(0.0, 0.0, 0.0), xyz=(0.0, 0.0, 0.0)):
-            step = np.eye(4)
-            step[:3, :3], step[:3, 3] = Rotation.from_rotvec(rotvec).as_matrix(), xyz
-            pose[:] = pose @ step
-
-        then(xyz=(track, 0.0, cart.track.height))
-        then(xyz=(0.0, 0.0, cart.rotation.height))
-        then(rotvec=(0.0, 0.0, rotation), xyz=(0.0, 0.0, cart.tilt.height))
-        then(rotvec=(0.0, tilt, 0.0))
-        then(xyz=(0.0, 0.0, arm.mount_height))
-        for theta, row in zip(joints, arm.links, strict=True):
-            then(rotvec=(0.0, 0.0, theta))
-            then(xyz=(row.a, 0.0, row.d))
-            then(rotvec=(row.alpha, 0.0, 0.0))
-        then(xyz=json.loads((self.folder / "truth.json").read_text())["leds"]["left_led"]["offset_m"])
-        return pose[:3, 3]
+        offset = json.loads((self.folder / "truth.json").read_text())["leds"]["left_led"]["offset_m"]
+        pose = wrist_pose("left", load_cell().groups["left"].home)
+        return pose[:3, :3] @ offset + pose[:3, 3]
 
     def true_camera(self, name):
         """A camera as the testbed has it."""

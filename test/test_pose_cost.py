@@ -118,7 +118,7 @@ class CountingDom(DomNode):
 
 
 #: Where the right arm stays.
-HOME = list(load_cell().sides["right"].home)
+HOME = list(load_cell().groups["right"].home)
 
 
 class Cell(ManagedNode):

@@ -110,7 +110,7 @@ def test_transforms_travel_as_the_bytes_of_their_message_and_lead_to_every_link(
         assert transforms.keys() | {"world"} == links
         for name, pose in model.poses(q).items():
             np.testing.assert_allclose(place_by(transforms, name), pose.homogeneous, atol=1e-12)
-        for side, opening in zip(cell.sides, openings, strict=True):
+        for side, opening in zip(cell.groups, openings, strict=True):
             wrist = np.linalg.inv(place_by(transforms, f"{side}_wrist"))
             for jaw, x in ((1, -opening / 2), (2, opening / 2)):
                 place = (wrist @ place_by(transforms, f"{side}_jaw_{jaw}"))[:3, 3]

@@ -92,7 +92,7 @@ FILES = {
     "deployment": (own("im_bringup", "deployments/default.yaml"), deployments.load),
     "poses": (own("im_dispatcher", "poses/ceiling_40.yaml"), load_poses),
     "candidates": (own("im_dispatcher", "poses/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
-    "cell": (own("im_cell", "robot/cell.yaml"), load_cell),
+    "cell": (own("im_cell", "cells/puma_pair/cell.yaml"), load_cell),
     "MCS": (own("im_mcs", "config/mcs.yaml"), load_config),
     "VSS": (own("im_vss", "config/vss.yaml"), lambda path: load_settings(CELL, path)),
     "Services": (own("im_vss", "config/catalogue.yaml"), load_catalogue),

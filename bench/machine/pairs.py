@@ -101,12 +101,12 @@ def _line(client: PairClient, seed: int) -> Line:
     generator = np.random.default_rng(seed)
     cell = load_cell()
     lower, upper = cell.per_joint("limits.lower") + CLEAR, cell.per_joint("limits.upper") - CLEAR
-    spread = np.tile(SPREAD, len(cell.sides))
-    targets = np.clip(cell.home + generator.uniform(-spread, spread), lower, upper).reshape(len(cell.sides), -1)
+    spread = np.tile(SPREAD, len(cell.groups))
+    targets = np.clip(cell.home + generator.uniform(-spread, spread), lower, upper).reshape(len(cell.groups), -1)
     moves: list[tuple[str, Mapping[str, object]]] = [
-        ("move", {"group": name, "joints": target.tolist()}) for name, target in zip(cell.sides, targets, strict=True)
+        ("move", {"group": name, "joints": target.tolist()}) for name, target in zip(cell.groups, targets, strict=True)
     ]
-    back: list[tuple[str, Mapping[str, object]]] = [("home", {"group": name}) for name in cell.sides]
+    back: list[tuple[str, Mapping[str, object]]] = [("home", {"group": name}) for name in cell.groups]
     client.run(back)
     alone = [client.run([move]) for move in moves]
     client.run(back)

@@ -280,6 +280,7 @@ def requests(truth: CellTruth) -> Requests:
         truth: Of the testbed, which observations for `calibrate` are drawn from.
     """
     seen = observations(truth)
+    assert truth.laser is not None
     angles = truth.laser.model().angles_to(np.array(ON_TABLE))
 
     def at(number: int) -> list[float]:

@@ -109,7 +109,7 @@ class Commander(InterruptibleNode):
 
     def _somewhere(self, side: str) -> list[float]:
         """A position of each joint [m or rad], the arm's near those at home."""
-        home = self._cell.sides[side].home
+        home = self._cell.groups[side].home
         near = [self._random.uniform(-_NEAR_RAD, _NEAR_RAD) for _ in home[_CART_JOINTS:]]
         return [*home[:_CART_JOINTS], *(round(at + by, 3) for at, by in zip(home[_CART_JOINTS:], near, strict=True))]
 

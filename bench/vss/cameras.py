@@ -75,9 +75,9 @@ def drawn_truth(cell: Cell) -> CellTruth:
             R_cam_base=model.R_cam_base.tolist(), t_cam_base_m=model.t_cam_base.tolist(),
         )  # fmt: skip
     led = LedTruth(offset_m=cell.led.offset, axis=cell.led.axis, diameter_m=cell.led.diameter)
-    rotation, position = cell.laser.pose()
+    rotation, position = cell.scanner.pose()
     laser = LaserTruth(
-        rotation=rotation.tolist(), position_m=position.tolist(), gain=(1.0, 1.0), offset=0.0, gap_m=cell.laser.gap
+        rotation=rotation.tolist(), position_m=position.tolist(), gain=(1.0, 1.0), offset=0.0, gap_m=cell.scanner.gap
     )
     return CellTruth(seed=1, cameras=cameras, leds=dict.fromkeys(cell.light_names, led), laser=laser)
 

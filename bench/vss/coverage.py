@@ -188,7 +188,7 @@ def lines(seeds: int = SEEDS, design: Design | None = None) -> list[Line]:
 def _scanner() -> tuple[LaserScanner, CalibrationGates]:
     """The scanner as drawn, and when its calibration is good enough."""
     cell = load_cell()
-    return cell.laser, load_settings(cell).laser.calibration
+    return cell.scanner, load_settings(cell).laser.calibration
 
 
 def _squared(error: Array, covariance: Array) -> float:

@@ -18,11 +18,11 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core import clock, names
-from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_mcs.testbed.joint_state import TopicLink
 from im_msgs.srv import ReserveGroup
+from support.mcs_config import mcs_text
 
 DRIVER = "im_mcs.testbed.joint_state:JointStateDriver"
 
@@ -77,7 +77,7 @@ def robot():
 @pytest.fixture
 def config(tmp_path):
     """``mcs.yaml`` with another driver, a law that expects delay and no friction, and patience with a busy computer."""
-    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    data = yaml.safe_load(mcs_text())
     data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
     for slot in data["slots"]:
         slot["driver"] = "robot"

@@ -6,7 +6,7 @@ setup(
     name="im_cell",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"im_cell": ["robot/*.yaml"]},
+    package_data={"im_cell": ["cells/*/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_cell"]),
         ("share/im_cell", ["package.xml"]),

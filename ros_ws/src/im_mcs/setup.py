@@ -25,6 +25,7 @@ setup(
             "mcs = im_mcs.ros.launch:main",
             "poses = im_mcs.poses.command:main",
             "model = im_mcs.model.command:main",
+            "cell = im_mcs.cell.command:main",
         ]
     },
 )

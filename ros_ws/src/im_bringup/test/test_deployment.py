@@ -7,6 +7,7 @@ import pytest
 
 from im_bringup.machine import start
 from im_bringup.tasks import agent, deployment
+from im_cell.robot import cell_file
 from im_core.config import package_file, parse_model
 from im_core.errors import ConfigError, DataError, NotFoundError
 
@@ -295,7 +296,8 @@ def test_what_is_told_of_a_start_and_is_none_is_refused(text, error, message):
 
 
 def test_the_cell_is_named_once_for_all_tasks(tmp_path):
-    shipped = (package_file("im_cell", "robot/cell.yaml")).read_text(encoding="utf-8")
+    folder = cell_file("puma_pair").parent
+    shipped = (folder / "cell.yaml").read_text(encoding="utf-8").replace("puma_pair.urdf", f"{folder}/puma_pair.urdf")
     (tmp_path / "my_cell.yaml").write_text(shipped.replace("period: 0.0045", "period: 0.005", 1), encoding="utf-8")
     text = package_file("im_bringup", "deployments/default.yaml").read_text(encoding="utf-8")
     (tmp_path / "machine.yaml").write_text(text.replace('cell: ""', "cell: my_cell.yaml"), encoding="utf-8")
@@ -312,7 +314,7 @@ def test_the_cell_is_named_once_for_all_tasks(tmp_path):
 def test_a_wrong_cell_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "my_cell.yaml").write_text("period: 0.0045\n", encoding="utf-8")
     one = parsed(machine({"localhost": {"a": {"vss": "{}"}}}))
-    with pytest.raises(ConfigError, match=r"my_cell.yaml:1: substeps: Field required"):
+    with pytest.raises(ConfigError, match=r"my_cell.yaml:1: urdf: Field required"):
         start.check_cell(one.with_values(None, None, None, cell=str(tmp_path / "my_cell.yaml")), None)
     two = parsed(machine({"near": {"a": {"vss": "{}"}}, "far": {"b": {"mcs": "{}"}}}))
     with pytest.raises(ConfigError, match="--cell is for one host"):

@@ -124,7 +124,7 @@ def test_states_of_groups_are_home_and_the_ends_of_the_jaws():
     }
     home = dict(zip(CELL.joint_names, CELL.home.tolist(), strict=True))
     expected = {("home", name): {j: home[j] for j in group.joints} for name, group in CONFIG.groups.items()}
-    for side in CELL.sides:
+    for side in CELL.groups:
         joint = f"{side}_gripper"
         expected |= {("open", joint): {joint: CELL.gripper.stroke}, ("closed", joint): {joint: 0.0}}
     assert states == expected
@@ -134,7 +134,7 @@ def test_limits_are_those_that_mcs_enforces():
     told = settings("joint_limits.yaml")
     assert told["default_velocity_scaling_factor"] == told["default_acceleration_scaling_factor"] == 1.0
     limits = told["joint_limits"]
-    assert list(limits) == [*CELL.joint_names, *(f"{side}_gripper" for side in CELL.sides)]
+    assert list(limits) == [*CELL.joint_names, *(f"{side}_gripper" for side in CELL.groups)]
     for name in limits:
         velocity = limits[name]["max_velocity"]
         assert velocity == pytest.approx(float(JOINTS[name].find("limit").get("velocity")))

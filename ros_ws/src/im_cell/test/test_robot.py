@@ -1,15 +1,14 @@
 import xml.etree.ElementTree as ET
-from math import cos, sin
 
 import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from im_cell.robot import load_cell, robot_description, urdf
+from im_cell.robot import cell_file, load_cell, robot_description, urdf
 from im_cell.robot.truth import load_truth
-from im_core.config import package_file
 from im_core.errors import ConfigError, DataError
+from support.puma import wrist_pose
 
 CELL = load_cell()
 TREE = ET.fromstring(urdf(CELL))
@@ -42,33 +41,14 @@ def urdf_pose(link, q):
     return T
 
 
-def dh_pose(side, q):
-    """Pose of DH frame 6 from the table alone: cart, then the product of the rows, shape (4, 4)."""
-    track, rotation, tilt, *arm = q[:9] if side == "left" else q[9:]
-    cart = CELL.cart
-    T = transform(np.eye(3), [track, 0.0, cart.track.height + cart.rotation.height])
-    T = T @ transform(Rotation.from_euler("z", rotation).as_matrix(), np.zeros(3))
-    T = T @ transform(np.eye(3), [0.0, 0.0, cart.tilt.height])
-    T = T @ transform(Rotation.from_euler("y", tilt).as_matrix(), np.zeros(3))
-    model = CELL.arm_models[CELL.sides[side].arm]
-    T = T @ transform(np.eye(3), [0.0, 0.0, model.mount_height])
-    for row, theta in zip(model.links, arm, strict=True):
-        c, s, ca, sa = cos(theta), sin(theta), cos(row.alpha), sin(row.alpha)
-        T = T @ np.array([
-            [c, -s * ca, s * sa, row.a * c],
-            [s, c * ca, -c * sa, row.a * s],
-            [0.0, sa, ca, row.d],
-            [0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
-    return T
-
-
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_urdf_has_the_kinematics_of_the_dh_table(side):
     rng = np.random.default_rng(1)
     for _ in range(20):
         q = rng.uniform(CELL.per_joint("limits.lower"), CELL.per_joint("limits.upper"))
-        np.testing.assert_allclose(urdf_pose(f"{side}_wrist", q), dh_pose(side, q), atol=1e-12)
+        np.testing.assert_allclose(
+            urdf_pose(f"{side}_wrist", q), wrist_pose(side, q[:9] if side == "left" else q[9:]), atol=1e-12
+        )
 
 
 def test_the_18_joints_come_in_order():
@@ -129,7 +109,7 @@ DESCRIPTION = ET.fromstring(robot_description(CELL, LIMITS))
 
 def test_the_description_is_the_cell_with_what_physics_leaves_out():
     links = {link.get("name") for link in DESCRIPTION.findall("link")}
-    more = {f"{side}_{part}" for side in CELL.sides for part in ("palm", "jaw_1", "jaw_2")}
+    more = {f"{side}_{part}" for side in CELL.groups for part in ("palm", "jaw_1", "jaw_2")}
     assert links - {link.get("name") for link in TREE.findall("link")} == more | {
         f"{name}_body" for name in CELL.cameras
     }
@@ -157,7 +137,7 @@ def test_collision_shapes_of_the_arms_are_the_same_for_planners_and_physics():
         assert here == there
 
 
-@pytest.mark.parametrize("side", list(CELL.sides))
+@pytest.mark.parametrize("side", list(CELL.groups))
 def test_the_joint_of_a_gripper_is_its_opening(side):
     driven, follower = (DESCRIPTION.find(f"joint[@name='{side}_{name}']") for name in ("gripper", "jaw"))
     assert [float(driven.find("limit").get(key)) for key in ("lower", "upper", "velocity", "effort")] == [
@@ -194,34 +174,42 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    (lambda data: data["sides"]["left"].update(arm="puma_700"), r"'puma_700' is not one of"),
-    (lambda data: data["sides"]["left"].update(home=[9.0] + [0.0] * 8), r"home of left_track, 9.0, is outside"),
-    (lambda data: data["cart"]["tilt"].update(mass=-1.0), r":\d+: cart.tilt.mass: .*greater than 0"),
+    (lambda data: data["groups"]["left"].update(tip="left_wrst"),
+     r":\d+: groups.left.tip: .*'left_wrst' is not a link of the URDF \(did you mean 'left_wrist'"),
+    (lambda data: data["groups"]["left"].update(base="lft_base"), r"groups.left.base: .*'lft_base' .*'left_base'"),
+    (lambda data: data["drives"].update(left_j7={}), r":\d+: drives.left_j7: .*'left_j7' is not a joint of the URDF"),
+    (lambda data: data["groups"]["left"].update(home=[9.0] + [0.0] * 8), r"home of left_track, 9.0, is outside"),
+    (lambda data: data["groups"]["left"].update(home=[0.0] * 6),
+     r"groups.left.home: 6 positions for 9 joints: left_track"),
     (lambda data: data.update(period=1e-10), r":\d+: period: .*greater than or equal to 0.0001"),
     (lambda data: data["led"].update(colour="red"), r"led.colour"),
-    (lambda data: data["sides"].pop("right"), r"sides are \['left'\]"),
-    (lambda data: data["cart"]["tilt"]["motor"].update(gear=0.0), r"cart.tilt.motor.gear: 0.0 is no gear: its size is"),
-    (lambda data: data["cart"]["tilt"].update(mass=1e300), r":\d+: cart.tilt.mass: .*less than or equal to 1000000000"),
+    (lambda data: data["groups"].update(right=data["groups"]["left"]), r"joint left_track is in group 'left' already"),
+    (lambda data: data["drives"]["left_tilt"]["motor"].update(gear=0.0),
+     r"drives.left_tilt.motor.gear: 0.0 is no gear: its size is"),
+    (lambda data: data["drives"]["left_j1"].update(jerk=1e300),
+     r":\d+: drives.left_j1.jerk: .*less than or equal to 1000000000"),
     (lambda data: data["cameras"]["wall"].update(up=[0.0, 0.0, 0.0]), r"cameras.wall: .* must not be zero"),
     (lambda data: data["cameras"]["wall"].update(position=[0.0, 0.0, 5.0], target=[0.0, 0.0, 0.0], up=[0, 0, 1]),
      r"cameras.wall: up, .*, is along its view"),
     (lambda data: data["laser"].update(target=data["laser"]["position"]), r"laser: target .* must differ"),
     (lambda data: data["cameras"]["wall"]["intrinsics"].update(width=10**9), r"intrinsics.width: .*less than or equal"),
-    (lambda data: data["boxes"][2].update(link="left_link6"), r":\d+: boxes\[2\].link: .*'left_link6' is not one of"),
+    (lambda data: data["boxes"][2].update(link="left_link66"),
+     r":\d+: boxes\[2\].link: .*'left_link66' is not a link \(did you mean 'left_link6'"),
     (lambda data: data["boxes"][2].update(name="floor"), r":\d+: boxes\[2\].name: .*the same name, 'floor'"),
-    (lambda data: data["cart"]["boxes"][1].update(link="platfrom"), r"cart.boxes\[1\].link: .*'platfrom' is not"),
-    (lambda data: data["cart"]["capsules"][0].update(link="link1"), r"cart.capsules\[0\].link: .*'link1' is not"),
-    (lambda data: data["arm_models"]["puma_560"]["capsules"][3].update(link="link9"),
-     r":\d+: arm_models.puma_560.capsules\[3\].link: .*'link9' is not one of link1, link2"),
+    (lambda data: data["boxes"][3].update(link="left_crat"),
+     r"boxes\[3\].link: .*'left_crat' is not a link \(did you mean 'left_cart'"),
+    (lambda data: data["capsules"][0].update(link="link1"), r"capsules\[0\].link: .*'link1' is not a link"),
     (lambda data: data["cameras"].update({"the wall": data["cameras"]["wall"]}), "'the wall' names topics"),
     (lambda data: data["cameras"]["wall"].update(parent="left_wirst"), r"cameras.wall.parent: .*'left_wirst' is not"),
-    (lambda data: data["mirrors"][0].update(link="wrld"), r"mirrors\[0\].link: .*'wrld' is not one of world, left"),
+    (lambda data: data["mirrors"][0].update(link="wrld"),
+     r"mirrors\[0\].link: .*'wrld' is not a link \(did you mean 'world'"),
     (lambda data: data["gripper"].update(initial=0.8), r":\d+: gripper.initial: .*0.8 is more than the stroke"),
     (lambda data: data["led"].update(axis=[0.0, 0.0, 0.0]), r":\d+: led.axis: .* has no direction"),
 ])  # fmt: skip
 def test_a_wrong_cell_is_refused_by_name(tmp_path, change, message):
-    data = yaml.safe_load(package_file("im_cell", "robot/cell.yaml").read_text())
+    data = yaml.safe_load(cell_file("puma_pair").read_text())
     change(data)
+    data["urdf"] = str(cell_file("puma_pair").with_name("puma_pair.urdf"))
     path = tmp_path / "cell.yaml"
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(ConfigError, match=message):

@@ -4,9 +4,6 @@ from collections.abc import Mapping, Sequence
 
 from im_core.errors import DataError, ImError
 
-#: Joints of a group that belong to the cart; those of the arm follow.
-CART_JOINTS = 3
-
 #: An arm is at home where no joint is further from there [rad, m].
 AT_HOME = 0.01
 
@@ -68,25 +65,27 @@ def home_seed(position: Sequence[float], home: Sequence[float]) -> list[float]:
     return list(position if there else home)
 
 
-def tucked_seed(position: Sequence[float], tucked: Sequence[float]) -> list[float]:
-    """Return the seed of a search for another configuration: the arm out of the way, the cart at the present place.
+def tucked_seed(position: Sequence[float], tucked: Sequence[float], carriers: int) -> list[float]:
+    """Return the seed of a search for another configuration: the arm out of the way, at the present place.
 
     Args:
         position: Joint positions now, shape (n,) [rad, m].
         tucked: Joint positions in which the arm is out of the way, shape (n,) [rad, m].
+        carriers: How many of the joints, the first ones, carry the arm.
     """
-    return [*position[:CART_JOINTS], *tucked[CART_JOINTS:]]
+    return [*position[:carriers], *tucked[carriers:]]
 
 
-def detour(start: Sequence[float], goal: Sequence[float], tucked: Sequence[float]) -> list[list[float]]:
-    """Return a path around an obstacle: tuck the arm, move the cart, stretch the arm again.
+def detour(start: Sequence[float], goal: Sequence[float], tucked: Sequence[float], carriers: int) -> list[list[float]]:
+    """Return a path around an obstacle: tuck the arm, move the carriers, stretch the arm again.
 
     Args:
         start: Joint positions now, shape (n,) [rad, m].
         goal: Joint positions wanted, shape (n,) [rad, m].
         tucked: Joint positions in which the arm is out of the way, shape (n,) [rad, m].
+        carriers: How many of the joints, the first ones, carry the arm.
 
     Returns:
         Points behind ``start``, the last one is ``goal``.
     """
-    return [tucked_seed(start, tucked), tucked_seed(goal, tucked), list(goal)]
+    return [tucked_seed(start, tucked, carriers), tucked_seed(goal, tucked, carriers), list(goal)]

@@ -5,7 +5,6 @@ import itertools
 import pytest
 
 from im_coordinators.path_planning import (
-    CART_JOINTS,
     another_may_help,
     configuration,
     detour,
@@ -16,11 +15,12 @@ from im_coordinators.path_planning import (
 )
 from im_core.errors import DataError, ImError
 
+CART_JOINTS = 3
 START, GOAL, TUCKED = [0.0, 1.0, 2.0, 3.0, 3.5], [4.0, 5.0, 6.0, 7.0, 7.5], [9.0, 9.0, 9.0, 8.0, 8.5]
 
 
 def test_a_detour_moves_the_cart_only_while_the_arm_is_tucked() -> None:
-    points = [START, *detour(START, GOAL, TUCKED)]
+    points = [START, *detour(START, GOAL, TUCKED, CART_JOINTS)]
     assert points[-1] == GOAL
     for before, after in itertools.pairwise(points):
         if before[:CART_JOINTS] != after[:CART_JOINTS]:
@@ -28,7 +28,7 @@ def test_a_detour_moves_the_cart_only_while_the_arm_is_tucked() -> None:
 
 
 def test_another_configuration_is_sought_with_the_cart_where_it_is() -> None:
-    assert tucked_seed(START, TUCKED) == [0.0, 1.0, 2.0, 8.0, 8.5]
+    assert tucked_seed(START, TUCKED, CART_JOINTS) == [0.0, 1.0, 2.0, 8.0, 8.5]
 
 
 def test_only_what_is_in_the_way_can_be_circumvented_and_only_once_by_another_configuration() -> None:

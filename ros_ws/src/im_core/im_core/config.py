@@ -127,7 +127,7 @@ def _read(text: str, model: type[pydantic.BaseModel], name: str) -> pydantic.Bas
 
 
 def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
-    """As :func:`load_model`, from text; ``name`` stands for the file in errors."""
+    """As :func:`load_model`, from text; ``name`` is the file in errors, and in the context of validators."""
     try:
         root = read_yaml(text, name)
         data = as_data(root)
@@ -136,7 +136,7 @@ def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
     except YamlError as error:
         raise _config_error(model, (error.place, error.location, error.sentence)) from error
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context={"file": name})
     except pydantic.ValidationError as error:
         told = ((find(root, fault.location).value, fault.location, fault) for fault in faults(error, model))
         raise _config_error(model, *told) from error

@@ -111,7 +111,7 @@ def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
 def test_nothing_moves_where_the_other_arm_is_in_the_way(play: Play) -> None:
     assert play.guard("other_needed")(None)
     assert play("other_arm") == {"group": "right"}
-    home = list(load_cell().sides["right"].home)
+    home = list(load_cell().groups["right"].home)
     there = SimpleNamespace(state=SimpleNamespace(joints=[f"right_{number}" for number in range(9)], q=home))
     play("require_other", answer=there)
     home[0] -= 0.5

@@ -92,7 +92,7 @@ def test_home_is_where_the_cell_says() -> None:
             if transition.name in ("go_left", "go_right", "left.turn_home", "right.turn_home"):
                 fields = transition.action.fields
                 home.setdefault(fields["group"], []).append(fields["joints"])
-    assert home == {name: [list(side.home)] * 2 for name, side in load_cell().sides.items()}
+    assert home == {name: [list(side.home)] * 2 for name, side in load_cell().groups.items()}
 
 
 def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:

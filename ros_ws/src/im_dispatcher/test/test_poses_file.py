@@ -25,7 +25,7 @@ def test_the_cells_own_poses_are_forty() -> None:
 
 def test_the_cells_own_poses_need_the_other_arm_at_home() -> None:
     file = load_named_poses("")
-    joints, home = [f"right_{number}" for number in range(9)], list(load_cell().sides["right"].home)
+    joints, home = [f"right_{number}" for number in range(9)], list(load_cell().groups["right"].home)
     file.require_other(joints, home)
     home[3] += 0.3
     with pytest.raises(StateError, match=r"right_3 is at 0\.300, not 0\.000; .* im run home --group right") as told:

@@ -219,10 +219,11 @@ def arm_bench(config: McsConfig, model: CellModel, cell: Cell) -> Bench:
 class PlantDriver:
     """The simulated testbed's physics in this process, in lockstep."""
 
-    n_joints, n_grippers, n_wrenches, wall_period_s = 18, 2, 2, 0.0
+    wall_period_s = 0.0
 
     def __init__(self, cell: Cell, seed: int) -> None:
-        self.period_s = cell.period
+        self.n_joints, self.period_s = len(cell.joints), cell.period
+        self.n_grippers, self.n_wrenches = len(cell.devices("gripper")), len(cell.devices("force"))
         self.plant = Plant(cell, seed)
         self._tick = 0
 
@@ -256,6 +257,20 @@ def plant_bench(model: CellModel, cell: Cell) -> Iterator[Callable[[McsConfig, i
     def make(config: McsConfig, seed: int) -> Bench:
         made.append(PlantDriver(cell, seed))
         return Bench(config, model, made[-1])
+
+    yield make
+    for driver in made:
+        driver.close()
+
+
+@pytest.fixture
+def bench_of() -> Iterator[Callable[[str], Bench]]:
+    """Benches over the physics of any shipped cell, by its name."""
+    made: list[PlantDriver] = []
+
+    def make(name: str) -> Bench:
+        made.append(PlantDriver(cell := load_cell(name), seed=3))
+        return Bench(load_config(cell=cell), CellModel(cell), made[-1])
 
     yield make
     for driver in made:

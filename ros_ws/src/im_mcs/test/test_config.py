@@ -1,16 +1,16 @@
 import pytest
 from pydantic import ValidationError
 
-from im_core.config import package_file
 from im_core.errors import ConfigError, NotFoundError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
+from support.mcs_config import mcs_text
 
 
 @pytest.fixture
 def broken(tmp_path):
-    text = package_file("im_mcs", "config/mcs.yaml").read_text()
+    text = mcs_text()
 
     def write(old, new):
         assert old in text

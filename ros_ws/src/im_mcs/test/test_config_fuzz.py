@@ -9,11 +9,12 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from im_core.config import field_name, package_file
+from im_core.config import field_name
 from im_core.errors import ConfigError
 from im_mcs.limits.configuration import McsConfig, load_config
+from support.mcs_config import mcs_text
 
-TEXT = package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8")
+TEXT = mcs_text()
 WHOLE = yaml.safe_load(TEXT)
 
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from im_cell.link import HostEnd, Sensors
-from im_core.config import package_file
 from im_core.errors import ConfigError
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.slots import Driver, Slot
 from im_mcs.safety.stop_circuits import StopCircuits
 from im_mcs.testbed import Drive, TestbedInterface, load_driver
 from im_mcs.testbed.loopback import LoopbackDriver
+from support.mcs_config import mcs_text
 
 FULL = np.array([np.inf, np.inf])
 
@@ -103,7 +103,7 @@ def limited(slot, limits):
     ],
 )  # fmt: skip
 def test_mistakes_in_the_configuration_are_named(tmp_path, old, new, message):
-    text = package_file("im_mcs", "config/mcs.yaml").read_text()
+    text = mcs_text()
     assert old in text
     path = tmp_path / "mcs.yaml"
     path.write_text(text.replace(old, new, 1))

@@ -1,6 +1,6 @@
 """The arms' rigid-body dynamics, with and without objects in the grippers."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -18,19 +18,18 @@ class Dynamics:
         bare_data: Its workspace.
         model: With loads; the same object as ``bare`` while nothing is held.
         data: Its workspace.
-        wrists: Joint index and placement of the wrist frame on that joint's link, of each side.
+        wrists: Joint index and placement of the frame on that joint's link, of each tip with a force-torque sensor.
         wrist_forces: What the arm exerts on those links, after :func:`pinocchio.rnea` with ``model`` and ``data``.
     """
 
     def __init__(self, cell: Cell) -> None:
         full = pin.buildModelFromXML(urdf(cell, shapes=False))
-        frames = [full.frames[full.getFrameId(f"{side}_wrist")] for side in cell.sides]
-        self.wrists = [(int(frame.parentJoint), frame.placement.copy()) for frame in frames]
+        self.wrists, self._jaws = (_places(full, cell.devices(kind).values()) for kind in ("force", "gripper"))
         self._reach = cell.gripper.reach
         self.bare = pin.buildModelFromXML(urdf(cell, shapes=False, frames=False))
         self.bare.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
         self.bare_data = self.bare.createData()
-        self._held: tuple[JawObject | None, ...] = (None,) * len(self.wrists)
+        self._held: tuple[JawObject | None, ...] = (None,) * len(self._jaws)
         self._use(self.bare, self.bare_data)
 
     @property
@@ -51,7 +50,7 @@ class Dynamics:
             self._use(self.bare, self.bare_data)
             return
         model = self.bare.copy()
-        for (joint, wrist), load in zip(self.wrists, self._held, strict=True):
+        for (joint, wrist), load in zip(self._jaws, self._held, strict=True):
             if load is not None and load.mass > 0.0:
                 cube = pin.Inertia.FromBox(load.mass, load.width, load.width, load.width)
                 jaws = wrist * pin.SE3(np.eye(3), np.array([0.0, 0.0, self._reach]))
@@ -61,3 +60,9 @@ class Dynamics:
     def _use(self, model: pin.Model, data: pin.Data) -> None:
         self.model, self.data = model, data
         self.wrist_forces = [data.f[joint] for joint, _ in self.wrists]
+
+
+def _places(model: pin.Model, tips: Iterable[str]) -> list[tuple[int, pin.SE3]]:
+    """Return the joint that carries each tip, and where the tip is on its link."""
+    frames = [model.frames[model.getFrameId(tip)] for tip in tips]
+    return [(int(frame.parentJoint), frame.placement.copy()) for frame in frames]

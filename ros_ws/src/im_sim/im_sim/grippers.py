@@ -11,25 +11,25 @@ from im_cell.robot import Gripper
 
 
 class GripperJaws:
-    """The jaws of both grippers.
+    """The jaws of all grippers.
 
     Jaws close on an object of width ``w`` and stiffness ``k`` until ``k (w - opening)`` is the force allowed; with less
     force allowed later, the object pushes them apart.
 
     Attributes:
-        opening: Of the jaws, shape (2,) [m].
-        force: On what is between them, shape (2,) [N].
+        opening: Of the jaws, shape (n,) [m].
+        force: On what is between them, shape (n,) [N].
     """
 
-    def __init__(self, gripper: Gripper) -> None:
+    def __init__(self, gripper: Gripper, count: int) -> None:
         self._gripper = gripper
-        self._objects: list[JawObject | None] = [None, None]
-        self._wanted = [gripper.initial, gripper.initial]
-        self._allowed = [gripper.force, gripper.force]
+        self._objects: list[JawObject | None] = [None] * count
+        self._wanted = [gripper.initial] * count
+        self._allowed = [gripper.force] * count
         self._told = b"", b""
         self._resting = False
-        self.opening = np.full(2, gripper.initial)
-        self.force = np.zeros(2)
+        self.opening = np.full(count, gripper.initial)
+        self.force = np.zeros(count)
 
     def put(self, objects: Sequence[JawObject | None]) -> None:
         """Set the object between the jaws of each gripper; a wide object pushes the jaws apart."""
@@ -44,7 +44,7 @@ class GripperJaws:
         )
 
     def command(self, opening: NDArray[np.float64], force: NDArray[np.float64]) -> None:
-        """Set the wanted openings [m] and the forces allowed [N], shape (2,) each.
+        """Set the wanted openings [m] and the forces allowed [N], shape (n,) each.
 
         Values out of range are cut to it, NaN changes nothing.
         """

@@ -12,7 +12,7 @@ class Laser:
     """Moves the mirrors of one tick.
 
     Args:
-        scanner: Ranges and rate.
+        scanner: Ranges and rate; None: there is none, and the beam stays dark.
         period_s: Length of a tick [s].
         seed: Of the mirrors' errors.
 
@@ -20,9 +20,9 @@ class Laser:
         beam: What the scanner's own sensors say.
     """
 
-    def __init__(self, scanner: LaserScanner, period_s: float, seed: int) -> None:
+    def __init__(self, scanner: LaserScanner | None, period_s: float, seed: int) -> None:
         self._scanner = scanner
-        self._step = scanner.rate * period_s
+        self._step = 0.0 if scanner is None else scanner.rate * period_s
         self._seed = seed
         self._command = self.beam = LaserBeam()
         self._commands = 0
@@ -37,7 +37,7 @@ class Laser:
 
     def run_tick(self, command: LaserBeam) -> None:
         """Move towards a command, as far as the mirrors go in a tick and in all; a sweep stays inside the range too."""
-        if command == self._command and self._resting:
+        if self._scanner is None or (command == self._command and self._resting):
             return
         if command != self._command:
             self._command = command

@@ -25,7 +25,7 @@ class FaultPanel:
 
     def __init__(self, cell: Cell, link: PanelEnd) -> None:
         self._joints = cell.joint_names
-        self._grippers = tuple(f"{side}_gripper" for side in cell.sides)
+        self._grippers = tuple(cell.devices("gripper"))
         self._link = link
 
     def inject(self, fault: str, joint: str, active: bool, duration: float) -> str:
@@ -67,7 +67,7 @@ class FaultPanel:
         """Put an object between the jaws of a gripper, or take one away; return the present objects as a sentence.
 
         Args:
-            gripper: E.g. ``left_gripper``.
+            gripper: Its name.
             width: [m]; 0: nothing is there any more.
             stiffness: [N/m].
             mass: [kg].

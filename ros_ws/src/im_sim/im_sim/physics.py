@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from im_cell.link import HostEnd
 from im_cell.robot import load_cell
-from im_core.errors import ImError
+from im_core.errors import ConfigError, ImError
 from im_core.options import NumberParser
 from im_core.processes import scheduling
 from im_core.processes.end_signals import heed_end_signals
@@ -40,14 +40,18 @@ def simulate(instance: str, period: float, factor: float, seed: int) -> None:
     """Create the link and run the tick loop until a signal ends the loop.
 
     Raises:
-        ConfigError: The cell's parameters are wrong.
+        ConfigError: The cell's parameters are wrong, or masses or torques are missing.
         LinkError: Another testbed of that instance runs.
     """
     cell = load_cell()
     if period != 0.0:
         cell = cell.at_period(period)
-    n_joints = len(cell.joints)
-    with HostEnd.create(instance, n_joints, cell.period, factor, seed, cell.light_names) as link:
+    if cell.unknown:
+        raise ConfigError(f"the testbed cannot simulate this cell: {'; '.join(cell.unknown)}")
+    grippers, wrenches = len(cell.devices("gripper")), len(cell.devices("force"))
+    with HostEnd.create(
+        instance, len(cell.joints), cell.period, factor, seed, cell.light_names, grippers, wrenches
+    ) as link:
         plant = Plant(cell, seed)
         loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
         heed_end_signals(lambda _: loop.stop())

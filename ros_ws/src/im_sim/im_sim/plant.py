@@ -37,7 +37,7 @@ class Plant:
         self._world = World(cell, self._dt)
         self._dynamics = Dynamics(cell)
         self._actuators = Actuators(cell, self._dynamics, self._dt)
-        self._grippers = GripperJaws(cell.gripper)
+        self._grippers = GripperJaws(cell.gripper, len(cell.devices("gripper")))
         self._wrists = WristWrenches(self._dynamics)
         self._signals = Signals(cell, seed)
         self._encoders = Encoders(cell)
@@ -61,12 +61,12 @@ class Plant:
 
     @property
     def gripper(self) -> NDArray[np.float64]:
-        """Openings of the jaws, shape (2,) [m]."""
+        """Openings of the jaws, shape (grippers,) [m]."""
         return self._grippers.opening
 
     @property
     def wrench(self) -> NDArray[np.float64]:
-        """True wrenches of the arms on links 6 with all the loads, shape (2, 6) [N, Nm]."""
+        """True wrenches of the arms on the links of the wrists with all the loads, shape (wrists, 6) [N, Nm]."""
         return self._wrists.true
 
     def sensors(self, tick: int) -> Sensors:

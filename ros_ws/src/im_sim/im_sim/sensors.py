@@ -66,10 +66,10 @@ class Signals:
     """
 
     def __init__(self, cell: Cell, seed: int) -> None:
-        self._n, sides = len(cell.joints), len(cell.sides)
-        self._wrists_end = self._n + 6 * sides
+        self._n, sensors, grippers = len(cell.joints), len(cell.devices("force")), len(cell.devices("gripper"))
+        self._wrists_end = self._n + 6 * sensors
         wrist = cell.wrist_sensor
-        wrists, jaws = ([wrist.force] * 3 + [wrist.torque] * 3) * sides, [cell.gripper.force_sensor] * sides
+        wrists, jaws = ([wrist.force] * 3 + [wrist.torque] * 3) * sensors, [cell.gripper.force_sensor] * grippers
         bias = TickNoise(seed, {_WRISTS_BIAS: _each("bias", wrists), _JAWS_BIAS: _each("bias", jaws)}).at(0)
         self._noise = TickNoise(
             seed,
@@ -90,8 +90,8 @@ class Signals:
         Args:
             tick: Number of the tick.
             q: True positions, shape (n,) [rad or m].
-            wrench: What really acts at the wrists, shape (2, 6) [N, Nm].
-            force: What really acts between the jaws, shape (2,) [N].
+            wrench: What really acts at the wrists, shape (wrists, 6) [N, Nm].
+            force: What really acts between the jaws, shape (grippers,) [N].
 
         Returns:
             What encoders, wrist sensors and jaws say, shapes as those given.
@@ -143,9 +143,9 @@ class Encoders:
 
 
 class WristWrenches:
-    """Inputs of the wrist force-torque sensors: the wrench of each arm on the link 6 with all loads.
+    """Inputs of the wrist force-torque sensors: the wrench of each arm on its last link with all loads.
 
-    Force and torque are in the axes and about the origin of each wrist frame. With the spatial inertia I of link 6
+    Force and torque are in the axes and about the origin of each wrist frame. With the spatial inertia I of that link
     and its load, its spatial velocity v and acceleration a, and the wrench w of what it touches, the arm exerts ``I
     (a - g) + v x* I v - w``: the recursive Newton-Euler algorithm gives the first two terms from the motion that
     physics has found, contacts included.
@@ -154,7 +154,7 @@ class WristWrenches:
         dynamics: Of the arms with their loads.
 
     Attributes:
-        true: What really acts, force then torque of each side, shape (2, 6) [N, Nm].
+        true: What really acts, force then torque of each side, shape (wrists, 6) [N, Nm].
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -174,7 +174,7 @@ class WristWrenches:
             q: Positions at its start, shape (n,) [rad or m].
             v: Velocities at its start, shape (n,).
             a: Accelerations during it, shape (n,).
-            contacts: What touched link 6 of each side.
+            contacts: What touched the last link of each arm.
         """
         dynamics = self._dynamics
         pin.rnea(dynamics.model, dynamics.data, q, v, a)

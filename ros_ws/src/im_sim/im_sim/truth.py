@@ -29,7 +29,9 @@ def draw_truth(cell: Cell, seed: int) -> CellTruth:
     for name in cell.light_names:
         offset = np.array(cell.led.offset) + _stream(seed, f"light {name}").normal(0.0, LED_OFFSET_SD_M, 3)
         leds[name] = LedTruth(offset_m=_vector(offset), axis=cell.led.axis, diameter_m=cell.led.diameter)
-    return CellTruth(seed=seed, cameras=cameras, leds=leds, laser=_laser(cell.laser, _stream(seed, "laser")))
+    return CellTruth(
+        seed=seed, cameras=cameras, leds=leds, laser=_laser(cell.laser, _stream(seed, "laser")) if cell.laser else None
+    )
 
 
 def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:

@@ -44,15 +44,23 @@ class World:
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=dt, numSubSteps=0, deterministicOverlappingPairs=1, **self._options
         )
+        obstacles = []
         for box in cell.obstacles:
             half = [edge / 2.0 for edge in box.size]
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **self._options)
-            pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options)
+            obstacles.append(pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options))
         self.body = load_urdf(urdf(cell, frames=False), self.client, pybullet.URDF_USE_INERTIA_FROM_FILE)
         self._joints = self._moving_joints(cell)
         self._state = struct.Struct(f"{2 * len(self._joints)}d")
         self._make_exact(cell)
         self.reset(cell.home, np.zeros(len(self._joints)))
+        self._part(obstacles)
+
+    def _part(self, obstacles: Sequence[int]) -> None:
+        """Let links and obstacles that overlap at home pass each other: a foot may be let into the floor."""
+        for obstacle in obstacles:
+            for point in pybullet.getClosestPoints(self.body, obstacle, 0.0, **self._options):
+                pybullet.setCollisionFilterPair(self.body, obstacle, point[3], -1, 0, **self._options)
 
     def reset(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Set positions and velocities, shape (n,) each [rad or m, by s]."""

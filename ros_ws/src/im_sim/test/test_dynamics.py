@@ -19,23 +19,13 @@ FREE = np.zeros(N, dtype=bool)
 
 
 def without_friction(cell):
-    def smooth(motor):
-        return motor.model_copy(update={"viscous": 0.0, "coulomb": (0.0, 0.0)})
-
-    stages = {
-        name: getattr(cell.cart, name).model_copy(update={"motor": smooth(getattr(cell.cart, name).motor)})
-        for name in ("track", "rotation", "tilt")
+    """The same cell with motors that turn freely."""
+    free = {"viscous": 0.0, "coulomb": (0.0, 0.0)}
+    drives = {
+        name: drive.model_copy(update={"motor": drive.motor.model_copy(update=free)})
+        for name, drive in cell.drives.items()
     }
-    arms = {
-        name: arm.model_copy(
-            update={"joints": tuple(j.model_copy(update={"motor": smooth(j.motor)}) for j in arm.joints)}
-        )
-        for name, arm in cell.arm_models.items()
-    }
-    data = cell.model_dump()
-    data["cart"] = cell.cart.model_copy(update=stages).model_dump()
-    data["arm_models"] = {name: arm.model_dump() for name, arm in arms.items()}
-    return type(cell).model_validate(data)
+    return type(cell).model_validate(cell.model_copy(update={"drives": drives}).model_dump())
 
 
 @pytest.fixture

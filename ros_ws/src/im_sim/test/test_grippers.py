@@ -15,7 +15,7 @@ WIDTH, STIFFNESS = 0.03, 1.0e4
 
 @pytest.fixture
 def grippers():
-    return GripperJaws(GRIPPER)
+    return GripperJaws(GRIPPER, 2)
 
 
 def run(grippers, ticks, opening, force=(np.inf, np.inf)):

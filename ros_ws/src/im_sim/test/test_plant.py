@@ -172,7 +172,7 @@ def test_brakes_take_the_energy_of_the_arms_with_the_torque_that_is_stated(plant
 
 def test_brakes_hold_twice_what_any_joint_carries():
     model = pin.buildModelFromXML(urdf(CELL))
-    for side in CELL.sides:
+    for side in CELL.groups:
         payload = pin.Inertia(2.5, np.array([0.0, 0.0, CELL.gripper.reach]), np.zeros((3, 3)))
         frame = model.frames[model.getFrameId(f"{side}_wrist")]
         model.inertias[frame.parentJoint] += frame.placement.act(payload)

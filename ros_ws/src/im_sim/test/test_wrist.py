@@ -15,7 +15,7 @@ FULL = np.full(2, np.inf)
 MODEL = pin.buildModelFromXML(urdf(CELL))
 MODEL.gravity.linear = np.array([0.0, 0.0, -CELL.gravity])
 DATA = MODEL.createData()
-WRISTS = [MODEL.getFrameId(f"{side}_wrist") for side in CELL.sides]
+WRISTS = [MODEL.getFrameId(f"{side}_wrist") for side in CELL.groups]
 JOINTS = [MODEL.frames[wrist].parentJoint for wrist in WRISTS]
 REACHING = np.array([-0.6, 0.4, 0.3, 0.5, 0.6, -1.2, 0.3, 0.6, 0.2, 1.2, -0.3, -0.3, 0.5, 0.8, -1.0, 0.2, 0.5, 0.1])
 

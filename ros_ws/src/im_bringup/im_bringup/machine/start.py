@@ -79,8 +79,9 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--cell",
         metavar="FILE",
-        type=os.path.abspath,
-        help="robot, cameras, lights and scenery, for all tasks (default: the deployment's, else the shipped one)",
+        type=_cell,
+        help="robot, cameras, lights and scenery, for all tasks: a file, or the name of a shipped cell, such as ur5 "
+        "(default: the deployment's, else puma_pair)",
     )
     parser.add_argument(
         "--foxglove",
@@ -131,9 +132,10 @@ def main() -> int:
     path = Path(arguments.deployment or deployments.default_path()).resolve()
     failure = 2
     try:
-        deployment = deployments.with_options(deployments.load(path), arguments)
+        whole = deployments.load(path)
+        deployment = deployments.with_options(whole, arguments)
         check_programs(deployment, path)
-        check_cell(deployment, arguments.cell)
+        check_cell(deployment, arguments.cell, whole)
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
         failure = 1
@@ -188,12 +190,13 @@ def check_programs(deployment: Deployment, path: Path) -> None:
         raise config.fault_in(path, where, error.message) from error
 
 
-def check_cell(deployment: Deployment, given: str | None) -> None:
-    """Read the cell of a deployment, if it names one.
+def check_cell(deployment: Deployment, given: str | None, whole: Deployment | None = None) -> None:
+    """Read the cell of a deployment, if it names one, and say which tasks it has no use for.
 
     Args:
         deployment: What is to be started.
         given: The file on the command line; None: none.
+        whole: The deployment with all tasks; None: nothing is left out.
 
     Raises:
         ConfigError: It is missing or wrong, or other hosts do not know of it.
@@ -201,9 +204,9 @@ def check_cell(deployment: Deployment, given: str | None) -> None:
     if given is not None and len(deployment.hosts) > 1:
         raise ConfigError("--cell is for one host; with several write `cell: FILE` into the deployment file of each")
     if deployment.cell:
-        from im_cell.robot import load_cell  # half a second that few starts need
-
-        load_cell(deployment.cell)
+        parts = deployments.load_parts(deployment.cell)
+        for task, lacking in deployments.left_out(whole or deployment, parts).items():
+            say(f"start: task {task} is left out: the cell {deployment.cell} has no {' and no '.join(lacking)}")
 
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
@@ -467,6 +470,10 @@ def spawn_bootstrap(
         },
         death_signal=death_signal,
     )
+
+
+def _cell(text: str) -> str:
+    return os.path.abspath(text) if "/" in text or "." in text or os.path.exists(text) else text
 
 
 def _folder(text: str) -> str:

@@ -2,9 +2,10 @@
 
 import argparse
 import json
+import os
 import re
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -16,6 +17,7 @@ from im_bringup.tasks.upkeep import Keep
 from im_core import config
 from im_core.config import FieldError, Model
 from im_core.errors import ConfigError, DataError, NotFoundError
+from im_core.names import CELL
 from im_core.text.bounded_json import read_json
 
 Scalar = bool | int | float | str
@@ -56,6 +58,7 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
+        needs: Groups, grippers, lights, cameras or ``laser`` that the cell must have; else the task is left out.
         parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}``,
             ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
     """
@@ -63,6 +66,7 @@ class Task(Model):
     package: Name
     executable: Name
     node: NodeName
+    needs: tuple[str, ...] = ()
     parameters: dict[str, ParameterValue] = pydantic.Field(default_factory=dict)
 
     def texts(self) -> Iterator[tuple[str, str]]:
@@ -119,7 +123,8 @@ class Deployment(Model):
         port: TCP port of the display; the next free one is taken where it is in use.
         foxglove: TCP port that Foxglove connects to, which adds a bridge as a process of the first host; 0: none.
         control: Whether the display may operate nets; if not, it only shows them.
-        cell: File of the cell, for all tasks, as read from a file relative to it; empty: the shipped one.
+        cell: File of the cell, for all tasks, as read from a file relative to it, or the name of a shipped one; empty:
+            the default one.
         calibration: Folder of the calibrations to start with, as read from a file relative to it; empty: none, cameras
             and laser scanner are as drawn.
         unproved: Whether it may start where it cannot be decided in time whether its nets may run.
@@ -309,8 +314,55 @@ _EVERYWHERE = {
 
 
 def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
-    """Return the deployment with the values of a command line; arguments and errors as of ``with_values``."""
-    return deployment.with_values(**{name: getattr(options, name) for name in (*_EVERYWHERE, "calibration", "cell")})
+    """Return the deployment with values of a command line, for its cell; arguments and errors as of ``with_values``.
+
+    Raises:
+        ConfigError: Also: its cell is missing or wrong, or no task is left.
+    """
+    given = {name: getattr(options, name) for name in (*_EVERYWHERE, "calibration", "cell")}
+    return _for_its_cell(deployment.with_values(**given))
+
+
+def _for_its_cell(deployment: Deployment) -> Deployment:
+    named = deployment.cell or os.environ.get(CELL)
+    return for_cell(deployment, load_parts(named)) if named else deployment
+
+
+def load_parts(cell: str) -> tuple[str, ...]:
+    """Return the names of the parts of a cell that tasks may need.
+
+    Raises:
+        ConfigError: It is missing or wrong.
+    """
+    from im_cell.robot import load_cell  # half a second that few starts need
+
+    return load_cell(cell).parts
+
+
+def left_out(deployment: Deployment, parts: Collection[str]) -> dict[str, list[str]]:
+    """Return the tasks that a cell with some parts cannot have, with the parts that each lacks."""
+    lack = {placed.name: [need for need in placed.task.needs if need not in parts] for placed in deployment.tasks()}
+    return {name: needs for name, needs in lack.items() if needs}
+
+
+def for_cell(deployment: Deployment, parts: Collection[str]) -> Deployment:
+    """Return the deployment without the tasks that need other parts than a cell has.
+
+    Raises:
+        ConfigError: No task is left.
+    """
+    out = left_out(deployment, parts)
+    hosts = {
+        host: {
+            process: kept
+            for process, tasks in processes.items()
+            if (kept := {name: task for name, task in tasks.items() if name not in out})
+        }
+        for host, processes in deployment.hosts.items()
+    }
+    if not any(hosts.values()):
+        raise ConfigError(f"no task of the deployment can work in the cell: {', '.join(out)} need what it lacks")
+    return deployment.model_copy(update={"hosts": hosts})
 
 
 def options_text(deployment: Deployment) -> str:
@@ -328,7 +380,7 @@ def with_options_text(deployment: Deployment, text: str) -> Deployment:
     told = read_json(dict[str, Any], text, "the options of the start")
     if told.keys() != _EVERYWHERE.keys():
         raise DataError(f"the options of the start are {text[:200]}; needed are {', '.join(_EVERYWHERE)}")
-    return deployment.with_values(**told)  # it checks them
+    return _for_its_cell(deployment.with_values(**told))  # it checks them
 
 
 def require_calibration_here(deployment: Deployment, folder: str | None) -> None:
@@ -351,6 +403,11 @@ def require_calibration_here(deployment: Deployment, folder: str | None) -> None
             )
 
 
+def _is_name(field: str, path: str) -> bool:
+    """Whether a value names a shipped cell, no file."""
+    return field == "cell" and "/" not in path and "." not in path
+
+
 def default_path() -> Path:
     """Return the path of the default deployment of ``scripts/start.sh``."""
     return config.package_file("im_bringup", "deployments/default.yaml")
@@ -369,5 +426,5 @@ def load(path: str | Path) -> Deployment:
         if "," in name:
             raise config.fault_in(Path(path), ("commands", rank), f"{name}: {_NO_COMMA}")
     given = {"cell": deployment.cell, "calibration": deployment.calibration}
-    paths = {name: str((here / path).resolve()) for name, path in given.items() if path}
+    paths = {name: str((here / path).resolve()) for name, path in given.items() if path and not _is_name(name, path)}
     return deployment.model_copy(update={"commands": tuple(named), **paths})

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from im_cell.link.values import Faults, JawObject
 from im_core.shm import Semaphore, SharedBlock
 
-N_GRIPPERS = 2
-N_WRENCHES = 2
 MAX_LIGHTS = 8
 
 _FIXED = np.dtype(
     [
         ("n_joints", "<i8"),
+        ("n_grippers", "<i8"),
+        ("n_wrenches", "<i8"),
         ("period_ns", "<i8"),
         ("factor", "<f8"),
         ("seed", "<i8"),
@@ -24,8 +24,8 @@ _FIXED = np.dtype(
 )
 
 
-def layout(n_joints: int) -> np.dtype[np.void]:
-    """Return the fields of the link for ``n_joints`` joints; each field has one writer, named in the comments."""
+def layout(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]:
+    """Return the fields of the link; each field has one writer, named in the comments."""
     return np.dtype(
         [
             # physics
@@ -34,10 +34,10 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("q", "<f8", (n_joints,)),
             ("power", "<i8"),
             ("brakes", "?", (n_joints,)),
-            ("gripper", "<f8", (N_GRIPPERS,)),
+            ("gripper", "<f8", (n_grippers,)),
             ("age_s", "<f8", (n_joints,)),
-            ("wrench", "<f8", (N_WRENCHES, 6)),
-            ("gripper_force", "<f8", (N_GRIPPERS,)),
+            ("wrench", "<f8", (n_wrenches, 6)),
+            ("gripper_force", "<f8", (n_grippers,)),
             ("q_true", "<f8", (n_joints,)),
             ("v_true", "<f8", (n_joints,)),
             ("servo_losses", "<i8"),
@@ -49,8 +49,8 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("command_tau", "<f8", (n_joints,)),
             ("command_power", "<i8"),
             ("command_brakes", "?", (n_joints,)),
-            ("command_gripper", "<f8", (N_GRIPPERS,)),
-            ("command_gripper_force", "<f8", (N_GRIPPERS,)),
+            ("command_gripper", "<f8", (n_grippers,)),
+            ("command_gripper_force", "<f8", (n_grippers,)),
             ("command_wants_time", "<i8"),
             # one writer for each slot
             ("demand_until", "<i8", (3,)),
@@ -60,7 +60,7 @@ def layout(n_joints: int) -> np.dtype[np.void]:
             ("fault_joints", "?", (4, n_joints)),
             ("fault_power", "<i8"),
             ("stall_s", "<f8"),
-            ("objects", "<f8", (N_GRIPPERS, 3)),
+            ("objects", "<f8", (n_grippers, 3)),
             # the emergency stop circuit
             ("stop", "<i8"),
             # whoever drives the laser scanner
@@ -96,27 +96,42 @@ class LinkBlock:
         self.wake, self.exposed = semaphores["wake"], semaphores["exposed"]
         fixed = block.array(_FIXED, 1).reshape(())
         self.n_joints = int(fixed["n_joints"])
+        self.n_grippers, self.n_wrenches = int(fixed["n_grippers"]), int(fixed["n_wrenches"])
         self.period_ns = int(fixed["period_ns"])
         self.factor = float(fixed["factor"])
         self.seed = int(fixed["seed"])
         self.light_names = tuple(name.decode() for name in fixed["light_names"].tolist() if name)
-        dtype = layout(self.n_joints)
+        dtype = layout(self.n_joints, self.n_grippers, self.n_wrenches)
         record = block.array(dtype, 1, offset=_FIXED.itemsize).reshape(())
         self.view: dict[str, NDArray[Any]] = {name: record[name] for name in dtype.names or ()}
 
     @classmethod
     def create(
-        cls, instance: str, n_joints: int, period_ns: int, factor: float, seed: int, light_names: tuple[str, ...]
+        cls,
+        instance: str,
+        counts: tuple[int, int, int],
+        period_ns: int,
+        factor: float,
+        seed: int,
+        lights: tuple[str, ...],
     ) -> Self:
         """Create block and semaphores; remains of a dead machine of the same instance are replaced.
+
+        Args:
+            instance: Name of the machine.
+            counts: Numbers of joints, grippers and wrist sensors.
+            period_ns: Time of a tick [ns].
+            factor: Clock factor.
+            seed: Of the testbed's random numbers.
+            lights: Their names.
 
         Raises:
             LinkError: A living process of that instance owns the link.
         """
-        block = SharedBlock.create(f"{instance}_testbed", _FIXED.itemsize + layout(n_joints).itemsize)
+        block = SharedBlock.create(f"{instance}_testbed", _FIXED.itemsize + layout(*counts).itemsize)
         semaphores = {name: Semaphore.create(f"{instance}_testbed_{name}") for name in _SEMAPHORES}
-        names = [name.encode() for name in light_names] + [b""] * (MAX_LIGHTS - len(light_names))
-        block.array(_FIXED, 1)[0] = (n_joints, period_ns, factor, seed, names)
+        names = [name.encode() for name in lights] + [b""] * (MAX_LIGHTS - len(lights))
+        block.array(_FIXED, 1)[0] = (*counts, period_ns, factor, seed, names)
         return cls(instance, block, semaphores)
 
     @classmethod

@@ -16,7 +16,7 @@ class LinkEnd:
 
     Attributes:
         instance: Name of the machine.
-        n_joints: Number of joints.
+        n_joints, n_grippers, n_wrenches: Numbers of joints, grippers and wrist sensors.
         factor: Clock factor; 0: as fast as it goes.
         seed: Of the testbed's random numbers.
         period_ns: Time of a tick [ns].
@@ -28,7 +28,7 @@ class LinkEnd:
         """Use :meth:`attach`."""
         self._shared = shared
         self.instance = shared.instance
-        self.n_joints = shared.n_joints
+        self.n_joints, self.n_grippers, self.n_wrenches = shared.n_joints, shared.n_grippers, shared.n_wrenches
         self.factor = shared.factor
         self.seed = shared.seed
         self.period_ns = shared.period_ns

@@ -49,6 +49,8 @@ class HostEnd(LinkEnd):
         factor: float = 1.0,
         seed: int = 0,
         light_names: tuple[str, ...] = DEFAULT_LIGHTS,
+        n_grippers: int = 2,
+        n_wrenches: int = 2,
     ) -> Self:
         """Create the link; remains of a dead machine are replaced.
 
@@ -64,7 +66,8 @@ class HostEnd(LinkEnd):
             raise DataError(f"clock factor {factor} is not >= 0", factor=factor)
         if len(light_names) > MAX_LIGHTS:
             raise DataError(f"{len(light_names)} lights are more than {MAX_LIGHTS}", lights=len(light_names))
-        return cls(LinkBlock.create(instance, n_joints, round(period_s * 1e9), factor, seed, light_names))
+        counts = (n_joints, n_grippers, n_wrenches)
+        return cls(LinkBlock.create(instance, counts, round(period_s * 1e9), factor, seed, light_names))
 
     def publish_state(
         self, tick: int, sensors: Sensors, q_true: NDArray[np.float64], v_true: NDArray[np.float64]

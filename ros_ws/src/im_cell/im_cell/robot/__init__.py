@@ -1,26 +1,26 @@
-"""The cell's geometry and dynamics from one parameter file: joints, links, URDF, capsules, cameras.
+"""The cell's geometry and dynamics from a URDF and a cell file: joints, links, capsules, cameras.
 
 ``load_cell()`` gives a :class:`Cell`; ``urdf(cell)`` the same as URDF, ``robot_description(cell, limits)`` that of
-``/robot_description``. The 18 joints are, in this order, ``left_track``, ``left_rotation``, ``left_tilt``, ``left_j1``
-to ``left_j6``, then the same of ``right``.
-World frame ``world``: origin on the floor at the track's centre, x along the track, z up. :mod:`im_cell.robot.truth`,
-what the simulated cell is really like, is not part of the public face: only who simulates or judges imports it.
+``/robot_description``. Joints are in the order of the URDF's tree, those below one link by name.
+World frame ``world``: z up; ``mount`` of the cell file says where in it the URDF's root stands.
+:mod:`im_cell.robot.truth`, what the simulated cell is really like, is not part of the public face: only who simulates
+or judges imports it.
 """
 
-from im_cell.robot.cell import SIDES, Cell, load_cell
-from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Intrinsics, Led, Limits, SensorSpec, Vector
+from im_cell.robot.cell import Cell, cell_file, load_cell, shipped_cells
+from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Group, Intrinsics, Led, Limits, SensorSpec, Vector
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
-from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
+from im_cell.robot.tree import ORIGIN, Joint, LinkInertia
 from im_cell.robot.urdf import robot_description, urdf
 
 __all__ = [
     "ORIGIN",
-    "SIDES",
     "Box",
     "Camera",
     "Capsule",
     "Cell",
     "Gripper",
+    "Group",
     "Intrinsics",
     "Joint",
     "Lamp",
@@ -32,8 +32,9 @@ __all__ = [
     "SensorSpec",
     "Target",
     "Vector",
-    "far_end",
+    "cell_file",
     "load_cell",
     "robot_description",
+    "shipped_cells",
     "urdf",
 ]

@@ -1,40 +1,47 @@
-"""The cell: parameters of ``cell.yaml`` and derived values."""
+"""The cell: a URDF, the cell file beside it, and derived values."""
 
+import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from im_cell.robot.description import RobotDescription, UrdfGeometry, parse_description
 from im_cell.robot.parameters import (
-    ArmModel,
     Box,
     BrakeSpec,
     Camera,
     Capsule,
-    Cart,
+    CellGroup,
+    CellMount,
+    DriveSpec,
     EncoderSpec,
     Gripper,
+    Group,
     Led,
     Number,
-    Side,
     Size,
+    Vector,
     WristSensor,
 )
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
-from im_cell.robot.tree import CART_LINKS, Joint, LinkInertia, joints_of, links_of
+from im_cell.robot.tree import WORLD, Joint, LinkInertia, Tree, assumptions, joint_of
+from im_cell.rotations import matrix_of_rpy
 from im_core.config import FieldError, Model, load_model, package_file
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, nearest
+from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.names import CELL
 from im_core.text.yamltext import Location
 
-SIDES = ("left", "right")
-_WORLD = "world"
+_GREY = (0.72, 0.73, 0.75)
+DEFAULT_CELL = "puma_pair"
+_LARGEST_URDF = 8 * MEBIBYTE
 _TOPIC = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")
 
 _SHORTEST_S = 1e-4
@@ -50,61 +57,107 @@ class Cell(Model):
     True
     """
 
-    period: Annotated[float, Field(ge=_SHORTEST_S)]
-    substeps: Annotated[int, Field(ge=1, le=64)]
-    gravity: Number
-    arm_models: dict[str, ArmModel]
-    cart: Cart
-    sides: dict[str, Side]
-    encoder: EncoderSpec
-    brakes: BrakeSpec
-    gripper: Gripper
-    wrist_sensor: WristSensor
-    led: Led
-    boxes: tuple[Box, ...]
-    cameras: dict[str, Camera]
-    camera_body: Size
-    optics: Optics
-    targets: tuple[Target, ...]
-    mirrors: tuple[Mirror, ...]
-    lamps: tuple[Lamp, ...]
-    laser: LaserScanner
+    urdf: str
+    mount: CellMount = CellMount()
+    groups: Annotated[dict[str, CellGroup], Field(min_length=1)]
+    presets: dict[str, dict[str, Group]] = Field(default_factory=dict)
+    drives: dict[str, DriveSpec] = Field(default_factory=dict)
+    standing: dict[str, Number] = Field(default_factory=dict)
+    capsules: tuple[Capsule, ...] = ()
+    never: tuple[tuple[str, str], ...] = ()
+    period: Annotated[float, Field(ge=_SHORTEST_S)] = 0.0045
+    substeps: Annotated[int, Field(ge=1, le=64)] = 4
+    gravity: Number = 9.81
+    encoder: EncoderSpec = EncoderSpec(counts_per_turn=4000, noise_counts=0.5)
+    brakes: BrakeSpec = BrakeSpec(source="assumed", delay=0.08)
+    gripper: Gripper = Gripper()
+    wrist_sensor: WristSensor = WristSensor()
+    led: Led = Led()
+    boxes: tuple[Box, ...] = ()
+    cameras: dict[str, Camera] = Field(default_factory=dict)
+    camera_body: Size = (0.04, 0.04, 0.05)
+    optics: Optics = Optics(blur=0.9, vignetting=0.15)
+    targets: tuple[Target, ...] = ()
+    mirrors: tuple[Mirror, ...] = ()
+    lamps: tuple[Lamp, ...] = ()
+    laser: LaserScanner | None = None
+
+    @field_validator("urdf")
+    @classmethod
+    def _found(cls, urdf: str, info: ValidationInfo) -> str:
+        return str(resolved(urdf, Path(str((info.context or {}).get("file", "")))))
 
     @model_validator(mode="after")
     def _references(self) -> Self:
-        if tuple(self.sides) != SIDES:
-            raise ValueError(f"sides are {list(self.sides)}, not {list(SIDES)}")
-        for name, side in self.sides.items():
-            if side.arm not in self.arm_models:
-                raise ValueError(f"sides.{name}.arm: '{side.arm}' is not one of {sorted(self.arm_models)}")
-        for joint, position in zip(self.joints, self.home, strict=True):
-            if not joint.limits.lower <= position <= joint.limits.upper:
-                raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
+        try:
+            description = self.description
+        except ConfigError as error:
+            raise FieldError(("urdf",), error.message) from None
+        self._check_groups(description)
+        self._check_joints()
         self._check_frames()
         return self
 
+    def _check_groups(self, description: RobotDescription) -> None:
+        """Check names of groups, frames and joints, and the positions at home."""
+        joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
+        links = (*description.links, WORLD)
+        for name in (*self.drives, *self.standing):
+            field = "drives" if name in self.drives else "standing"
+            _require(name, joints, (field, name), "a joint of the URDF")
+        taken: dict[str, str] = {}
+        for name, group in self.groups.items():
+            if not _TOPIC.fullmatch(name):
+                raise FieldError(("groups", name), f"'{name}' names topics: letters, digits and _, a letter first")
+            _require(group.tip, links, ("groups", name, "tip"), "a link of the URDF")
+            _require(group.base, links, ("groups", name, "base"), "a link of the URDF")
+            for rank, joint in enumerate(group.joints):
+                _require(joint, joints, ("groups", name, "joints", rank), "a joint of the URDF")
+            moved = self.joints_of(name)
+            for joint in moved:
+                if joint in taken:
+                    raise FieldError(("groups", name), f"joint {joint} is in group '{taken[joint]}' already")
+                if not _TOPIC.fullmatch(joint):
+                    text = f"joint '{joint}': ROS takes no such name; letters, digits and _ are allowed, a letter first"
+                    raise FieldError(("groups", name), text)
+                if joints[joint].mimic:
+                    text = f"joint {joint} follows {joints[joint].mimic} (mimic); such joints are in no group"
+                    raise FieldError(("groups", name), text)
+                taken[joint] = name
+            if len(group.home) != len(moved):
+                text = f"{len(group.home)} positions for {len(moved)} joints: {', '.join(moved)}"
+                raise FieldError(("groups", name, "home"), text)
+
+    def _check_joints(self) -> None:
+        for given, _ in self.tree.joints:
+            if given.kind == "prismatic" and given.lower is None and self.drive(given.name).range is None:
+                text = f"joint {given.name} slides without a range; drives.{given.name}.range can say one"
+                raise FieldError(("urdf",), text)
+        for joint, position in zip(self.joints, self.home, strict=True):
+            if not joint.limits.lower <= position <= joint.limits.upper:
+                raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
+        if not self.capsules:
+            for name, link in self.description.links.items():
+                for mesh in (shape.mesh for shape in link.shapes if shape.kind == "mesh"):
+                    text = f"the shape of link {name} for collision is the mesh {mesh}, and the cell has no capsules"
+                    raise FieldError(("urdf",), f"{text}; `im cell new` finds them")
+
     def _check_frames(self) -> None:
         """Check the parts of the cell: each must be fixed to an existing frame."""
-        arm_links = [f"link{number}" for number in range(1, 7)]
-        frames = (_WORLD, *(link.name for link in self.links), *(f"{side}_wrist" for side in self.sides))
-        fixed: list[tuple[Location, Sequence[Box | Capsule | Mirror], Sequence[str]]] = [
-            (("cart", "capsules"), self.cart.capsules, CART_LINKS),
-            (("cart", "boxes"), self.cart.boxes, CART_LINKS),
-            *((("arm_models", name, "capsules"), arm.capsules, arm_links) for name, arm in self.arm_models.items()),
-            (("boxes",), self.boxes, (_WORLD,)),
-            (("mirrors",), self.mirrors, frames),
+        frames = (WORLD, *self.description.links)
+        fixed: list[tuple[Location, str]] = [
+            *((("capsules", rank, "link"), each.link) for rank, each in enumerate(self.capsules)),
+            *((("boxes", rank, "link"), each.link) for rank, each in enumerate(self.boxes)),
+            *((("mirrors", rank, "link"), each.link) for rank, each in enumerate(self.mirrors)),
+            *((("cameras", name, "parent"), each.parent) for name, each in self.cameras.items()),
+            *((("never", rank), name) for rank, pair in enumerate(self.never) for name in pair),
         ]
-        for where, things, known in fixed:
-            for rank, thing in enumerate(things):
-                if thing.link not in known:
-                    raise FieldError((*where, rank, "link"), f"'{thing.link}' is not one of {', '.join(known)}")
-        for name, camera in self.cameras.items():
+        for where, link in fixed:
+            _require(link, frames, where, "a link")
+        for name in self.cameras:
             if not _TOPIC.fullmatch(name):
                 raise FieldError(("cameras", name), f"'{name}' names topics: letters, digits and _, a letter first")
-            if camera.parent not in frames:
-                where = ("cameras", name, "parent")
-                raise FieldError(where, f"'{camera.parent}' is not one of {', '.join(frames)}")
-        names = [box.name for box in self.boxes]
+        names = [box.name for box in self.boxes if box.link == WORLD]
         for rank, name in enumerate(names):
             if name in names[:rank]:
                 raise FieldError(("boxes", rank, "name"), f"two boxes have the same name, '{name}'")
@@ -123,37 +176,78 @@ class Cell(Model):
         return self.model_copy(update={"period": period, "substeps": substeps})
 
     @cached_property
+    def description(self) -> RobotDescription:
+        """The robot as the URDF has it.
+
+        Raises:
+            ConfigError: The file is missing or no URDF of a tree.
+        """
+        try:
+            return parse_description(read_text(Path(self.urdf), _LARGEST_URDF), self.urdf)
+        except FileError as error:
+            raise ConfigError(error.message, file=self.urdf) from error
+
+    @cached_property
+    def tree(self) -> Tree:
+        """The moving joints and links of the cell, and the links fixed to these."""
+        moving = [joint for name in self.groups for joint in self.joints_of(name)]
+        return Tree(self.description, moving, self.standing, (self.mount.xyz, self.mount.rpy))
+
+    def drive(self, joint: str) -> DriveSpec:
+        """Return the drive of a joint; one that says nothing, where the cell has none."""
+        return self.drives.get(joint, DriveSpec())
+
+    def joints_of(self, group: str) -> tuple[str, ...]:
+        """Return the names of a group's joints."""
+        given = self.groups[group]
+        return given.joints or self.chain("", given.tip)
+
+    def arm_of(self, group: str) -> tuple[str, ...]:
+        """Return the names of the joints between a group's base and its tip."""
+        given = self.groups[group]
+        return self.chain(given.base, given.tip)
+
+    def chain(self, base: str, tip: str) -> tuple[str, ...]:
+        """Return the joints between a link and another one, in order, without those that follow others."""
+        links: list[str] = []
+        of = {joint.child: joint for joint in self.description.joints}
+        while tip in of and tip != base:
+            joint = of[tip]
+            links += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
+            tip = joint.parent
+        return tuple(reversed(links))
+
+    @cached_property
     def joints(self) -> tuple[Joint, ...]:
-        """The 18 joints in order."""
-        return tuple(
-            joint
-            for name, side in self.sides.items()
-            for joint in joints_of(
-                name, side, self.cart, self.arm_models[side.arm],
-                self.encoder.counts_per_turn, self.encoder.noise_counts,
-            )
-        )  # fmt: skip
+        """The moving joints in order."""
+        return tuple(joint_of(joint, place, self.drive(joint.name), self.encoder) for joint, place in self.tree.joints)
 
     @cached_property
     def links(self) -> tuple[LinkInertia, ...]:
-        """The 18 links with mass, each the child of the joint of the same rank."""
-        return tuple(
-            link for name, side in self.sides.items() for link in links_of(name, self.cart, self.arm_models[side.arm])
-        )
+        """The moving links, each the child of the joint of the same rank."""
+        return self.tree.links
 
     @cached_property
-    def capsules(self) -> tuple[Capsule, ...]:
-        """Collision shapes of all moving links; adjacent links overlap."""
-        return tuple(
-            capsule.model_copy(update={"link": f"{name}_{capsule.link}"})
-            for name, side in self.sides.items()
-            for capsule in (*self.cart.capsules, *self.arm_models[side.arm].capsules)
-        )
+    def assumed(self) -> tuple[str, ...]:
+        """Assumptions where URDF and cell file are silent, as sentences."""
+        return tuple(assumptions(self.tree, self.drives)[1])
+
+    @cached_property
+    def unknown(self) -> tuple[str, ...]:
+        """Data that torques would need and neither URDF nor cell file has, as sentences."""
+        return tuple(assumptions(self.tree, self.drives)[0])
+
+    @cached_property
+    def bodies(self) -> tuple[Capsule, ...]:
+        """Collision shapes of all links: those of the file, else around the shapes of the URDF."""
+        if self.capsules:
+            return self.capsules
+        return tuple(around(shape, name) for name, link in self.description.links.items() for shape in link.shapes)
 
     @cached_property
     def obstacles(self) -> tuple[Box, ...]:
         """Boxes fixed to the world, not to be touched by anything."""
-        return tuple(box for box in self.boxes if box.collision)
+        return tuple(box for box in self.boxes if box.collision and box.link == WORLD)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -162,34 +256,145 @@ class Cell(Model):
 
     @property
     def home(self) -> NDArray[np.float64]:
-        """Where the testbed starts, shape (18,) [rad or m]."""
-        return np.array([position for side in self.sides.values() for position in side.home])
+        """Where the testbed starts, shape (n,) [rad or m]."""
+        at = {
+            joint: position
+            for name, group in self.groups.items()
+            for joint, position in zip(self.joints_of(name), group.home, strict=True)
+        }
+        return np.array([at[name] for name in self.joint_names])
+
+    @property
+    def partitions(self) -> dict[str, dict[str, Group]]:
+        """The partitions of the joints: those of the file, else each group alone, and all together."""
+        if self.presets:
+            return self.presets
+        alone = {name: Group(joints=self.joints_of(name), wrist=group.tip) for name, group in self.groups.items()}
+        tips = [group.tip for group in self.groups.values()]
+        if len(tips) == 1:
+            return {"each": alone}
+        pair = (tips[0], tips[1]) if len(tips) == 2 else None
+        return {"each": alone, "all": {"all": Group(joints=self.joint_names, pair=pair)}}
+
+    def devices(self, kind: str) -> dict[str, str]:
+        """Return the tips that have a ``gripper``, a ``force`` sensor or a ``light``, by the device's name."""
+        suffix = "led" if kind == "light" else kind
+        return {f"{name}_{suffix}": group.tip for name, group in self.groups.items() if getattr(group, kind)}
+
+    def color_of(self, link: str) -> Vector:
+        """Return the colour of a moving link, that of the first group whose joints carry it."""
+        carriers = {joint.child: joint.name for joint in self.joints}
+        moved = carriers.get(link, "")
+        return next((g.color for n, g in self.groups.items() if moved in self.joints_of(n)), _GREY)
+
+    @property
+    def scanner(self) -> LaserScanner:
+        """The laser scanner.
+
+        Raises:
+            ConfigError: The cell has none.
+        """
+        if self.laser is None:
+            raise ConfigError("the cell has no laser scanner")
+        return self.laser
+
+    def reach_of(self, group: str) -> float:
+        """Return the way from a group's tip along its z axis to the middle of the jaws, 0 without a gripper [m]."""
+        return self.gripper.reach if self.groups[group].gripper else 0.0
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of groups, their devices and cameras, and ``laser`` if there is one: needs of tasks are among these."""
+        devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
+        return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
 
     @property
     def light_names(self) -> tuple[str, ...]:
         """Names of the wrist lights, in the order of the testbed link."""
-        return tuple(f"{name}_led" for name in self.sides)
+        return tuple(self.devices("light"))
 
     def per_joint(self, attribute: str) -> NDArray[np.float64]:
-        """One attribute of each joint (``rotor_inertia``, ``limits.torque``, ...), shape (18,)."""
+        """One attribute of each joint (``rotor_inertia``, ``limits.torque``, ...), shape (n,)."""
         values: list[object] = list(self.joints)
         for part in attribute.split("."):
             values = [getattr(value, part) for value in values]
         return np.array(values, dtype=np.float64)
 
 
-def load_cell(path: Path | str | None = None) -> Cell:
-    """Read a cell's parameter file.
+def around(shape: UrdfGeometry, link: str) -> Capsule:
+    """Return the capsule around a box, cylinder or sphere of a link."""
+    turn, origin = matrix_of_rpy(shape.rpy), np.array(shape.xyz)
+    if shape.kind == "sphere":
+        axis, half, radius = np.array([0.0, 0.0, 1.0]), 1e-4, shape.size[0]
+    elif shape.kind == "cylinder":
+        axis, half, radius = np.array([0.0, 0.0, 1.0]), shape.size[1] / 2.0, shape.size[0]
+    else:
+        along = int(np.argmax(shape.size))
+        across = [edge for rank, edge in enumerate(shape.size) if rank != along]
+        axis, half, radius = np.eye(3)[along], shape.size[along] / 2.0, math.hypot(*across) / 2.0
+    ends = [tuple((origin + turn @ (sign * half * axis)).tolist()) for sign in (-1.0, 1.0)]
+    return Capsule.model_validate({"link": link, "p0": ends[0], "p1": ends[1], "radius": radius})
+
+
+def _require(name: str, known: Collection[str], where: Location, what: str) -> None:
+    if name not in known:
+        raise FieldError(where, f"'{name}' is not {what}{nearest(name, tuple(known))}")
+
+
+def resolved(named: str, beside: Path) -> Path:
+    """Return the path of a URDF or mesh: absolute, beside another file, or in a package of ROS.
 
     Args:
-        path: The file; None: the one named by the environment variable ``IM_CELL``, else the shipped one.
+        named: As written; `package://` begins one in a package.
+        beside: File that names it; the folders above it are looked at too where a package is not installed.
 
     Raises:
-        ConfigError: The file is missing or wrong; the message names file, line and value.
+        ValueError: The package is not there.
+    """
+    if not named.startswith("package://"):
+        return beside.parent / named
+    package, _, below = named.removeprefix("package://").partition("/")
+    installed = [
+        Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix
+    ]
+    for folder in (*installed, *beside.absolute().parents):
+        if (path := folder / package / below).is_file():
+            return path
+    raise ValueError(f"package {package} with '{below}' is in no workspace that is sourced, and in no folder above")
+
+
+def shipped_cells() -> tuple[str, ...]:
+    """Return the names of the shipped cells."""
+    folder = package_file("im_cell", f"cells/{DEFAULT_CELL}/cell.yaml").parents[1]
+    return tuple(sorted(path.parent.name for path in folder.glob("*/cell.yaml")))
+
+
+def cell_file(named: Path | str) -> Path:
+    """Return the file of a cell: a shipped one by its name, or a path.
+
+    Raises:
+        ConfigError: It is a name, and no cell is shipped under it.
+    """
+    path = Path(named)
+    if path.exists() or path.suffix or path.name != str(named):
+        return path
+    if path.name not in (known := shipped_cells()):
+        raise ConfigError(f"there is no cell '{named}', neither a file nor a shipped one{nearest(path.name, known)}")
+    return package_file("im_cell", f"cells/{path.name}/cell.yaml")
+
+
+def load_cell(path: Path | str | None = None) -> Cell:
+    """Read a cell file.
+
+    Args:
+        path: The file, or the name of a shipped cell; None: what the environment variable ``IM_CELL`` names, else the
+            default one.
+
+    Raises:
+        ConfigError: The file or its URDF is missing or wrong; the message names file, line and value.
 
     >>> load_cell("nowhere.yaml")
     Traceback (most recent call last):
     im_core.errors.ConfigError: nowhere.yaml: cannot be read: No such file or directory
     """
-    named = path or os.environ.get(CELL)
-    return load_model(Path(named) if named else package_file("im_cell", "robot/cell.yaml"), Cell)
+    return load_model(cell_file(path or os.environ.get(CELL) or DEFAULT_CELL), Cell)

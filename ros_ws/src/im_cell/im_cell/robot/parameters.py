@@ -69,36 +69,11 @@ class Motor(Model):
         return gear
 
 
-class DhLink(Model):
-    """Link by a standard Denavit-Hartenberg row; mass properties in the DH frame.
-
-    Attributes:
-        d, a, alpha: The row's constants [m, m, rad].
-        mass: [kg].
-        com: Centre of mass [m].
-        inertia: Principal inertias about the centre of mass [kg m2].
-    """
-
-    d: Number
-    a: Number
-    alpha: Number
-    mass: Positive
-    com: Vector
-    inertia: tuple[Positive, Positive, Positive]
-
-
-class ArmJoint(Model):
-    """Limits and motor of an arm joint."""
-
-    limits: Limits
-    motor: Motor
-
-
 class Capsule(Model):
     """A cylinder with round ends, for collision and display.
 
     Attributes:
-        link: URDF link it is fixed to (in ``cell.yaml`` without the side's prefix).
+        link: URDF link it is fixed to.
         p0, p1: Ends of its axis in the link's frame [m].
         radius: [m].
         visual: Whether it is drawn.
@@ -115,7 +90,7 @@ class Box(Model):
     """Box for display, and for collision where fixed to the world.
 
     Attributes:
-        link: URDF link it is fixed to (in ``cart`` without the side's prefix).
+        link: URDF link it is fixed to.
         name: What it is.
         size: Edge lengths [m].
         center: In the link's frame [m].
@@ -131,46 +106,75 @@ class Box(Model):
     collision: bool = True
 
 
-class ArmModel(Model):
-    """Kinematics, dynamics and shape of an arm; ``source``: origin of the numbers, or a note of estimates."""
+class DriveSpec(Model):
+    """Drive of a joint: data that URDF has no words for.
 
-    source: Source
-    mount_height: Number
-    links: Annotated[tuple[DhLink, ...], Field(min_length=6, max_length=6)]
-    joints: Annotated[tuple[ArmJoint, ...], Field(min_length=6, max_length=6)]
-    capsules: tuple[Capsule, ...]
+    Attributes:
+        acceleration, jerk: Largest magnitudes, by s2, s3; None: full speed and full acceleration take a stated time.
+        torque: Largest motor torque, where the URDF has none [Nm or N].
+        range: Range, where the URDF has none or a wider one [rad or m].
+        motor: Motor behind a gear; None: one of the order of those of geared arms, see :mod:`im_cell.robot.tree`.
+        stiffness: For joint impedance [Nm/rad or N/m]; None: full torque at 0.05 rad or 5 mm.
+    """
 
-
-class CartStage(Model):
-    """One moving part of a cart; ``height`` is the height of the joint above the joint before [m]."""
-
-    height: Number
-    mass: Positive
-    com: Vector
-    inertia: tuple[Positive, Positive, Positive]
-    motor: Motor
-
-
-class Cart(Model):
-    """Cart, moving along the track, turning, and tilting; ``source`` as of an arm."""
-
-    source: Source
-    track: CartStage
-    rotation: CartStage
-    tilt: CartStage
-    rotation_limits: Limits
-    tilt_limits: Limits
-    capsules: tuple[Capsule, ...]
-    boxes: tuple[Box, ...]
+    acceleration: Positive | None = None
+    jerk: Positive | None = None
+    torque: Positive | None = None
+    range: tuple[Number, Number] | None = None
+    motor: Motor | None = None
+    stiffness: Positive | None = None
 
 
-class Side(Model):
-    """One cart with the arm on top."""
+class CellGroup(Model):
+    """Chain of joints that ends in a tool frame, with the devices mounted there.
 
-    arm: str
-    track_limits: Limits
-    home: Annotated[tuple[Number, ...], Field(min_length=9, max_length=9)]
-    color: Vector
+    Attributes:
+        tip: Frame of the tool, the last link as a rule.
+        base: Link that the arm stands on; joints below it carry the arm.
+        joints: Names; empty: all joints from the world to the tip.
+        home: Position of each joint at the start [rad or m].
+        color: Red, green, blue of its links, 0 to 1.
+        gripper, force, light: Whether it has a gripper, a force-torque sensor, a light.
+        source: Origin of the numbers, by what they are of: first the arm, then what carries it.
+    """
+
+    tip: str
+    base: str = "world"
+    joints: tuple[str, ...] = ()
+    home: tuple[Number, ...]
+    color: Vector = (0.72, 0.73, 0.75)
+    gripper: bool = False
+    force: bool = False
+    light: bool = False
+    source: dict[str, Source] = Field(default_factory=dict)
+
+
+class Group(Model):
+    """Slots moving together."""
+
+    joints: tuple[str, ...] = Field(min_length=1)
+    wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
+    pair: tuple[str, str] | None = Field(
+        default=None, description="two wrists, in place of one: on straight lines of the first the second goes along"
+    )
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Wrists that straight lines move: none, one, or the pair."""
+        return self.pair or (() if self.wrist is None else (self.wrist,))
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.wrist is not None and self.pair is not None:
+            raise ValueError("a group has a wrist or a pair of wrists, not both")
+        return self
+
+
+class CellMount(Model):
+    """Pose of the URDF's root in the world [m, rad]."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
 
 
 class EncoderSpec(Model):
@@ -181,7 +185,7 @@ class EncoderSpec(Model):
 
 
 class BrakeSpec(Model):
-    """The holding brakes of all joints; ``source`` as of an arm.
+    """The holding brakes of all joints; ``source``: origin of the numbers, or a note of estimates.
 
     Attributes:
         delay: Time from a command, or the loss of power, until a brake holds or lets go [s].
@@ -213,14 +217,14 @@ class Gripper(Model):
         force_sensor: Between the jaws.
     """
 
-    stroke: Positive
-    rate: Positive
-    initial: NonNegative
-    force: Positive
-    reach: NonNegative
-    palm: Size
-    jaw: Size
-    force_sensor: SensorSpec
+    stroke: Positive = 0.08
+    rate: Positive = 0.25
+    initial: NonNegative = 0.08
+    force: Positive = 120.0
+    reach: NonNegative = 0.15
+    palm: Size = (0.10, 0.04, 0.09)
+    jaw: Size = (0.012, 0.024, 0.06)
+    force_sensor: SensorSpec = SensorSpec(noise=0.2, bias=0.0, resolution=0.1, range=250.0)
 
     @model_validator(mode="after")
     def _opens(self) -> Self:
@@ -230,11 +234,11 @@ class Gripper(Model):
 
 
 class WristSensor(Model):
-    """The six-axis sensor of a wrist; ``source`` as of an arm."""
+    """The six-axis sensor of a wrist; ``source`` as of the brakes."""
 
-    source: Source
-    force: SensorSpec
-    torque: SensorSpec
+    source: Source = "assumed"
+    force: SensorSpec = SensorSpec(noise=0.05, bias=0.5, resolution=0.025, range=200.0)
+    torque: SensorSpec = SensorSpec(noise=0.002, bias=0.02, resolution=0.001, range=15.0)
 
 
 class Led(Model):
@@ -243,11 +247,11 @@ class Led(Model):
     `offset_prior_sd` is the standard deviation of each axis of the true offset [m]; 0: the nominal one is exact.
     """
 
-    offset: Vector
-    offset_prior_sd: NonNegative
-    axis: Vector
-    diameter: Positive
-    half_angle: Positive
+    offset: Vector = (0.0, 0.06, 0.05)
+    offset_prior_sd: NonNegative = 0.005
+    axis: Vector = (0.0, 1.0, 0.0)
+    diameter: Positive = 0.02
+    half_angle: Positive = 1.75
 
     @model_validator(mode="after")
     def _shines(self) -> Self:

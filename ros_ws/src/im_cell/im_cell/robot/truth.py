@@ -70,12 +70,12 @@ class LaserTruth(Model):
 
 
 class CellTruth(Model):
-    """True cameras and lights by name, the laser scanner, and the random seed of all."""
+    """True cameras and lights by name, the laser scanner if there is one, and the random seed of all."""
 
     seed: int
     cameras: dict[str, CameraTruth]
     leds: dict[str, LedTruth]
-    laser: LaserTruth
+    laser: LaserTruth | None
 
 
 def load_truth(path: Path) -> CellTruth:

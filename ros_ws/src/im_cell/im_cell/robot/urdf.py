@@ -1,12 +1,12 @@
 """URDF of the cell."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from math import atan2, dist, hypot
 from xml.sax.saxutils import quoteattr
 
 from im_cell.robot.cell import Cell
 from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Limits, Vector
-from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
+from im_cell.robot.tree import ORIGIN, WORLD, Joint, LinkInertia
 from im_cell.rotations import rpy_of_matrix
 
 _METAL: Vector = (0.62, 0.63, 0.65)
@@ -18,16 +18,17 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
 
     Args:
         cell: Parameters.
-        frames: With the massless frames ``<side>_base``, ``<side>_wrist``, ``<side>_led``. pybullet gives a link
-            without inertia a mass of 1 kg, so physics leaves them out.
+        frames: With the massless frames: links fixed to others, and lights. pybullet gives a link without inertia a
+            mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
     """
     lines = ['<link name="world">']
     if shapes:
-        lines += [line for box in cell.boxes for line in _visual_box(box)]
+        lines += [line for box in cell.boxes if box.link == WORLD for line in _visual_box(box)]
+        lines += _shapes_of(cell, WORLD)
     lines.append("</link>")
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        shape = _shapes_of(cell, link.name, cell.capsules) if shapes else []
+        shape = _shapes_of(cell, link.name) if shapes else []
         lines += [*_joint(joint, joint.limits), *_link(link, shape)]
     if frames:
         lines += _frames(cell)
@@ -37,7 +38,7 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
 def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
     """The cell for tools that show it or plan in it, as URDF: also what they may collide with, grippers and cameras.
 
-    The joint ``<side>_gripper`` is between the jaws, its position the opening; the other jaw moves with it. Grippers
+    The joint ``<group>_gripper`` is between the jaws, its position the opening; the other jaw moves with it. Grippers
     are drawn, not the last links, whose shapes for collision enclose them.
 
     Args:
@@ -46,15 +47,15 @@ def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
     """
     lines = ['<link name="world">']
     for box in cell.boxes:
-        lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
-    lines.append("</link>")
-    last = [f"{side}_link6" for side in cell.sides]
-    capsules = [c.model_copy(update={"visual": False}) if c.link in last else c for c in cell.capsules]
+        if box.link == WORLD:
+            lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
+    lines += [*_shapes_of(cell, WORLD), "</link>"]
+    hidden = {cell.tree.carrier(tip).parent for tip in cell.devices("gripper").values()}
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, capsules))]
+        lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, hidden))]
     lines += _frames(cell)
-    for side in cell.sides:
-        lines += _gripper(side, cell.gripper)
+    for name, tip in cell.devices("gripper").items():
+        lines += _gripper(name.removesuffix("_gripper"), tip, cell.gripper)
     for name, camera in cell.cameras.items():
         lines += _camera(name, camera, cell.camera_body)
     return _robot(lines)
@@ -66,26 +67,24 @@ def _robot(lines: list[str]) -> str:
 
 def _frames(cell: Cell) -> list[str]:
     lines: list[str] = []
-    for side, spec in cell.sides.items():
-        arm = cell.arm_models[spec.arm]
-        wrist = far_end(arm.links[-1])
-        lines += _fixed(f"{side}_base", f"{side}_platform", (0.0, 0.0, arm.mount_height), ORIGIN)
-        lines += _fixed(f"{side}_wrist", f"{side}_link6", *wrist)
-        lines += _fixed(f"{side}_led", f"{side}_wrist", cell.led.offset, ORIGIN)
+    for frame in cell.tree.frames.values():
+        lines += _fixed(frame.name, frame.parent, frame.xyz, frame.rpy)
+    for name, tip in cell.devices("light").items():
+        lines += _fixed(name, tip, cell.led.offset, ORIGIN)
     return lines
 
 
-def _gripper(side: str, gripper: Gripper) -> list[str]:
+def _gripper(group: str, wrist: str, gripper: Gripper) -> list[str]:
     """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis."""
     (thickness, _, length), (_, _, depth) = gripper.jaw, gripper.palm
-    palm, *jaws = f"{side}_palm", f"{side}_jaw_1", f"{side}_jaw_2"
+    palm, *jaws = f"{group}_palm", f"{group}_jaw_1", f"{group}_jaw_2"
     lines = _fixed(
-        palm, f"{side}_wrist", ORIGIN, ORIGIN,
+        palm, wrist, ORIGIN, ORIGIN,
         _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL),
     )  # fmt: skip
     travels = (
-        (f"{side}_jaw", palm, (0.0, 0.0, gripper.reach), -1.0, 0.5),
-        (f"{side}_gripper", jaws[0], ORIGIN, 1.0, 1.0),
+        (f"{group}_jaw", palm, (0.0, 0.0, gripper.reach), -1.0, 0.5),
+        (f"{group}_gripper", jaws[0], ORIGIN, 1.0, 1.0),
     )
     for jaw, (name, parent, xyz, sign, share) in zip(jaws, travels, strict=True):
         lines += [
@@ -96,7 +95,7 @@ def _gripper(side: str, gripper: Gripper) -> list[str]:
             f'<axis xyz="{_join((sign, 0.0, 0.0))}"/>',
             f'<limit lower="0.0" upper="{share * gripper.stroke!r}" '
             f'effort="{gripper.force!r}" velocity="{share * gripper.rate!r}"/>',
-            *([f'<mimic joint="{side}_gripper" multiplier="{share!r}" offset="0.0"/>'] if share != 1.0 else []),
+            *([f'<mimic joint="{group}_gripper" multiplier="{share!r}" offset="0.0"/>'] if share != 1.0 else []),
             "</joint>",
             f'<link name="{jaw}">',
             *_solid(gripper.jaw, (sign * thickness / 2.0, 0.0, 0.0), "jaw", _METAL),
@@ -151,13 +150,13 @@ def _inertial(link: LinkInertia) -> list[str]:
     ]
 
 
-def _shapes_of(cell: Cell, link: str, capsules: Sequence[Capsule]) -> list[str]:
-    side, _, part = link.partition("_")
-    lines = [line for box in cell.cart.boxes if box.link == part for line in _visual_box(box)]
-    color = cell.sides[side].color
-    for capsule in capsules:
+def _shapes_of(cell: Cell, link: str, hidden: Collection[str] = ()) -> list[str]:
+    """Build the shapes of a moving link or of the world; those of hidden links are not drawn."""
+    lines = [line for box in cell.boxes if box.link == link != WORLD for line in _visual_box(box)]
+    color = cell.color_of(link)
+    for capsule in map(cell.tree.on_carrier, cell.bodies):
         if capsule.link == link:
-            lines += _capsule(capsule, color)
+            lines += _capsule(capsule.model_copy(update={"visual": False}) if link in hidden else capsule, color)
     return lines
 
 

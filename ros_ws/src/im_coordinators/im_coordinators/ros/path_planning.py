@@ -70,8 +70,9 @@ class PathPlanningFunctions:
     def __init__(self, host: Host) -> None:
         self._host = host
         cell = load_cell()
-        self._home = {name: list(side.home) for name, side in cell.sides.items()}
-        self._reach = cell.gripper.reach
+        self._cell = cell
+        self._home = {name: list(group.home) for name, group in cell.groups.items()}
+        self._carriers = {name: len(cell.chain("", group.base)) for name, group in cell.groups.items()}
 
     async def find_configuration(self, ctx: ActionContext) -> None:
         """Find joint positions for the request, near the present position of the group, or near home."""
@@ -85,7 +86,7 @@ class PathPlanningFunctions:
         """Find other joint positions for the destination, near a position with the arm out of the way."""
         here = await self._here(ctx)
         ctx.memory["another"] = True
-        await self._find(ctx, here, tucked_seed(_position(here), self._home[here.group]))
+        await self._find(ctx, here, tucked_seed(_position(here), self._home[here.group], self._carriers[here.group]))
 
     async def plan_direct(self, ctx: ActionContext) -> None:
         """Store the joint-interpolated path to the goal if the path is free."""
@@ -95,7 +96,8 @@ class PathPlanningFunctions:
     async def plan_detour(self, ctx: ActionContext) -> None:
         """Store the path with the arm tucked on the way if the path is free."""
         joints, start, goal = _way(ctx)
-        points = detour(start, goal, self._home[str(ctx.request_arguments["group"])])
+        group = str(ctx.request_arguments["group"])
+        points = detour(start, goal, self._home[group], self._carriers[group])
         await self._store(ctx, joints, start, points, "plan_done")
 
     async def check_given(self, ctx: ActionContext) -> None:
@@ -128,7 +130,7 @@ class PathPlanningFunctions:
 
     async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
         p, o = here.wrist.position, here.wrist.orientation
-        wrist = target.wrist(WristPlacement.of((p.x, p.y, p.z), (o.x, o.y, o.z, o.w)), self._reach)
+        wrist = target.wrist(WristPlacement.of((p.x, p.y, p.z), (o.x, o.y, o.z, o.w)), self._cell.reach_of(here.group))
         try:
             return await self._configuration(here, _pose(wrist), seed)
         except ImError as error:

@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from im_cell.robot import Group
 from im_core.errors import NotFoundError, StateError
-from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 
 

@@ -8,11 +8,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from im_cell.robot import Group
 from im_core.errors import ConfigError, DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
-from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.motions.joint import JointPath

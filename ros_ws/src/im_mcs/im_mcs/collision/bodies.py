@@ -32,7 +32,7 @@ class Bodies:
     """Capsules of all links and the boxes fixed to the world, at one position of the joints after the other.
 
     Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
-    them from touching otherwise.
+    them from touching otherwise. Nor are the pairs that the cell names in `never`.
 
     Attributes:
         names: Link or box of each body.
@@ -46,11 +46,12 @@ class Bodies:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
-        for number, capsule in enumerate(model.cell.capsules):
+        for number, capsule in enumerate(model.cell.bodies):
             self._add_capsule(f"{capsule.link}_{number}", capsule.link, capsule.p0, capsule.p1, capsule.radius)
         for box in model.cell.obstacles:
             shape = coal.Box(*box.size)
             self._add(box.name, box.name, 0, pin.SE3(np.eye(3), np.array(box.center)), shape)
+        self._never = {frozenset(pair) for pair in model.cell.never}
         self._add_pairs()
         self.pairs = np.array([(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp)
         self._data = model.pin.createData()
@@ -120,7 +121,8 @@ class Bodies:
         for i in range(len(objects)):
             for j in range(i + 1, len(objects)):
                 a, b = objects[i].parentJoint, objects[j].parentJoint
-                if self._chain_distance(a, b) > _NEVER_TOUCHING:
+                never = frozenset((self.names[i], self.names[j])) in self._never
+                if not never and self._chain_distance(a, b) > _NEVER_TOUCHING:
                     self._geometry.addCollisionPair(pin.CollisionPair(i, j))
 
     def _chain_distance(self, a: int, b: int) -> int:

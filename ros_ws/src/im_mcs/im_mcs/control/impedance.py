@@ -5,7 +5,6 @@ import pydantic
 from numpy.typing import NDArray
 
 from im_core.config import Model as ConfigModel
-from im_core.errors import ConfigError
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
 from im_mcs.control.feedback import VelocityEstimator
 from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
@@ -14,7 +13,9 @@ from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
 class ImpedanceParameters(ConfigModel):
     """Springs and dampers."""
 
-    stiffness: dict[str, float] = pydantic.Field(description="by joint without prefix of the side [Nm/rad or N/m]")
+    stiffness: dict[str, pydantic.PositiveFloat] = pydantic.Field(
+        default_factory=dict, description="by joint [Nm/rad or N/m]; of others the cell's"
+    )
     damping: float = pydantic.Field(gt=0, description="1: critical, with the joint's own inertia")
     derivative_bandwidth_rad_s: float = pydantic.Field(gt=0)
     feedforward: FrictionParameters = pydantic.Field(default_factory=FrictionParameters)
@@ -31,13 +32,14 @@ class JointImpedance:
         setup: Joints, model and parameters (:class:`ImpedanceParameters`).
 
     Raises:
-        ConfigError: A parameter is missing, unknown or out of range, or a joint has no stiffness.
+        ConfigError: A parameter is missing, unknown or out of range.
     """
 
     def __init__(self, setup: ControllerSetup) -> None:
         parameters = checked(ImpedanceParameters, setup.parameters)
         self._model, self._joints = setup.model, setup.joints
-        self._stiffness = np.array([_stiffness(parameters, setup.model.names[i]) for i in setup.joints])
+        own, names = setup.model.cell.per_joint("stiffness"), setup.model.names
+        self._stiffness = np.array([parameters.stiffness.get(names[i], own[i]) for i in setup.joints])
         inertia = setup.model.inertia_diagonal(setup.q_nominal)[setup.joints]
         self._damping = 2.0 * parameters.damping * np.sqrt(self._stiffness * inertia)
         self._rate = VelocityEstimator(len(setup.joints), setup.period_s, parameters.derivative_bandwidth_rad_s)
@@ -57,12 +59,3 @@ class JointImpedance:
         known = self._model.inverse_dynamics(given.q_all, wanted.v, wanted.a)[self._joints]
         felt = self._stiffness * error + self._damping * self._rate.update(error)
         return np.asarray(known + felt + self._friction.torque(given.setpoint.v))
-
-
-def _stiffness(parameters: ImpedanceParameters, joint: str) -> float:
-    kind = joint.partition("_")[2]
-    value = parameters.stiffness.get(kind)
-    if value is None or value <= 0.0:
-        given, where = "none" if value is None else f"{value:g}", f"stiffness.{kind}"
-        raise ConfigError(f"parameter '{where}': the stiffness of {joint} is {given}, it must be > 0", parameter=where)
-    return value

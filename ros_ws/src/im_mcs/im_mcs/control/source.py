@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError
+from im_core.errors import ConfigError, ImError
 from im_core.processes.startup import patience_s
 from im_mcs.control.controller import Controller, ControllerSetup
 from im_mcs.control.guard import load_controller
@@ -29,13 +29,15 @@ class LawSource:
         wall_period_s: Wall time between ticks [s]; 0: the loop has no deadlines.
 
     Raises:
-        ConfigError: A law of its own process cannot be made.
+        ConfigError: A law of its own process cannot be made, or the cell lacks masses or largest torques.
         LinkError: Its process was not ready in time.
     """
 
     def __init__(
         self, config: McsConfig, model: ControlledModel, torque_limit: NDArray[np.float64], wall_period_s: float
     ) -> None:
+        if unknown := model.cell.unknown:
+            raise ConfigError(f"a law that gives torques needs what the cell does not say: {'; '.join(unknown)}")
         self._config, self._model, self._torque_limit = config, model, torque_limit
         self._patience_s = config.law_processes.patience * wall_period_s or _UNPACED_PATIENCE_S
         self._groups = [(preset, name) for preset, groups in config.presets.items() for name in groups]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from im_core.errors import StateError
 from im_mcs.model import CellModel
 
-_ARM_JOINTS = 6
+ARM_JOINTS = 6
 # places at which the factors are compared with the determinant [rad], and how well they agree
 _PLACES = 0.3 + 0.7 * np.outer(np.arange(1.0, 5.0), [1.0, 0.7, -0.6, 0.9, -0.8, 0.5])
 _AGREE = 1e-6
@@ -42,9 +42,9 @@ class Arm:
         while chain[-1] != 0:
             chain.append(int(model.pin.parents[chain[-1]]))
         ranks = np.array(chain[-2::-1], dtype=np.intp) - 1
-        if len(ranks) < _ARM_JOINTS:
-            raise StateError(f"{frame} hangs on {len(ranks)} joints, not on an arm of {_ARM_JOINTS}", frame=frame)
-        self.joints, self.carriers = ranks[-_ARM_JOINTS:], ranks[:-_ARM_JOINTS]
+        if len(ranks) < ARM_JOINTS:
+            raise StateError(f"{frame} hangs on {len(ranks)} joints, not on an arm of {ARM_JOINTS}", frame=frame)
+        self.joints, self.carriers = ranks[-ARM_JOINTS:], ranks[:-ARM_JOINTS]
         placements = [model.pin.jointPlacements[int(rank) + 1] for rank in self.joints]
         shoulder, elbow, forearm, wrist = placements[1:5]
         centre = forearm.act(wrist.translation)  # of the wrist, in the frame of joint 3
@@ -83,7 +83,7 @@ class Arm:
             q: Positions of the arm's joints, shape (6,) [rad].
             wanted: Size that each factor should have.
         """
-        gradient = np.zeros(_ARM_JOINTS)
+        gradient = np.zeros(ARM_JOINTS)
         if len(self.singularities) == 1:
             return gradient
         shoulder, elbow, wrist = self.factors(q)

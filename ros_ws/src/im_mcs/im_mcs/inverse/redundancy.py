@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.inverse.arm import Arm
+from im_mcs.inverse.arm import ARM_JOINTS, Arm
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 
@@ -40,10 +40,12 @@ class Redundancy:
         self._preferred = preferred
         zone = _ZONE * (limits.upper - limits.lower)[index]
         self._low, self._high = limits.lower[index] + zone, limits.upper[index] - zone
-        self._arm = Arm(model, frame)
         ranks = {int(joint): rank for rank, joint in enumerate(index)}
-        self._whole = all(int(joint) in ranks for joint in self._arm.joints)
-        self._ranks = np.array([ranks.get(int(joint), 0) for joint in self._arm.joints], dtype=np.intp)
+        self._arm: Arm | None = None
+        if len(model.joints_below(frame)) >= ARM_JOINTS:  # shorter chains have no joint to spare
+            arm = Arm(model, frame)
+            self._arm = arm if all(int(joint) in ranks for joint in arm.joints) else None
+            self._ranks = np.array([ranks.get(int(joint), 0) for joint in arm.joints], dtype=np.intp)
 
     def wish(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the wanted displacement of the group, shape (n,) [rad or m].
@@ -53,6 +55,6 @@ class Redundancy:
         """
         wish = self._preferred - q
         wish += _LIMIT_GAIN * (np.maximum(self._low - q, 0.0) - np.maximum(q - self._high, 0.0))
-        if self._whole:
+        if self._arm is not None:
             wish[self._ranks] += _FACTOR_GAIN * self._arm.away(q[self._ranks], _FACTOR)
         return wish

@@ -1,15 +1,17 @@
 """Configuration of MCS: ``config/mcs.yaml`` as frozen, checked models."""
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from im_core.config import FieldError, Model, faults, load_model, package_file
-from im_core.errors import ConfigError, NotFoundError
+from im_cell.robot import Cell, Group, load_cell
+from im_core.config import FieldError, Model, fault_in, faults, load_model, package_file
+from im_core.errors import ConfigError, NotFoundError, nearest
 from im_core.rate_groups import Overrun, rate_fault
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
-from im_mcs.limits.slots import Slot, Testbed, check_slots
+from im_mcs.limits.slots import Slot, Testbed, check_slots, slots_of
 
 REFERENCE = r"^[\w.]+:\w+$"
 """Pattern of ``module:Class``."""
@@ -45,27 +47,6 @@ class Servo(Model):
     )
     settle: Settle
     sample_rate_hz: float = Field(default=50.0, ge=1, le=250, description="samples of the joints for topics [1/s]")
-
-
-class Group(Model):
-    """Slots moving together."""
-
-    joints: tuple[str, ...] = Field(min_length=1)
-    wrist: str | None = Field(default=None, description="frame whose pose the group controls, if it has one")
-    pair: tuple[str, str] | None = Field(
-        default=None, description="two wrists, in place of one: on straight lines of the first the second goes along"
-    )
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Wrists that straight lines move: none, one, or the pair."""
-        return self.pair or (() if self.wrist is None else (self.wrist,))
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        if self.wrist is not None and self.pair is not None:
-            raise ValueError("a group has a wrist or a pair of wrists, not both")
-        return self
 
 
 class LimitShares(Model):
@@ -227,7 +208,7 @@ class McsConfig(Model):
 
     servo: Servo
     testbed: Testbed
-    slots: tuple[Slot, ...]
+    slots: tuple[Slot, ...] = Field(default=(), description="empty: all that the cell has, on the clock's driver")
     limits: LimitShares
     safety: Safety
     control: Control
@@ -244,8 +225,8 @@ class McsConfig(Model):
     gripper_nodes: tuple[str, ...] = Field(
         default=(), description="nodes that drive the grippers of every owner of an arm"
     )
-    presets: dict[str, dict[str, Group]]
-    preset: str
+    presets: dict[str, dict[str, Group]] = Field(default_factory=dict, description="empty: the cell's")
+    preset: str = Field(default="", description="empty: the first one")
     collision: Collision
 
     @property
@@ -312,12 +293,10 @@ class McsConfig(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.preset not in self.presets:
-            known = ", ".join(sorted(self.presets))
-            raise FieldError(("preset",), f"preset '{self.preset}' is not one of {known}")
         check_slots(self.testbed, self.slots)
         self._check_laws()
-        self._check_groups()
+        if self.presets and self.slots:
+            self._check_groups(self.presets, [slot.name for slot in self.joint_slots])
         return self
 
     def _check_laws(self) -> None:
@@ -327,9 +306,22 @@ class McsConfig(Model):
                 where = ("law_processes", "laws", rank)
                 raise FieldError(where, f"'{law}' is none of the control laws: {', '.join(sorted(known))}")
 
-    def _check_groups(self) -> None:
-        joints = {slot.name for slot in self.joint_slots}
-        for preset, groups in self.presets.items():
+    def of_cell(self, cell: Cell) -> Self:
+        """Return the configuration with slots and presets of a cell, where it has none of its own.
+
+        Raises:
+            FieldError: A preset names a joint that there is not, or has no groups; or the preset in force is not there.
+        """
+        presets = self.presets or cell.partitions
+        slots = self.slots or slots_of(cell, self.testbed.clock)
+        if self.presets:
+            self._check_groups(presets, [slot.name for slot in slots if slot.kind == "joint"])
+        if (preset := self.preset or next(iter(presets))) not in presets:
+            raise FieldError(("preset",), f"preset '{preset}' is not one of {', '.join(sorted(presets))}")
+        return self.model_copy(update={"presets": presets, "slots": slots, "preset": preset})
+
+    def _check_groups(self, presets: Mapping[str, Mapping[str, Group]], joints: Collection[str]) -> None:
+        for preset, groups in presets.items():
             if not groups:
                 raise FieldError(("presets", preset), "the preset has no groups; at least 1 is needed")
             moved_by: dict[str, str] = {}
@@ -337,16 +329,24 @@ class McsConfig(Model):
                 for rank, joint in enumerate(description.joints):
                     where = ("presets", preset, group, "joints", rank)
                     if joint not in joints:
-                        raise FieldError(where, f"'{joint}' is not a joint slot")
+                        raise FieldError(where, f"'{joint}' is not a joint slot{nearest(joint, joints)}")
                     if joint in moved_by:
                         raise FieldError(where, f"'{joint}' is already in group '{moved_by[joint]}'")
                     moved_by[joint] = group
 
 
-def load_config(path: Path | None = None) -> McsConfig:
-    """Read a configuration; without a path, the one of the package.
+def load_config(path: Path | None = None, cell: Cell | None = None) -> McsConfig:
+    """Read a configuration for a cell.
+
+    Args:
+        path: The file; None: the one of the package.
+        cell: Joints, and slots and presets where the file has none; None: the cell of the machine.
 
     Raises:
-        ConfigError: The file is missing or wrong; the message names file, line and field.
+        ConfigError: The file is missing or wrong, or names what the cell has not; file, line and field are named.
     """
-    return load_model(path or package_file("im_mcs", "config/mcs.yaml"), McsConfig)
+    path = path or package_file("im_mcs", "config/mcs.yaml")
+    try:
+        return load_model(path, McsConfig).of_cell(cell or load_cell())
+    except FieldError as error:
+        raise fault_in(path, error.location, str(error)) from error

@@ -1,11 +1,12 @@
 """Channel drivers and slots of ``mcs.yaml``."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from im_cell.robot import Cell
 from im_core import plugins
 from im_core.config import FieldError, Model
 from im_core.errors import ConfigError
@@ -74,16 +75,23 @@ class Slot(Model):
     channel: int = Field(ge=0)
     limits: SlotLimits | None = None
 
-    @property
-    def wrist(self) -> str:
-        """Frame of the wrist with the gripper or sensor: ``left_force`` measures at ``left_wrist``."""
-        return f"{self.name.rpartition('_')[0]}_wrist"
-
     @model_validator(mode="after")
     def _limited(self) -> Self:
         if self.limits is not None and self.kind != "joint":
             raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have limits of their own")
         return self
+
+
+def slots_of(cell: Cell, driver: str) -> tuple[Slot, ...]:
+    """Return slots for all that a cell has, on the channels of one driver in the cell's order."""
+    named: dict[Kind, Iterable[str]] = {
+        "joint": cell.joint_names, "gripper": cell.devices("gripper"), "wrench": cell.devices("force")
+    }  # fmt: skip
+    return tuple(
+        Slot(name=name, kind=kind, driver=driver, channel=channel)
+        for kind, names in named.items()
+        for channel, name in enumerate(names)
+    )
 
 
 def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.robot import SIDES, Cell, load_cell
+from im_cell.robot import Cell, load_cell
 from im_core.errors import ImError
 from im_mcs.limits.configuration import load_config
 from im_mcs.model.part import Part, PartModel, parse_positions, part_of
@@ -16,10 +16,9 @@ from im_mcs.model.part import Part, PartModel, parse_positions, part_of
 _EXAMPLE = "[0,0.785,3.14,0,0.785,0]"
 _EPILOG = f"""\
 groups:
-  left_arm, right_arm   the six joints of an arm alone, its pedestal upright: poses are those of the wrist frame in the
-                        base frame at the foot of the pedestal, z up; standard Denavit-Hartenberg throughout
-  left, right, transporter, testbed
-                        a group of mcs.yaml, carts included: poses are those of the wrists in the world
+  <group>_arm           the joints of an arm alone, what carries it upright: poses are those of the tip in the base of
+                        the cell file's group
+  <group>               a group of a preset, with what carries it: poses are those of the tips in the world
 
 what is printed:
   forward_kinematics    pose of the wrist in the base, 4 x 4 [m]; with two wrists, one by frame
@@ -31,7 +30,7 @@ Joints that are not in the group stand still, at home. Positions beyond the end 
 on standard error. Exit codes: 0, or 2 when something about the arguments is wrong.
 
 example:
-  scripts/run.sh im_mcs model --group left_arm --q "{_EXAMPLE}" --json
+  scripts/run.sh im_mcs model --q "{_EXAMPLE}" --json
 """
 
 
@@ -44,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--group", default="left_arm", help="group of joints (default: %(default)s)")
+    parser.add_argument("--group", help="group of joints (default: the arm of the cell's first group)")
     parser.add_argument("--preset", help="preset of mcs.yaml whose group is meant (default: the one in force first)")
     parser.add_argument(
         "--q", metavar="LIST", help=f"positions in the group's order [rad, m], e.g. '{_EXAMPLE}' (default: home)"
@@ -53,7 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         cell = load_cell()
-        part = part_of(options.group, load_config(), options.preset)
+        group = options.group or f"{next(iter(cell.groups))}_arm"
+        part = part_of(group, load_config(cell=cell), cell, options.preset)
         model = PartModel(part, cell)
         q = model.home if options.q is None else parse_positions(options.q, part)
     except ImError as error:
@@ -89,13 +89,11 @@ def report(model: PartModel, q: NDArray[np.float64], cell: Cell) -> dict[str, ob
 def sources(part: Part, cell: Cell) -> dict[str, str]:
     """Where the parameters of a part's arms and carts are from."""
     said = {}
-    for side in SIDES:
-        kinds = {joint.removeprefix(f"{side}_") for joint in part.joints if joint.startswith(f"{side}_")}
-        if any(kind.startswith("j") for kind in kinds):
-            arm = cell.sides[side].arm
-            said[f"{side}: {arm}"] = cell.arm_models[arm].source
-        if kinds & {"track", "rotation", "tilt"}:
-            said[f"{side}: cart"] = cell.cart.source
+    for name, group in cell.groups.items():
+        arm, carriers = cell.arm_of(name), cell.chain("", group.base)
+        for rank, (what, source) in enumerate(group.source.items()):
+            if set(part.joints) & set(carriers if rank and carriers else arm):
+                said[f"{name}: {what}"] = source
     return said
 
 

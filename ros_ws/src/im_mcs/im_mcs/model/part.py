@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.robot import SIDES, Cell
+from im_cell.robot import Cell
 from im_core.errors import DataError, LimitError, NotFoundError
-from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.model.dynamics import CellModel
 
-_ARM_JOINTS = 6
 _LARGEST = 1e6
 
 
@@ -33,12 +32,13 @@ class Part:
     wrists: tuple[str, ...]
 
 
-def part_of(name: str, config: McsConfig, preset: str | None = None) -> Part:
-    """Return a part by name: ``left_arm``, ``right_arm``, or a group of a preset, in the world then.
+def part_of(name: str, config: McsConfig, cell: Cell, preset: str | None = None) -> Part:
+    """Return a part by name: the arm of a group, without its carriers, or a group of a preset, in the world then.
 
     Args:
         name: Name of the part.
         config: Presets.
+        cell: Groups, whose arms are named ``<group>_arm``.
         preset: Where a group is looked for; None: in the one in force, then in the others.
 
     Raises:
@@ -46,21 +46,18 @@ def part_of(name: str, config: McsConfig, preset: str | None = None) -> Part:
     """
     presets = config.presets if preset is None else config.with_preset(preset).presets
     order = [preset] if preset else [config.preset, *(p for p in presets if p != config.preset)]
-    for side in SIDES:
-        if name == f"{side}_arm":
-            joints = tuple(f"{side}_j{number}" for number in range(1, _ARM_JOINTS + 1))
-            return Part(name, joints, f"{side}_base", (f"{side}_wrist",))
+    arms = {f"{group}_arm": group for group in cell.groups}
+    if name in arms:
+        group = cell.groups[arms[name]]
+        return Part(name, cell.arm_of(arms[name]), group.base, (group.tip,))
     found = next((presets[p][name] for p in order if name in presets[p]), None)
     if found is None:
-        known = {f"{side}_arm" for side in SIDES}.union(*(presets[p] for p in order))
+        known = set(arms).union(*(presets[p] for p in order))
         raise NotFoundError(kind="group", name=name, known=known)
-    return Part(name, found.joints, "world", _wrists(found))
-
-
-def _wrists(group: Group) -> tuple[str, ...]:
-    if group.wrist is not None:
-        return (group.wrist,)
-    return tuple(f"{side}_wrist" for side in SIDES if any(joint.startswith(f"{side}_") for joint in group.joints))
+    wrists = found.frames or tuple(
+        each.tip for group, each in cell.groups.items() if set(cell.joints_of(group)) & set(found.joints)
+    )
+    return Part(name, found.joints, "world", wrists)
 
 
 def parse_positions(text: str, part: Part) -> NDArray[np.float64]:
@@ -92,7 +89,7 @@ def _short(text: str, length: int = 60) -> str:
 
 
 class PartModel:
-    """Kinematics and dynamics of a part; other joints of the cell stand at home, the brakes on, carts upright.
+    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright.
 
     Args:
         part: Joints and frames.
@@ -142,8 +139,10 @@ class PartModel:
         return links_and_motors if motors else links_and_motors - np.diag(self._model.rotor_inertia[self.index])
 
     def _whole(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions of all joints, shape (18,); carts outside of the part stand upright."""
+        """Return positions of all joints, shape (n,); turning carriers of arms are at 0."""
         cell = self._model.cell
-        whole = np.where([name.endswith("_tilt") for name in cell.joint_names], 0.0, cell.home)
+        carriers = {joint for group in cell.groups.values() for joint in cell.chain("", group.base)}
+        upright = [joint.name in carriers and joint.kind == "revolute" for joint in cell.joints]
+        whole = np.where(upright, 0.0, cell.home)
         whole[self.index] = q
         return whole

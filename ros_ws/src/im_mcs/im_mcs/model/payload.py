@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_cell.robot import SIDES, Cell
+from im_cell.robot import Cell
 from im_core.errors import DataError, LimitError, NotFoundError
 from im_mcs.model.dynamics import CellModel
 
@@ -104,7 +104,7 @@ class ControlledModel(CellModel):
 
     def __init__(self, cell: Cell, error: float = 0.0) -> None:
         super().__init__(cell, error)
-        self.wrists = tuple(f"{side}_wrist" for side in SIDES)
+        self.wrists = tuple(group.tip for group in cell.groups.values())
         frames = [self.pin.frames[self.frame_id(wrist)] for wrist in self.wrists]
         self._placements = [frame.placement.copy() for frame in frames]
         self._links = [int(frame.parentJoint) for frame in frames]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from im_cell.robot import load_cell
+from im_cell.robot import Group, load_cell
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.files import write_whole
 from im_core.options import NumberParser, at_least, finite_number
 from im_mcs.collision import CollisionChecker
-from im_mcs.limits.configuration import Group, McsConfig, load_config
+from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.poses.selection import PoseSelector, Selection
@@ -92,7 +92,8 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
         StateError: The group has no wrist, or a camera rides on it.
         DataError: A camera is given twice, or the cameras see no place in common that the light can reach.
     """
-    config, model = load_config(config_file), CellModel(load_cell())
+    cell = load_cell()
+    config, model = load_config(config_file, cell), CellModel(cell)
     for camera in cameras:
         if camera not in model.cell.cameras:
             raise NotFoundError(kind="camera", name=camera, known=model.cell.cameras)
@@ -132,7 +133,7 @@ def to_yaml(group: str, cameras: Sequence[str], selection: Selection) -> str:
     """The file's text; one pose a line."""
     s, them = ("s", "it") if len(cameras) == 1 else ("", "them")
     header = _HEADER.format(cameras=" and ".join(cameras), s=s, them=them, spread=_spread(selection).capitalize())
-    (other,) = (list(side.home) for name, side in load_cell().sides.items() if name != group)
+    (other,) = (list(each.home) for name, each in load_cell().groups.items() if name != group)
     lines = [header + f"group: {group}", "frame: world", f"other_joints: {other}", "poses:"]
     width = len(str(len(selection.poses)))
     for number, one in enumerate(selection.poses, start=1):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from im_cell.robot import load_cell
+from im_cell.robot import Group, load_cell
 from im_core import clock, names
 from im_core.errors import ImError, StateError
 from im_core.ros.calls import pause, run_in_thread
@@ -22,7 +22,7 @@ from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
-from im_mcs.limits.configuration import Group, McsConfig
+from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.evidence import KEPT
 from im_mcs.ros.bounds import check_bounds

@@ -211,7 +211,7 @@ class Dispatch:
             return
         for slot in mcs.config.gripper_slots:
             if slot.name == request.gripper:
-                joint = mcs.model.joints_below(slot.wrist)[-1]
+                joint = mcs.model.joints_below(mcs.model.cell.devices("gripper")[slot.name])[-1]
                 for name, group in mcs.groups.items():
                     if joint in group.index and reservations.of(name) is not None:
                         reservations.require_driver(name, request.sender)

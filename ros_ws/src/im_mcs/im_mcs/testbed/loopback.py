@@ -18,10 +18,9 @@ class LoopbackDriver:
         q: Where the joints are at first, shape (n,) [rad or m].
         period_s: Servo period [s].
         bias: Torques that positions cause, such as gravity; none if not given.
+        grippers, wrenches: Numbers of grippers and wrist sensors.
     """
 
-    n_grippers = 2
-    n_wrenches = 2
     wall_period_s = 0.0
 
     def __init__(
@@ -30,15 +29,18 @@ class LoopbackDriver:
         q: ArrayLike,
         period_s: float = 0.0045,
         bias: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+        grippers: int = 2,
+        wrenches: int = 2,
     ) -> None:
         self._inertia = np.asarray(inertia, dtype=np.float64)
-        self.n_joints = len(self._inertia)
+        self.n_joints, self.n_grippers, self.n_wrenches = len(self._inertia), grippers, wrenches
         self.period_s = period_s
         self.q = np.array(q, dtype=np.float64)
         self.v = np.zeros(self.n_joints)
         self.drive = Drive(
-            np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(2), False, np.zeros(2)
-        )
+            np.zeros(self.n_joints), False, np.ones(self.n_joints, dtype=np.bool_), np.zeros(grippers), False,
+            np.zeros(grippers),
+        )  # fmt: skip
         self._bias = bias
         self._tick = 0
 
@@ -59,8 +61,8 @@ class LoopbackDriver:
             self.drive.brakes | (not self.drive.power),
             self.drive.gripper,
             np.zeros(self.n_joints),
-            np.zeros((2, 6)),
-            np.zeros(2),
+            np.zeros((self.n_wrenches, 6)),
+            np.zeros(self.n_grippers),
         )
 
     def write(self, drive: Drive) -> None:

@@ -21,13 +21,12 @@ class SimulatedDriver:
         timeout_s: How long :meth:`connect` waits for the testbed, wall time [s].
     """
 
-    n_grippers = 2
-    n_wrenches = 2
     time_on_demand = True
 
     def __init__(self, instance: str, timeout_s: float) -> None:
         self._link = ServoEnd.attach(instance, timeout_s)
-        self.n_joints = self._link.n_joints
+        link = self._link
+        self.n_joints, self.n_grippers, self.n_wrenches = link.n_joints, link.n_grippers, link.n_wrenches
         self.period_s = self._link.period_s
         self.wall_period_s = self._link.wall_period_s
 

@@ -70,7 +70,7 @@ class CameraBank:
         self._seed = seed
         self._cameras = {name: self._camera(name) for name in settings.cameras}
         self._plates = Plates(cell.targets)
-        self._laser = LaserLight(cell, truth.laser.model(), scene, seed)
+        self._laser = None if truth.laser is None else LaserLight(cell, truth.laser.model(), scene, seed)
         self._prismatic = np.array([joint.kind == "prismatic" for joint in cell.joints])
         self._watch = Stopwatch()
 
@@ -92,7 +92,8 @@ class CameraBank:
             for spot, share in self._spots(camera, placed, exposure):
                 add_spot(mean, spot, share)
         with self._watch.step("laser_s"):
-            self._laser.add(mean, camera, placed, exposure)
+            if self._laser is not None:
+                self._laser.add(mean, camera, placed, exposure)
         with self._watch.step("lights_s"):
             mean *= unit.vignette * np.float32(strength)
             mean += np.float32(sensor.black_level)
@@ -167,7 +168,7 @@ class CameraBank:
     def _light(self, light: str) -> tuple[Array, Array, float]:
         """Return position [m] and axis of a wrist light in the world, and the diameter [m]."""
         led = self._truth.leds[light]
-        rotation, origin = self._scene.pose(f"{light.removesuffix('_led')}_wrist")
+        rotation, origin = self._scene.pose(self._cell.devices("light")[light])
         return origin + rotation @ np.array(led.offset_m), rotation @ np.array(led.axis), led.diameter_m
 
     def _image(self, placed: CameraModel, position: Array, axis: Array, diameter: float) -> Spot | None:

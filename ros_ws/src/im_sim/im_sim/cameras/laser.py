@@ -51,14 +51,11 @@ class LaserLight:
             scene: Mirror of the testbed.
             seed: Seed of the speckle.
         """
-        self._scanner, self._true, self._scene, self._seed = cell.laser, true, scene, seed
+        self._scanner, self._true, self._scene, self._seed = cell.scanner, true, scene, seed
         self._blur = cell.optics.blur
-        mobile = [
-            box.model_copy(update={"link": f"{side}_{box.link}"}) for side in cell.sides for box in cell.cart.boxes
-        ]
-        self._boxes = [_box(box) for box in (*cell.boxes, *mobile)]
+        self._boxes = [_box(box) for box in cell.boxes]
         self._plates = Plates(cell.targets)
-        self._arm_albedo = float(np.mean([_LUMA @ side.color for side in cell.sides.values()]))
+        self._arm_albedo = float(np.mean([_LUMA @ group.color for group in cell.groups.values()]))
 
     def add(self, image: FloatImage, camera: str, placed: CameraModel, exposure: Exposure) -> None:
         """Add spot or line to an image in place.

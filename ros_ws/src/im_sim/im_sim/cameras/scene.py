@@ -7,7 +7,7 @@ import pybullet
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_cell.robot import ORIGIN, Cell, Vector, far_end, urdf
+from im_cell.robot import ORIGIN, Cell, Vector, urdf
 from im_core.errors import ConfigError
 from im_sim.cameras.lens import FloatImage, Pinhole
 from im_sim.urdf_loader import load_urdf
@@ -44,9 +44,8 @@ class SceneMirror:
             info = pybullet.getJointInfo(self._body, index, physicsClientId=self._client)
             indices[info[1].decode()] = index
             self._frames[info[12].decode()] = (index, ORIGIN, ORIGIN)
-        for side, spec in cell.sides.items():
-            last = self._frames[f"{side}_link6"][0]
-            self._frames[f"{side}_wrist"] = (last, *far_end(cell.arm_models[spec.arm].links[-1]))
+        for frame in cell.tree.frames.values():
+            self._frames[frame.name] = (self._frames[frame.parent][0], frame.xyz, frame.rpy)
         self._joints = [indices[name] for name in cell.joint_names]
 
     @property
@@ -61,7 +60,7 @@ class SceneMirror:
         )
 
     def pose(self, frame: str) -> tuple[Array, Array]:
-        """Rotation frame -> world, shape (3, 3), and origin in the world, shape (3,) [m], of a link or a wrist."""
+        """Rotation frame -> world, shape (3, 3), and origin in the world, shape (3,) [m], of a link."""
         index, xyz, rpy = self._frames[frame]
         if index == _BASE:
             return np.eye(3), np.zeros(3)

@@ -97,7 +97,7 @@ class VmLaser(VisionModule):
             LimitError: A mirror would turn too far.
             ImError: See :meth:`VisionModule.run` and :meth:`im_vss.laser.scanner.Scanner.drive`.
         """
-        return self.run(lease, partial(self._drive, check_beam(beam, self.rig.cell.laser)))
+        return self.run(lease, partial(self._drive, check_beam(beam, self.rig.cell.scanner)))
 
     def darken(self, beam: LaserBeam) -> None:
         """Switch a beam off, unless another one is shown by now; needs no lease, for a lease ended too early.

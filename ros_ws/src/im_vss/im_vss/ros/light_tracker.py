@@ -10,8 +10,8 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from im_cell.lights import lights_told
-from im_cell.robot import Cell, far_end
-from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy
+from im_cell.robot import Cell
+from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.messages.interfaces import decoded
@@ -35,7 +35,7 @@ class LightTracker:
         Args:
             node: The node that listens.
             cell: Nominal geometry: where the lights are on the last links.
-            light: Name of the light that counts unless another is the only one that is on, ``<side>_led``.
+            light: Name of the light that counts unless another is the only one that is on, its name.
             freshness_s: How far a pose may be from the time that is asked for [s] of testbed time.
         """
         self._cell, self._light, self._usual = cell, light, light
@@ -53,22 +53,22 @@ class LightTracker:
 
     def position(self, stamp_ns: int) -> Array | None:
         """The light in the world at a testbed time [ns], shape (3,) [m]; None if the pose then is not known."""
-        wrist = self.wrist(self._light.removesuffix("_led"), stamp_ns)
+        wrist = self.wrist(self._cell.devices("light")[self._light], stamp_ns)
         if wrist is None:
             return None
         rotation, origin = wrist
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
-    def wrist(self, side: str, stamp_ns: int) -> Pose | None:
+    def wrist(self, frame: str, stamp_ns: int) -> Pose | None:
         """Return the place of a wrist in the world at a testbed time [ns]; None if unknown.
 
         Args:
-            side: Which arm.
+            frame: The wrist, or another frame of the cell.
             stamp_ns: The time.
         """
         for message in reversed(tuple(self._newest)):
             with contextlib.suppress(DataError):  # not from MCS
-                return wrist_by(decoded(message, TFMessage), self._cell, side, stamp_ns, self._freshness_ns)
+                return wrist_by(decoded(message, TFMessage), self._cell, frame, stamp_ns, self._freshness_ns)
         return None
 
     def _keep(self, message: bytes) -> None:
@@ -80,13 +80,13 @@ class LightTracker:
         self._light = on[0] if len(on) == 1 else self._usual
 
 
-def wrist_by(message: TFMessage, cell: Cell, side: str, stamp_ns: int, freshness_ns: float) -> Pose:
+def wrist_by(message: TFMessage, cell: Cell, frame: str, stamp_ns: int, freshness_ns: float) -> Pose:
     """Where the frames of one message put a wrist in the world.
 
     Args:
         message: Transforms, also as decoded out of a bag.
         cell: Nominal geometry.
-        side: Which arm.
+        frame: The wrist, or another frame of the cell.
         stamp_ns: Testbed time that is asked for [ns].
         freshness_ns: How far the stamps of the frames may be from it [ns].
 
@@ -94,11 +94,11 @@ def wrist_by(message: TFMessage, cell: Cell, side: str, stamp_ns: int, freshness
         DataError: A frame on the way is not in the message, of another time, or not turned by a quaternion of length 1.
     """
     tree = {each.child_frame_id: each for each in message.transforms}
-    xyz, rpy = far_end(cell.arm_models[cell.sides[side].arm].links[-1])
-    rotation, origin, frame = matrix_of_rpy(rpy), np.array(xyz), f"{side}_link6"
+    place = cell.tree.carrier(frame)
+    (rotation, origin), frame, link = place.matrices(), place.parent, place.parent
     while frame != "world":
         if frame not in tree:  # or it was there before: a circle
-            raise DataError(f"there is no way from {side}_link6 to the world")
+            raise DataError(f"there is no way from {link} to the world")
         step_up = tree.pop(frame)
         header, q, t = step_up.header, step_up.transform.rotation, step_up.transform.translation
         if abs(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns) > freshness_ns:

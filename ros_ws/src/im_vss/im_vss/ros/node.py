@@ -70,10 +70,10 @@ class VssNode(ManagedNode):
         settings = load_settings(cell, self._file("settings"))
         self._kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
         self._book = CameraBook(cell, settings.cameras, self._kept, settings.stereo.pairs)
-        laser_book = LaserBook(cell.laser, self._kept)
+        laser_book = LaserBook(cell.scanner, self._kept)
         self._in_use = None if self.get_parameter("standalone").value else names.run_dir() / names.CALIBRATION
         self._take_calibration(cell, laser_book)
-        self._laser = LaserRig(LinkedScanner(names.instance(), cell.laser), laser_book)
+        self._laser = LaserRig(LinkedScanner(names.instance(), cell.scanner), laser_book)
         self._outputs = ImageOutputs(self, self._book, laser_book)
         self._markers = CellMarkers(self, cell, self._book, self._outputs.left)
         self._book.on_change = laser_book.on_change = self._calibrated
@@ -96,7 +96,7 @@ class VssNode(ManagedNode):
             self._outputs,
             light_position=tracker.position,
             why_dark=tracker.why_dark,
-            mounts=Mounts(lambda frame, stamp_ns: tracker.wrist(frame.removesuffix("_wrist"), stamp_ns)),
+            mounts=Mounts(tracker.wrist),
             laser=self._laser,
         )
         stream = ImageStream(self, self._take_images, self._source.await_image)

@@ -200,7 +200,7 @@ def mount_in(bag: Path, until_ns: int, cell: Cell, freshness_ns: float) -> Mount
     def mount(frame: str, stamps_ns: Sequence[int]) -> Pose:
         if "/tf" not in topics_of(bag):
             raise StateError(f"{bag}: a camera is fixed to {frame}, and no transforms say where that was")
-        side, found = frame.removesuffix("_wrist"), dict[int, Pose]()
+        found = dict[int, Pose]()
         for message in messages_of(bag, {"/tf": ("tf2_msgs/msg/TFMessage",)}):
             if message.logged_ns > until_ns:
                 break
@@ -208,7 +208,7 @@ def mount_in(bag: Path, until_ns: int, cell: Cell, freshness_ns: float) -> Mount
             for stamp in stamps_ns:
                 if any(abs(stamp - when) <= freshness_ns for when in told):
                     with contextlib.suppress(DataError):  # not from MCS
-                        found[stamp] = wrist_by(message.content, cell, side, stamp, freshness_ns)
+                        found[stamp] = wrist_by(message.content, cell, frame, stamp, freshness_ns)
         return at_rest(frame, [found[stamp] for stamp in stamps_ns if stamp in found])
 
     return mount

@@ -263,9 +263,9 @@ class SvcLineScan(VisionService):
             )
         watch = Stopwatch()
         middle, half = 0.5 * (request.span[0] + request.span[1]), 0.5 * (request.span[1] - request.span[0])
-        power = self.rig.settings.laser.line_power * half / self.rig.cell.laser.range
+        power = self.rig.settings.laser.line_power * half / self.rig.cell.scanner.range
         sweep = np.linspace(*request.sweep, request.lines).tolist()
-        beams = [check_beam(LaserBeam(middle, mirror2, half, power), self.rig.cell.laser) for mirror2 in sweep]
+        beams = [check_beam(LaserBeam(middle, mirror2, half, power), self.rig.cell.scanner) for mirror2 in sweep]
         parts: list[LinePoints] = []
         rejected: Counter[str] = Counter()
         for beam in beams:
@@ -326,7 +326,7 @@ class SvcLaserCalibrate(VisionService):
                 spots are no error: the verdicts say so.
         """
         cameras = fixed_cameras(self.rig, request.cameras, 2)
-        beams = [check_beam(beam, self.rig.cell.laser) for beam in self._beams(request)]
+        beams = [check_beam(beam, self.rig.cell.scanner) for beam in self._beams(request)]
         spots: list[LaserSpot] = []
         rejected: list[str] = []
         for beam in beams:

@@ -197,4 +197,4 @@ class ToolLaserCalibrate(Tool):
             spots: What they saw.
         """
         known = self.rig.book.covariance.of(cameras)
-        return calibrate(self.rig.cell.laser, spots, known, self.rig.settings.laser.calibration)
+        return calibrate(self.rig.cell.scanner, spots, known, self.rig.settings.laser.calibration)

@@ -26,7 +26,8 @@ class Layers:
         self._names = list(access.model.names)
         self._drivers = [access.config.testbed.drivers[slot.driver].driver for slot in access.config.joint_slots]
         self._grippers = [slot.name for slot in access.config.gripper_slots]
-        self._wrists = [slot.wrist for slot in access.config.wrench_slots]
+        tips = access.cell.devices("force")
+        self._wrists = [tips[slot.name] for slot in access.config.wrench_slots]
         self._slots = access.node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
         self._wrenches = [
             access.node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists

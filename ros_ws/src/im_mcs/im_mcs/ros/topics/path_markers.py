@@ -9,7 +9,6 @@ from geometry_msgs.msg import Point
 from numpy.typing import NDArray
 from visualization_msgs.msg import Marker, MarkerArray
 
-from im_cell.robot import SIDES
 from im_core.ros import qos
 from im_mcs.client.groups import best_positions
 from im_mcs.model.part import part_of
@@ -57,14 +56,14 @@ class PathMarkers:
             lines: dict[str, NDArray[np.float64]] = {}
             for group, (start, path) in paths.items():
                 lines.update(self._lines(group, start, path))
-            names = [f"{side}_wrist" for side in SIDES]
+            names = [each.tip for each in self._mcs.cell.groups.values()]
             self._publisher.publish(
                 MarkerArray(markers=[_line(rank, lines.get(name)) for rank, name in enumerate(names)])
             )
 
     def _lines(self, group: str, start: NDArray[np.float64], path: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
         """Return the places that each wrist of a group passes, shape (m, 3) [m]."""
-        model, part = self._mcs.model, part_of(group, self._mcs.config)
+        model, part = self._mcs.model, part_of(group, self._mcs.config, self._mcs.cell)
         if path["kind"] == "line":
             (wrist,) = part.wrists
             return {wrist: np.array([model.pose(start, wrist).translation, *(pose[:3] for pose in path["poses"])])}

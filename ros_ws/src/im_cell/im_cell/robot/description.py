@@ -1,0 +1,238 @@
+"""Robots as URDF describes them: joints, links and shapes, with sentences about faults."""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+from im_cell.robot.parameters import Vector
+from im_core.errors import ConfigError, shortened
+
+MOVING = ("revolute", "continuous", "prismatic")
+_LARGEST_M = 50.0
+"""Of an offset between joints: no cell is that large, but one in millimetres is."""
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint as the file has it.
+
+    Attributes:
+        name, kind: Its name and type.
+        parent, child: Links.
+        xyz, rpy: Pose in the parent's frame at position 0 [m, rad].
+        axis: In the joint's frame.
+        lower, upper, velocity, effort: Limits [rad or m, by s, Nm or N]; None where the file has none.
+        mimic: Joint that it follows; empty: none.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    xyz: Vector
+    rpy: Vector
+    axis: Vector
+    lower: float | None
+    upper: float | None
+    velocity: float | None
+    effort: float | None
+    mimic: str
+
+
+@dataclass(frozen=True)
+class UrdfGeometry:
+    """A collision shape.
+
+    Attributes:
+        kind: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
+        size: Edges; radius and length; radius; or scale of the mesh [m or 1].
+        mesh: File of the mesh, as written.
+        xyz, rpy: Pose in the link's frame [m, rad].
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    mesh: str
+    xyz: Vector
+    rpy: Vector
+
+
+@dataclass(frozen=True)
+class UrdfLink:
+    """A link as the file has it.
+
+    Attributes:
+        name: Its name.
+        mass: [kg]; 0: the file has none.
+        com, rpy: Pose of the inertia's axes in the link's frame [m, rad].
+        inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg m2].
+        shapes: For collision.
+    """
+
+    name: str
+    mass: float
+    com: Vector
+    rpy: Vector
+    inertia: tuple[float, ...]
+    shapes: tuple[UrdfGeometry, ...]
+
+
+@dataclass(frozen=True)
+class RobotDescription:
+    """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them.
+
+    Attributes:
+        root: Link that nothing carries.
+        joints: From the root on, depth first.
+        links: By name.
+    """
+
+    root: str
+    joints: tuple[UrdfJoint, ...]
+    links: dict[str, UrdfLink]
+
+
+@lru_cache(maxsize=8)
+def parse_description(text: str, name: str) -> RobotDescription:
+    """Read a URDF.
+
+    Args:
+        text: Contents of the file.
+        name: Of the file, for messages.
+
+    Raises:
+        ConfigError: It is not XML or no URDF, a number is none, or links and joints are no tree.
+    """
+    try:
+        robot = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise ConfigError(f"{name}: is not XML: {error}", file=name) from error
+    try:
+        if robot.tag != "robot":
+            raise ValueError(f"its outermost element is <{shortened(robot.tag)}>, not <robot>")
+        links = {link.name: link for link in map(_link, robot.findall("link"))}
+        joints = [_joint(each) for each in robot.findall("joint")]
+        return _tree(links, joints)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}", file=name) from error
+
+
+def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> RobotDescription:
+    below: dict[str, list[UrdfJoint]] = {name: [] for name in links}
+    carried: dict[str, str] = {}
+    names: set[str] = set()
+    for joint in joints:
+        for link in (joint.parent, joint.child):
+            if link not in links:
+                raise ValueError(f"joint {joint.name} names the link '{shortened(link)}', which is not there")
+        if joint.name in names:
+            raise ValueError(f"two joints have the same name, '{joint.name}'")
+        if joint.child in carried:
+            text = f"link {joint.child} hangs on two joints, {carried[joint.child]} and {joint.name}"
+            raise ValueError(f"{text}: a closed chain, which cannot be simulated or controlled here")
+        names.add(joint.name)
+        carried[joint.child] = joint.name
+        below[joint.parent].append(joint)
+    roots = [name for name in links if name not in carried]
+    if len(roots) != 1:
+        told = f"{len(roots)} links are roots: {', '.join(roots)}" if roots else "no link is the root"
+        raise ValueError(f"{told}; one link, which nothing carries, must carry all others")
+
+    def walk(link: str) -> Iterator[UrdfJoint]:
+        for joint in sorted(below[link], key=lambda each: each.name):
+            yield joint
+            yield from walk(joint.child)
+
+    ordered = tuple(walk(roots[0]))
+    if len(ordered) < len(joints):
+        lost = sorted(names - {joint.name for joint in ordered})
+        raise ValueError(f"joints {', '.join(lost)} are a closed chain, which the root does not carry")
+    return RobotDescription(roots[0], ordered, links)
+
+
+def _link(element: ET.Element) -> UrdfLink:
+    name = _name(element, "link")
+    inertial, mass = element.find("inertial"), 0.0
+    inertia: tuple[float, ...] = (0.0,) * 6
+    xyz, rpy = _origin(inertial, name)
+    if inertial is not None:
+        mass = _number(_child(inertial, "mass", name), "value", name)
+        moments = _child(inertial, "inertia", name)
+        inertia = tuple(_number(moments, key, name) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    return UrdfLink(name, mass, xyz, rpy, inertia, tuple(_shape(each, name) for each in element.findall("collision")))
+
+
+def _shape(element: ET.Element, link: str) -> UrdfGeometry:
+    xyz, rpy = _origin(element, link)
+    geometry = _child(element, "geometry", link)
+    if (box := geometry.find("box")) is not None:
+        return UrdfGeometry("box", _numbers(box.get("size", ""), 3, link), "", xyz, rpy)
+    if (cylinder := geometry.find("cylinder")) is not None:
+        size = (_number(cylinder, "radius", link), _number(cylinder, "length", link))
+        return UrdfGeometry("cylinder", size, "", xyz, rpy)
+    if (sphere := geometry.find("sphere")) is not None:
+        return UrdfGeometry("sphere", (_number(sphere, "radius", link),), "", xyz, rpy)
+    mesh = _child(geometry, "mesh", link)
+    return UrdfGeometry("mesh", _numbers(mesh.get("scale", "1 1 1"), 3, link), mesh.get("filename", ""), xyz, rpy)
+
+
+def _joint(element: ET.Element) -> UrdfJoint:
+    name, kind = _name(element, "joint"), element.get("type", "")
+    if kind not in (*MOVING, "fixed"):
+        known = ", ".join((*MOVING, "fixed"))
+        raise ValueError(f"joint {name} is of type '{shortened(kind)}', not one of {known}")
+    xyz, rpy = _origin(element, name)
+    if max(map(abs, xyz)) > _LARGEST_M:
+        raise ValueError(f"joint {name} is {max(xyz, key=abs):g} m off its parent: lengths are millimetres, it seems")
+    axis_element, limit, mimic = element.find("axis"), element.find("limit"), element.find("mimic")
+    axis: Vector = (1.0, 0.0, 0.0)
+    if axis_element is not None:
+        x, y, z = _numbers(axis_element.get("xyz", ""), 3, name)
+        length = math.sqrt(x * x + y * y + z * z)
+        if length < 1e-9 and kind != "fixed":
+            raise ValueError(f"the axis of joint {name} has no direction")
+        axis = (x, y, z) if abs(length - 1.0) < 1e-12 or length < 1e-9 else (x / length, y / length, z / length)
+    values = {key: _number(limit, key, name) if limit is not None and limit.get(key) is not None else None
+              for key in ("lower", "upper", "velocity", "effort")}  # fmt: skip
+    parent, child = (_child(element, each, name).get("link", "") for each in ("parent", "child"))
+    return UrdfJoint(
+        name, kind, parent, child, xyz, rpy, axis, **values,
+        mimic="" if mimic is None else mimic.get("joint", "another joint"),
+    )  # fmt: skip
+
+
+def _name(element: ET.Element, what: str) -> str:
+    if not (name := element.get("name", "")):
+        raise ValueError(f"a {what} has no name")
+    return shortened(name)
+
+
+def _child(element: ET.Element, tag: str, of: str) -> ET.Element:
+    if (found := element.find(tag)) is None:
+        raise ValueError(f"{of}: there is no <{tag}> in its <{element.tag}>")
+    return found
+
+
+def _origin(element: ET.Element | None, of: str) -> tuple[Vector, Vector]:
+    origin = None if element is None else element.find("origin")
+    if origin is None:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    (x, y, z), (roll, pitch, yaw) = (_numbers(origin.get(key, "0 0 0"), 3, of) for key in ("xyz", "rpy"))
+    return (x, y, z), (roll, pitch, yaw)
+
+
+def _number(element: ET.Element, key: str, of: str) -> float:
+    (value,) = _numbers(element.get(key, ""), 1, f"{of}: {key}")
+    return value
+
+
+def _numbers(text: str, count: int, of: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not all(abs(value) < 1e9 for value in values):
+        raise ValueError(f"{of}: '{shortened(text)}' is not {count} finite number{'s' * (count > 1)}")
+    return values

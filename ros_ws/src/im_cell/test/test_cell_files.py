@@ -1,0 +1,143 @@
+"""Cells of any URDF: what is read, what is assumed, and what is refused in one sentence."""
+
+import numpy as np
+import pytest
+
+from im_cell.robot import load_cell, urdf
+from im_core.errors import ConfigError
+
+CELL = "urdf: robot.urdf\ngroups:\n  arm: {tip: tool, home: [0.1, 0.2]}\n"
+INERTIAL = '<inertial><mass value="1.0"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+LIMIT = '<limit lower="-1" upper="1" velocity="2" effort="10"/>'
+
+
+def link(name, content=INERTIAL):
+    return f'<link name="{name}">{content}</link>'
+
+
+def joint(name, parent, child, kind="revolute", content=LIMIT, xyz="0 0 0.3"):
+    return (f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}"/><axis xyz="0 1 0"/>{content}</joint>')  # fmt: skip
+
+
+def robot(*more, first=None, second=None, tool=None):
+    """A base, two joints and a tool that is fixed to the second link."""
+    parts = [
+        link("base"), link("one"), link("two"), link("tool", ""),
+        joint("a", "base", "one") if first is None else first, joint("b", "one", "two") if second is None else second,
+        joint("t", "two", "tool", "fixed", "") if tool is None else tool, *more,
+    ]  # fmt: skip
+    return "<robot name='r'>\n" + "\n".join(parts) + "\n</robot>"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def call(text, cell=CELL):
+        (tmp_path / "robot.urdf").write_text(text)
+        (tmp_path / "cell.yaml").write_text(cell)
+        return load_cell(tmp_path / "cell.yaml")
+
+    return call
+
+
+def test_a_page_of_yaml_beside_a_urdf_is_a_cell(read):
+    cell = read(robot())
+    assert cell.joint_names == ("a", "b")
+    assert cell.home.tolist() == [0.1, 0.2]
+    assert list(cell.partitions) == ["each"]
+    assert (cell.partitions["each"]["arm"].joints, cell.partitions["each"]["arm"].wrist) == (("a", "b"), "tool")
+    assert (cell.obstacles, cell.light_names, cell.cameras, cell.laser, cell.unknown) == ((), (), {}, None, ())
+    assert cell.per_joint("limits.torque").tolist() == [10.0, 10.0]
+    assert cell.per_joint("limits.acceleration").tolist() == [8.0, 8.0]
+    assert "a, b: no limit of acceleration; full speed after 0.25 s" in cell.assumed
+    assert '<joint name="a" type="revolute">' in urdf(cell)
+
+
+def test_a_urdf_in_a_package_is_found(tmp_path, monkeypatch):
+    folder = tmp_path / "share" / "my_robot" / "urdf"
+    folder.mkdir(parents=True)
+    (folder / "robot.urdf").write_text(robot())
+    (tmp_path / "cell.yaml").write_text(CELL.replace("robot.urdf", "package://my_robot/urdf/robot.urdf"))
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert load_cell(tmp_path / "cell.yaml").joint_names == ("a", "b")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "/nowhere")
+    (tmp_path / "cell.yaml").write_text(CELL.replace("robot.urdf", "package://their_robot/urdf/robot.urdf"))
+    with pytest.raises(ConfigError, match=r"package their_robot with 'urdf/robot\.urdf' is in no workspace"):
+        load_cell(tmp_path / "cell.yaml")
+
+
+def test_links_that_are_fixed_are_one_body_and_joints_of_no_group_stand_where_they_are_told(read):
+    finger = joint(
+        "f", "two", "finger", "prismatic", '<limit lower="0" upper="0.1" velocity="1" effort="5"/>', "0 0 0.1"
+    )
+    cell = read(robot(link("finger"), finger), CELL + "standing: {f: 0.05}\n")
+    assert [body.mass for body in cell.links] == [1.0, 2.0]
+    np.testing.assert_allclose(cell.links[1].com, [0.0, 0.025, 0.05], atol=1e-15)
+    assert cell.tree.carrier("finger").xyz == (0.0, 0.05, 0.1)
+    assert any("joint f is in no group and stands still" in told for told in cell.assumed)
+
+
+def test_shapes_of_the_urdf_are_enclosed_by_capsules(read):
+    box = '<collision><geometry><box size="0.1 0.1 0.5"/></geometry></collision>'
+    round_ = '<collision><geometry><cylinder radius="0.04" length="0.2"/></geometry></collision>'
+    cell = read(robot(link("pad", box), link("ring", round_), joint("p", "two", "pad", "fixed", ""),
+                      joint("r", "two", "ring", "fixed", "")))  # fmt: skip
+    pad, ring = cell.bodies
+    assert (pad.link, pad.p0, pad.p1) == ("pad", (0.0, 0.0, -0.25), (0.0, 0.0, 0.25))
+    assert pad.radius == pytest.approx(np.hypot(0.05, 0.05))
+    assert (ring.p1, ring.radius) == ((0.0, 0.0, 0.1), 0.04)
+
+
+def test_continuous_joints_have_a_turn_to_both_sides_and_that_is_said(read):
+    cell = read(robot(first=joint("a", "base", "one", "continuous", '<limit velocity="2" effort="10"/>')))
+    assert cell.joints[0].kind == "revolute"
+    assert cell.joints[0].limits.upper == pytest.approx(2.0 * np.pi)
+    assert "a: no range; a turn to both sides" in cell.assumed
+
+
+def test_what_torques_need_is_told_apart(read):
+    bare = robot(first=joint("a", "base", "one", content='<limit lower="-1" upper="1" velocity="1" effort="0"/>'))
+    cell = read(bare.replace(link("two"), link("two", "")))
+    assert cell.unknown == ("joint a has no limit of effort", "link two has no mass")
+    assert read(bare, CELL + "drives: {a: {torque: 7.0}}\n").unknown == ()
+
+
+MIMIC = LIMIT + '<mimic joint="b"/>'
+MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></collision>'
+
+
+@pytest.mark.parametrize(("text", "cell", "message"), [
+    ("<robot", CELL, "robot.urdf: is not XML: "),
+    ("<sdf/>", CELL, "its outermost element is <sdf>, not <robot>"),
+    (robot(link("stray")), CELL, "2 links are roots: base, stray; one link, which nothing carries, must carry all"),
+    (robot(joint("c", "base", "two")), CELL, "link two hangs on two joints, b and c: a closed chain"),
+    (robot(link("x"), link("y"), joint("c", "x", "y"), joint("d", "y", "x")), CELL, "joints c, d are a closed chain"),
+    (robot(second=joint("b", "one", "twoo")), CELL, "joint b names the link 'twoo', which is not there"),
+    (robot(second=joint("b", "one", "two", "planar")), CELL, "joint b is of type 'planar', not one of revolute"),
+    (robot(second=joint("b", "one", "two", content=MIMIC)), CELL, "1 joints: a"),
+    (robot(second=joint("b", "one", "two", content=MIMIC)),
+     CELL.replace("tip: tool,", "tip: tool, joints: [a, b],"), "joint b follows b .mimic.; such joints"),
+    (robot(second=joint("b", "one", "two", "prismatic", '<limit velocity="1" effort="1"/>')), CELL,
+     "joint b slides without a range; drives.b.range can say one"),
+    (robot(second=joint("b", "one", "two", xyz="0 0 300")), CELL, "joint b is 300 m off its parent: .*millimetres"),
+    (robot(second=joint("b", "one", "two", xyz="0 zero 0")), CELL, "b: '0 zero 0' is not 3 finite numbers"),
+    (robot(second=joint("b-1", "one", "two")), CELL, "joint 'b-1': ROS takes no such name; letters, digits and _"),
+    (robot(link("hand", MESH), joint("h", "two", "hand", "fixed", "")), CELL,
+     "shape of link hand for collision is the mesh package://x/y.stl, and the cell has no capsules; `im cell new`"),
+    (robot(), CELL.replace("tip: tool", "tip: tol"), r"cell.yaml:3: groups.arm.tip: .*'tol' is not a link .*'tool'"),
+    (robot(), CELL + "drives:\n  aa: {jerk: 3.0}\n", r"cell.yaml:5: drives.aa: .*'aa' is not a joint of the URDF"),
+    (robot(), CELL + "standing: {c: 0.0}\n", r"cell.yaml:4: standing.c: .*'c' is not a joint of the URDF"),
+    (robot(), CELL.replace("[0.1, 0.2]", "[0.1]"), r"groups.arm.home: .*1 positions for 2 joints: a, b"),
+    (robot(), CELL.replace("[0.1, 0.2]", "[0.1, 2.0]"), "home of b, 2.0, is outside its limits"),
+    (robot(), CELL.replace("  arm:", "  my-arm:"), "'my-arm' names topics"),
+    (robot(), CELL.replace("robot.urdf", "robbot.urdf"), r"cell.yaml:1: urdf: .*robbot.urdf: cannot be read"),
+    (robot(), CELL + "never: [[two, floor2]]\n", r"never\[0\]: .*'floor2' is not a link"),
+])  # fmt: skip
+def test_what_no_machine_can_use_is_refused_in_a_sentence(read, text, cell, message):
+    with pytest.raises(ConfigError, match=message):
+        read(text, cell)
+
+
+def test_a_name_that_no_cell_has_is_refused_with_the_nearest_one():
+    with pytest.raises(ConfigError, match=r"there is no cell 'ur6', neither a file nor a shipped one.*'ur5'"):
+        load_cell("ur6")

@@ -1,0 +1,1 @@
+"""Cell files: the first one of a URDF, and checks of others."""

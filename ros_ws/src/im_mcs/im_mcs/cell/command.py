@@ -1,0 +1,91 @@
+"""``cell``: writes the first cell file of a URDF, and checks cell files."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from im_cell.robot import Cell, cell_file, load_cell
+from im_core.errors import ImError
+from im_core.files import write_whole
+from im_core.options import NumberParser
+from im_mcs.cell.template import first_cell, touching_pairs
+
+_EPILOG = """\
+exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
+
+examples:  scripts/im cell new my_robot.urdf --output my_cell.yaml
+           scripts/im cell check my_cell.yaml --picture my_cell.png
+           scripts/start.sh --cell my_cell.yaml
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write or check a cell file; exit code 1 on failure, with the reason on standard error."""
+    options = _parser().parse_args(arguments)
+    try:
+        if options.command == "new":
+            text = first_cell(options.urdf, options.srdf)
+            if options.output is None:
+                print(text, end="")
+                return 0
+            write_whole(options.output, text)
+            print(f"{options.output}: a first cell file; `im cell check {options.output}` says what it leaves open")
+            return 0
+        print("\n".join(findings(load_cell(options.cell), str(cell_file(options.cell)))))
+        if options.picture is not None:
+            from im_mcs.cell.picture import draw  # matplotlib takes half a second
+
+            draw(load_cell(options.cell), options.picture)
+            print(f"picture: {options.picture}")
+    except (ImError, OSError) as error:
+        print(f"cell: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = NumberParser(
+        prog="cell",
+        description="Write the first cell file of a URDF, or check a cell file.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="new|check")
+    new = commands.add_parser("new", help="write the first cell file of a URDF")
+    new.add_argument("urdf", type=Path, help="the URDF; its meshes are looked for beside it and in ROS packages")
+    new.add_argument("--srdf", type=Path, help="pairs of links that need no look (default: those that always touch)")
+    new.add_argument("--output", type=Path, help="file to write, beside the URDF (default: standard output)")
+    check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
+    check.add_argument("cell", help="cell file, or name of a shipped cell")
+    check.add_argument("--picture", type=Path, help="file for a picture of the cell at home, such as cell.png")
+    return parser
+
+
+def findings(cell: Cell, file: str) -> list[str]:
+    """Return sentences about a cell: its groups, missing and assumed data."""
+    lines = [f"{file}: {len(cell.joints)} joints"]
+    for name, group in cell.groups.items():
+        devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]
+        with_ = f", with {' and '.join(devices)}" if devices else ""
+        lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
+    lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
+    lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
+    lines += [f"assumed: {sentence}" for sentence in cell.assumed]
+    lines += [f"touching at home: {first} and {second}" for first, second in touching_pairs(cell)]
+    return lines
+
+
+def _optional(cell: Cell) -> dict[str, bool]:
+    return {
+        "cameras": bool(cell.cameras),
+        "a laser scanner": cell.laser is not None,
+        "lights": bool(cell.light_names),
+        "grippers": bool(cell.devices("gripper")),
+        "force-torque sensors": bool(cell.devices("force")),
+        "obstacles, such as a floor": bool(cell.obstacles),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

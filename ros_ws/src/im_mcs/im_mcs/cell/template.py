@@ -1,0 +1,214 @@
+"""The first cell file of a URDF: groups, homes and capsules, asking nothing that the URDF shows."""
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_cell.robot import Box, Capsule, Cell
+from im_cell.robot.description import RobotDescription, UrdfJoint, parse_description
+from im_core.errors import ConfigError, DataError
+from im_core.files import MEBIBYTE, FileError, read_text
+from im_mcs.cell.capsules import enclosing_capsules
+from im_mcs.collision.bodies import Bodies
+from im_mcs.model import CellModel
+
+_LARGEST = 8 * MEBIBYTE
+_SAMPLES, _SEED_KEY = 400, 20261127
+_ALWAYS = 0.95
+_TOOL = re.compile("tcp|tool|ee|eef|gripper_frame|flange")
+_FLOOR = {"link": "world", "name": "floor", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
+          "color": (0.52, 0.50, 0.47)}  # fmt: skip
+_HOME_MARGIN = 0.2
+
+
+def first_cell(urdf: Path, srdf: Path | None = None) -> str:
+    """Return the text of a cell file for a URDF.
+
+    Args:
+        urdf: The file.
+        srdf: Pairs of links that need no look (MoveIt's SRDF); None: those that always touch are found.
+
+    Raises:
+        ConfigError: The URDF or SRDF is missing or wrong, or nothing in it moves.
+        DataError: A mesh is missing or in millimetres.
+    """
+    description = parse_description(_text(urdf), str(urdf))
+    tips = _tips(description)
+    if not tips:
+        raise ConfigError(f"{urdf}: no chain of two joints or more moves, so there is no arm", file=str(urdf))
+    grouped: dict[str, Sequence[UrdfJoint]] = _chains(description, tips)
+    data = {
+        "urdf": str(urdf.absolute()),
+        "groups": {
+            name: {"tip": joints_tip, "joints": [j.name for j in joints], "home": [_middle(j) for j in joints]}
+            for (name, joints), joints_tip in zip(grouped.items(), tips, strict=True)
+        },
+        "capsules": [{"link": description.root, "p0": (0, 0, 0), "p1": (0, 0, 0.01), "radius": 0.01}],
+        "boxes": [_FLOOR],
+    }
+    bare = Cell.model_validate(data)
+    capsules = enclosing_capsules(bare)
+    cell = bare.model_copy(update={"capsules": tuple(capsules)})
+    never = _told(srdf, description) if srdf is not None else _always(cell)
+    home = _home(cell.model_copy(update={"never": never}))
+    return _written(urdf, grouped, tips, home, capsules, never)
+
+
+def _chains(description: RobotDescription, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
+    of = {joint.child: joint for joint in description.joints}
+    taken: set[str] = set()
+    found: dict[str, Sequence[UrdfJoint]] = {}
+    for number, tip in enumerate(tips, start=1):
+        chain, link = list[UrdfJoint](), tip
+        while link in of:
+            joint = of[link]
+            if joint.kind != "fixed" and not joint.mimic and joint.name not in taken:
+                chain.insert(0, joint)
+            link = joint.parent
+        taken |= {joint.name for joint in chain}
+        found["arm" if len(tips) == 1 else f"arm_{number}"] = chain
+    return found
+
+
+def _tips(description: RobotDescription) -> list[str]:
+    """Return the tool frames: where a chain of joints ends, or the hand that only fingers hang on."""
+    below: dict[str, list[UrdfJoint]] = {}
+    for joint in description.joints:
+        below.setdefault(joint.parent, []).append(joint)
+
+    def depth(link: str) -> int:
+        return max((depth(j.child) + (j.kind != "fixed" and not j.mimic) for j in below.get(link, ())), default=0)
+
+    def fixed(link: str) -> list[str]:
+        return [f for j in below.get(link, ()) if j.kind == "fixed" for f in (j.child, *fixed(j.child))]
+
+    def walk(link: str, above: int) -> list[str]:
+        far = [joint for joint in below.get(link, ()) if depth(joint.child) + (joint.kind != "fixed") > 1]
+        fingers = [j for j in below.get(link, ()) if j.kind != "fixed"]
+        if len(far) > 1 or (far and not (above > 1 and depth(link) <= 1)):
+            return [tip for joint in far for tip in walk(joint.child, above + (joint.kind != "fixed"))]
+        deeper = [j for j in below.get(link, ()) if j.kind == "fixed" and depth(j.child) > 0]
+        if not fingers and deeper:
+            return walk(deeper[0].child, above)
+        last = fingers[0] if len(fingers) == 1 and not _is_finger(description, fingers[0], below) else None
+        if last is not None:
+            return walk(last.child, above + 1)
+        if above < 2:
+            return []
+        named = [frame for frame in fixed(link) if _TOOL.search(frame)]
+        return [named[-1] if named else link]
+
+    return walk(description.root, 0)
+
+
+def _is_finger(description: RobotDescription, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
+    """Whether a last joint moves a jaw: a tool frame beside it stays where it is."""
+    beside = [other.child for other in below[joint.parent] if other.kind == "fixed"]
+    return joint.kind == "prismatic" or any(_TOOL.search(frame) for frame in beside)
+
+
+def _middle(joint: UrdfJoint) -> float:
+    if joint.kind == "continuous" or joint.lower is None or joint.upper is None:
+        return 0.0
+    return 0.0 if joint.lower < 0.0 < joint.upper else (joint.lower + joint.upper) / 2.0
+
+
+def _samples(cell: Cell) -> NDArray[np.float64]:
+    draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(cell.joints)))
+    lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
+    span = (upper - lower) * _HOME_MARGIN
+    return lower + span + draw * (upper - lower - 2.0 * span)
+
+
+def _always(cell: Cell) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of links that touch wherever the joints are: shapes that overlap by construction."""
+    bodies = Bodies(CellModel(cell))
+    touched = np.zeros(len(bodies.pairs))
+    for q in _samples(cell):
+        bodies.place(q)
+        touched += [bodies.distance(pair) <= 0.0 for pair in range(len(bodies.pairs))]
+    found = (bodies.pair_names(int(pair)) for pair in np.flatnonzero(touched >= _ALWAYS * _SAMPLES))
+    return tuple(dict.fromkeys((first, second) for first, second in found))
+
+
+def _told(srdf: Path, description: RobotDescription) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of links that an SRDF switches off."""
+    try:
+        robot = ET.fromstring(_text(srdf))
+    except ET.ParseError as error:
+        raise ConfigError(f"{srdf}: is not XML: {error}", file=str(srdf)) from error
+    pairs = [(each.get("link1", ""), each.get("link2", "")) for each in robot.findall("disable_collisions")]
+    return tuple(pair for pair in pairs if all(link in description.links for link in pair))
+
+
+def _home(cell: Cell) -> list[float]:
+    """Return positions that are free of collisions and far from singular, among the middle and some others."""
+    model = CellModel(cell)
+    bodies = Bodies(model)
+    best, found = 0.0, cell.home
+    for q in (cell.home, *_samples(cell)):
+        bodies.place(q)
+        if len(bodies.pairs) and bodies.closest().distance < 0.05:
+            continue
+        worst = min(
+            float(np.linalg.svd(model.jacobian(q, group.tip)[:, model.joints_below(group.tip)], compute_uv=False)[-1])
+            for group in cell.groups.values()
+        )
+        if worst > best:
+            best, found = worst, q
+    if best == 0.0:
+        raise DataError("no position of the joints was found that is free of collisions; capsules may be too large")
+    return [round(float(value), 3) for value in found]
+
+
+def _written(
+    urdf: Path,
+    grouped: Mapping[str, Sequence[UrdfJoint]],
+    tips: Sequence[str],
+    home: Sequence[float],
+    capsules: Sequence[Capsule],
+    never: Sequence[tuple[str, str]],
+) -> str:
+    names = [joint.name for joint in _ordered(grouped)]
+    at = dict(zip(names, home, strict=True))
+    lines = [f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.", f"urdf: {urdf.name}", ""]
+    lines.append("groups:")
+    for (name, joints), tip in zip(grouped.items(), tips, strict=True):
+        lines += [f"  {name}:", f"    tip: {tip}", f"    joints: [{', '.join(joint.name for joint in joints)}]"]
+        lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
+    lines += ["", "capsules:               # around the shapes of the links"]
+    for each in capsules:
+        ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
+        lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(each.link, *ends, each.radius))
+    if never:
+        lines += [
+            "",
+            "never:                  # pairs of links that are not looked at: their shapes overlap by construction",
+        ]
+        lines += [f"  - [{first}, {second}]" for first, second in never]
+    box = Box.model_validate(_FLOOR)
+    size, centre, color = (f"[{', '.join(map(str, each))}]" for each in (box.size, box.center, box.color))
+    lines += ["", "boxes:", f"  - {{link: world, name: floor, size: {size}, center: {centre}, color: {color}}}", ""]
+    return "\n".join(lines)
+
+
+def _ordered(grouped: Mapping[str, Sequence[UrdfJoint]]) -> list[UrdfJoint]:
+    return [joint for joints in grouped.values() for joint in joints]
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_text(path, _LARGEST)
+    except FileError as error:
+        raise ConfigError(error.message, file=str(path)) from error
+
+
+def touching_pairs(cell: Cell) -> list[tuple[str, str]]:
+    """Return the pairs of links or boxes that touch at home."""
+    bodies = Bodies(CellModel(cell))
+    bodies.place(cell.home)
+    return [bodies.pair_names(pair) for pair in range(len(bodies.pairs)) if bodies.distance(pair) <= 0.0]

@@ -1,0 +1,86 @@
+"""Machines of shipped cells other than the pair of PUMAs: started by name, moved, led along a line, stopped."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from im_cell.robot import load_cell
+from support.whole_machine import free_port, run_script, running_machine
+
+
+@pytest.fixture(scope="module", params=["ur5", "panda"])
+def cell(request):
+    return request.param, load_cell(request.param)
+
+
+@pytest.fixture(scope="module")
+def machine(cell):
+    with running_machine("--cell", cell[0]) as machine:
+        yield machine
+
+
+def test_it_moves_draws_a_line_and_stops(machine, cell):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import String
+    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+    from im_core.ros import qos
+    from im_core.ros.guard import GuardedActionClient
+    from im_msgs.action import Move
+    from im_msgs.srv import GetGroupState, ReserveGroup
+
+    shipped = cell[1]
+    move = GuardedActionClient(machine.node, Move, "/arm/move")
+    machine.wait_for(move.server_is_ready, "/arm/move")
+
+    def moved(goal):
+        sent = move.send_goal_async(goal)
+        machine.wait_for(sent.done, "a goal to be taken")
+        ended = sent.result().get_result_async()
+        machine.wait_for(ended.done, "a move to end", 240.0)
+        return ended.result().result
+
+    def state():
+        return machine.call(GetGroupState, "/mcs/get_group_state", group="arm").state
+
+    heard = []
+    machine.node.create_subscription(JointState, "/joint_states", heard.append, qos.EVENTS)
+    names = [*shipped.joint_names, *shipped.devices("gripper")]
+    described = ET.fromstring(machine.message(String, "/robot_description", profile=qos.LATCHED).data)
+    assert set(names) <= {joint.get("name") for joint in described.findall("joint")}
+    assert machine.call(ReserveGroup, "/mcs/reserve", group="arm").success
+    for asked in ("/mcs/power_on", "/mcs/enable_motion"):
+        answer = machine.trigger(asked)
+        assert answer.success, answer.message
+    target = shipped.home + 0.1
+    points = [JointTrajectoryPoint(positions=target.tolist())]
+    answer = moved(Move.Goal(path=JointTrajectory(joint_names=list(shipped.joint_names), points=points)))
+    assert answer.success, answer.status.message
+    np.testing.assert_allclose(state().q, target, atol=5e-4)
+    machine.wait_for(lambda: heard, "/joint_states")
+    assert list(heard[0].name) == names
+    pose = state().wrist
+    pose.position.z -= 0.04
+    answer = moved(Move.Goal(line=[pose], line_speed=0.1))
+    assert answer.success, answer.status.message
+    assert state().wrist.position.z == pytest.approx(pose.position.z, abs=5e-4)
+    assert machine.trigger("/mcs/estop").success
+    answer = moved(Move.Goal(line=[pose]))
+    assert not answer.success
+    assert "estopped" in answer.status.message
+    assert machine.trigger("/mcs/reset").success  # an emergency stop outlives its machine
+
+
+def test_what_the_cell_lacks_is_not_there_and_said(machine, cell):
+    names = {name for name, _ in machine.node.get_topic_names_and_types()}
+    assert ("/arm_gripper/gripper_cmd/_action/status" in names) == bool(cell[1].devices("gripper"))
+    assert not [name for name in names if "left" in name or "force" in name]
+    assert set(machine.tasks) == {"testbed", "mcs", "dom", "pnt_display"}
+
+
+def test_a_start_says_which_tasks_it_leaves_out_and_refuses_a_cell_that_is_not_there(tmp_path):
+    started = run_script("start", "--cell", "ur55", "--port", free_port())
+    assert started.returncode == 2
+    assert "ur55" in started.stderr
+    assert "did you mean 'ur5'" in started.stderr
