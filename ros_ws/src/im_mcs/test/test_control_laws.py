@@ -158,7 +158,7 @@ FAULTY = f"{__name__}:Faulty"
     [
         ("zero division", "torque raised ZeroDivisionError"),
         ("nan", "returned nan as torque of joint 4 of 9"),
-        ("shape", r"returned torques of shape \(3,\), not \(9,\)"),
+        ("shape", r"torque returned shape \(3,\), not \(9,\)"),
         ("text", "torque raised ValueError"),
         ("hold_integral", "hold_integral raised KeyError"),
     ],

@@ -36,7 +36,7 @@ def test_slots_are_independent_of_channels(driver):
     np.testing.assert_array_equal(testbed.read().q, [0.2, 0.0, 0.1])
     brakes = np.array([True, False, False])
     testbed.write(Drive(np.array([1.0, 2.0, 3.0]), True, brakes, np.array([0.01, 0.02]), True, np.array([5.0, 6.0])))
-    np.testing.assert_array_equal(driver.drive.tau, [2.0, 3.0, 1.0, 0.0])
+    np.testing.assert_array_equal(driver.drive.command, [2.0, 3.0, 1.0, 0.0])
     np.testing.assert_array_equal(driver.drive.brakes, [False, False, True, True])
     np.testing.assert_array_equal(driver.drive.gripper, [0.02, 0.01])
     np.testing.assert_array_equal(driver.drive.gripper_force, [6.0, 5.0])

@@ -9,7 +9,7 @@ from im_core.config import FieldError, Model, faults, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
 from im_core.rate_groups import Overrun, rate_fault
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
-from im_mcs.limits.slots import Slot, Testbed, check_slots
+from im_mcs.limits.slots import LAW_METHODS, Interface, Slot, Testbed, check_slots, interface_of
 
 REFERENCE = r"^[\w.]+:\w+$"
 """Pattern of ``module:Class``."""
@@ -254,9 +254,15 @@ class McsConfig(Model):
         return self.presets[self.preset]
 
     def parameters_of_laws(self, group: str) -> dict[str, dict[str, Any]]:
-        """Return parameters, by ``module:Class``, of every possible control law of a group."""
+        """Return parameters, by ``module:Class``, of every possible control law of a group: all of one kind."""
         first = self.group_control.get(group, self.control)
-        return {**self.switching.laws, first.controller: first.parameters}
+        kind = interface_of(first.controller)
+        others = {law: given for law, given in self.switching.laws.items() if interface_of(law) == kind}
+        return {**others, first.controller: first.parameters}
+
+    def ranks_of(self, interface: Interface) -> tuple[int, ...]:
+        """Return ranks of the joints with commands of a kind, among all joints."""
+        return tuple(rank for rank, slot in enumerate(self.joint_slots) if slot.interface == interface)
 
     @property
     def joint_slots(self) -> tuple[Slot, ...]:
@@ -326,9 +332,12 @@ class McsConfig(Model):
             if law not in known:
                 where = ("law_processes", "laws", rank)
                 raise FieldError(where, f"'{law}' is none of the control laws: {', '.join(sorted(known))}")
+            if (kind := interface_of(law)) != "effort":
+                where = ("law_processes", "laws", rank)
+                raise FieldError(where, f"'{law}' gives {kind}; only a law of torques may have a process of its own")
 
     def _check_groups(self) -> None:
-        joints = {slot.name for slot in self.joint_slots}
+        joints = {slot.name: slot.interface for slot in self.joint_slots}
         for preset, groups in self.presets.items():
             if not groups:
                 raise FieldError(("presets", preset), "the preset has no groups; at least 1 is needed")
@@ -341,6 +350,20 @@ class McsConfig(Model):
                     if joint in moved_by:
                         raise FieldError(where, f"'{joint}' is already in group '{moved_by[joint]}'")
                     moved_by[joint] = group
+                    self._check_interface(group, joint, joints[joint])
+
+    def _check_interface(self, group: str, joint: str, interface: Interface) -> None:
+        """Refuse a joint with commands of another kind than the law of its group gives."""
+        own = group in self.group_control
+        law = (self.group_control[group] if own else self.control).controller
+        gives = interface_of(law)
+        if gives != interface:
+            where = ("group_control", group, "controller") if own else ("control", "controller")
+            raise FieldError(
+                where,
+                f"control law '{law}' gives {gives}, and slot '{joint}' of group '{group}' takes {interface}; its law "
+                f"needs a method '{LAW_METHODS[interface]}'",
+            )
 
 
 def load_config(path: Path | None = None) -> McsConfig:

@@ -12,8 +12,13 @@ from im_core.errors import ConfigError
 
 Kind = Literal["joint", "gripper", "wrench"]
 
+Interface = Literal["effort", "velocity", "position"]
+"""Kind of the commands that a joint takes, by the names of ros2_control."""
 
-OFFERED = ("instance", "timeout_s")
+LAW_METHODS: dict[Interface, str] = {"effort": "torque", "velocity": "velocity", "position": "position"}
+"""Method of a control law for each kind; the first one of a law counts."""
+
+OFFERED = ("instance", "timeout_s", "interfaces")
 """Parameters of a driver's constructor that MCS fills in."""
 
 
@@ -72,6 +77,7 @@ class Slot(Model):
     kind: Kind = "joint"
     driver: str
     channel: int = Field(ge=0)
+    interface: Interface = Field(default="effort", description="what commands of a joint are")
     limits: SlotLimits | None = None
 
     @property
@@ -83,6 +89,8 @@ class Slot(Model):
     def _limited(self) -> Self:
         if self.limits is not None and self.kind != "joint":
             raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have limits of their own")
+        if self.interface != "effort" and self.kind != "joint":
+            raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have an interface")
         return self
 
 
@@ -110,6 +118,24 @@ def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
                 f" slot '{served[channel]}'",
             )
         served[channel] = slot.name
+        takes = getattr(find_driver(testbed.drivers[slot.driver].driver), "interfaces_taken", ("effort",))
+        if slot.kind == "joint" and slot.interface not in takes:
+            raise FieldError(
+                ("slots", rank, "interface"),
+                f"slot '{slot.name}': driver '{slot.driver}' takes {' or '.join(takes)}, not {slot.interface}",
+            )
+
+
+def interface_of(law: str) -> Interface:
+    """Return the kind of commands of the control law ``module:Class``: that of its method.
+
+    A law that cannot be loaded counts as one of torques; what makes it says why it cannot be.
+    """
+    try:
+        found = plugins.load(law, None, "controller")
+    except ConfigError:
+        return "effort"
+    return next((kind for kind, method in LAW_METHODS.items() if hasattr(found, method)), "effort")
 
 
 def check_settings(name: str, settings: Mapping[str, object]) -> None:

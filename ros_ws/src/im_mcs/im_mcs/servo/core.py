@@ -255,7 +255,7 @@ class Mcs:
         self.loop.engage([self.groups[name] for name in groups], self.measured.q)
 
     def disengage(self, groups: Sequence[str]) -> None:
-        """No setpoints and no torques of groups any more."""
+        """No setpoints and no commands of groups any more."""
         self.loop.disengage(groups)
 
     def drop_goals(self, reason: ImError) -> None:
@@ -343,7 +343,9 @@ class Mcs:
     def _write(self) -> None:
         loop, manager, grippers = self.loop, self.manager, self.grippers
         wanted = self.wants_time and not self.held
-        self._testbed.write(Drive(loop.tau, manager.power, manager.brakes, grippers.opening, wanted, grippers.force))
+        self._testbed.write(
+            Drive(loop.command, manager.power, manager.brakes, grippers.opening, wanted, grippers.force)
+        )
 
     def _react(self, finding: SafetyFinding) -> None:
         match finding.reaction:

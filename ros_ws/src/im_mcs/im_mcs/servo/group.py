@@ -38,8 +38,8 @@ _CEILING_STEPS = 20
 class ControlledGroup:
     """Motions, control law and rest monitor of the joints of one group.
 
-    In every tick: :meth:`plan`, :meth:`advance`, :meth:`torque`, :meth:`ended`. Tolerances of trajectories are judged
-    within :meth:`torque`.
+    In every tick: :meth:`plan`, :meth:`advance`, :meth:`command`, :meth:`ended`. Tolerances of trajectories are judged
+    within :meth:`command`.
 
     Attributes:
         name: Name of the group.
@@ -398,7 +398,7 @@ class ControlledGroup:
                 )
             )
 
-    def torque(
+    def command(
         self,
         tick: int,
         q: NDArray[np.float64],
@@ -406,7 +406,7 @@ class ControlledGroup:
         gravity: NDArray[np.float64],
         wanted: Setpoint,
     ) -> NDArray[np.float64]:
-        """Return torques of the current tick, shape (n,), for the present setpoint of the planner.
+        """Return torques, velocities or positions of the current tick, shape (n,), for the planner's present setpoint.
 
         Args:
             tick: Number of the tick.
@@ -429,7 +429,7 @@ class ControlledGroup:
             self._begun()
         if self._current is not None and (fault := self.check.on_the_way(self._current, tick)) is not None:
             self._interrupt(fault)
-        return self.controller.torque(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
+        return self.controller.command(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""

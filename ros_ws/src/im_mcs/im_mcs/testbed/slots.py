@@ -21,7 +21,7 @@ class TestbedInterface:
 
     Args:
         drivers: By name.
-        slots: What is on their channels; a channel without a slot gets no torque and keeps its brake.
+        slots: What is on their channels; a channel without a slot gets no command and keeps its brake.
         clock: Name of the driver that is the clock.
 
     Raises:
@@ -52,7 +52,13 @@ class TestbedInterface:
             LinkError: A driver's hardware does not answer in time.
         """
         drivers = {
-            name: load_driver(spec.driver, spec.settings, instance=instance, timeout_s=patience_s())
+            name: load_driver(
+                spec.driver,
+                spec.settings,
+                instance=instance,
+                timeout_s=patience_s(),
+                interfaces={s.channel: s.interface for s in slots if s.kind == "joint" and s.driver == name},
+            )
             for name, spec in testbed.drivers.items()
         }
         return cls(drivers, slots, testbed.clock)
@@ -189,14 +195,14 @@ class _Part:
 
     def drive(self, drive: Drive) -> Drive:
         """Return the driver's part of ``drive``, in the order of the channels."""
-        tau = np.zeros(self.driver.n_joints)
+        command = np.zeros(self.driver.n_joints)
         brakes = np.ones(self.driver.n_joints, dtype=np.bool_)
         gripper, force = np.full(self.driver.n_grippers, np.nan), np.full(self.driver.n_grippers, np.nan)
         slots, channels = self.joints
-        tau[channels], brakes[channels] = drive.tau[slots], drive.brakes[slots]
+        command[channels], brakes[channels] = drive.command[slots], drive.brakes[slots]
         slots, channels = self.grippers
         gripper[channels], force[channels] = drive.gripper[slots], drive.gripper_force[slots]
-        return Drive(tau, drive.power, brakes, gripper, drive.wants_time, force)
+        return Drive(command, drive.power, brakes, gripper, drive.wants_time, force)
 
     def _places(self, kind: Kind, slots: Sequence[Slot]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         count: Any = getattr(self.driver, _COUNTS[kind])
