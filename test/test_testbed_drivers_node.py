@@ -101,7 +101,7 @@ def standing(driver):
 def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
     with robot() as process:
         driver = JointStateDriver(
-            INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
+            INSTANCE, 60.0, {}, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
         )
         try:
             measured = driver.read()
@@ -141,11 +141,23 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
 
 def test_a_joint_that_the_robot_does_not_have_is_named():
     with robot():
-        JointStateDriver(INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command").close()  # it has begun
+        JointStateDriver(INSTANCE, 60.0, {}, JOINTS, "/robot/state", "/robot/command").close()  # it has begun
         with pytest.raises(LinkError, match=r"nothing of joint wrist within 10 s; it names gripper, elbow, shoulder$"):
-            JointStateDriver(INSTANCE, 10.0, ["elbow", "wrist"], "/robot/state", "/robot/command")
+            JointStateDriver(INSTANCE, 10.0, {}, ["elbow", "wrist"], "/robot/state", "/robot/command")
 
 
 def test_a_robot_that_says_nothing_is_told_apart_from_one_that_lacks_a_joint():
     with pytest.raises(LinkError, match=r"nothing of joint elbow within 2 s; nothing was received$"):
-        JointStateDriver(INSTANCE, 2.0, ["elbow"], "/nobody/state", "/nobody/command")
+        JointStateDriver(INSTANCE, 2.0, {}, ["elbow"], "/nobody/state", "/nobody/command")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"topic": "/a", "field": "mode"}, "fault topic '/a': std_msgs/msg/Bool has no field 'mode'"),
+        ({"topic": "/a", "type": "no_msgs/msg/Mode"}, "there is no package with msg types 'no_msgs'"),
+    ],
+)
+def test_a_fault_topic_of_an_unknown_kind_is_named(fault, message):
+    with pytest.raises(LinkError, match=f"'/nobody/state' ended with code 1: {message}"):
+        JointStateDriver(INSTANCE, 60.0, {}, ["elbow"], "/nobody/state", "/nobody/command", faults=[fault])

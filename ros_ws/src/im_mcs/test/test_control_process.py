@@ -108,7 +108,7 @@ def test_torques_are_bit_for_bit_those_of_the_law_in_the_loop(start):
         if not model.changing:
             laws.hold_integral(hold)
         here.hold_integral(hold)
-        np.testing.assert_array_equal(laws.command(question), here.torque(question))
+        np.testing.assert_array_equal(laws.command(question), here.command(question))
     assert source.late == {COMPUTED_TORQUE: laws.late}
     assert laws.late == 0
 

@@ -30,7 +30,7 @@ class Constant:
 
     def hold_integral(self, hold): ...
 
-    def torque(self, given):
+    def command(self, given):
         return self.value
 
 

@@ -113,11 +113,13 @@ def test_mistakes_in_the_configuration_are_named(tmp_path, old, new, message):
 
 def test_configured_drivers_are_made_with_their_settings():
     settings = {"inertia": [1.0, 2.0], "q": [0.1, 0.2], "period_s": 0.002}
-    driver = load_driver("im_mcs.testbed.loopback:LoopbackDriver", settings, instance="im0", timeout_s=1.0)
+    driver = load_driver(
+        "im_mcs.testbed.loopback:LoopbackDriver", settings, instance="im0", timeout_s=1.0, interfaces={}
+    )
     assert (driver.n_joints, driver.period_s) == (2, 0.002)
     assert driver.read().q.tolist() == [0.1, 0.2]
     with pytest.raises(ConfigError, match=r"nowhere:Driver.*module:Class"):
-        load_driver("nowhere:Driver", {}, instance="im0", timeout_s=1.0)
+        load_driver("nowhere:Driver", {}, instance="im0", timeout_s=1.0, interfaces={})
 
 
 def test_stop_circuits_say_what_they_could_not_do():

@@ -100,7 +100,7 @@ class Mcs:
             arms=self,
         )
         self.situation = Situation(self.measured, self.v, self.groups, self.manager.brakes)
-        self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations)
+        self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations, self._testbed.faults)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
         patience_ticks = round(config.servo.settle.timeout_s / config.servo.period_s)
