@@ -1,0 +1,147 @@
+"""Node ``/mcs`` above a robot as its vendor's driver shows it: positions or velocities to a controller, real time."""
+
+import os
+import signal
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+
+from im_cell.robot import load_cell
+from im_core import clock
+from im_core.config import package_file
+from im_core.ros import qos
+
+CELL = load_cell()
+LAWS = {
+    "position": {"controller": "im_mcs.control.setpoints:SetpointPosition"},
+    "velocity": {
+        "controller": "im_mcs.control.setpoints:SetpointVelocity",
+        "parameters": {"gain_1_s": 1.0, "rest_deadband": 1e-3},
+    },
+}
+#: The controller has its joints in an order of its own.
+ORDER = list(CELL.joint_names[::-1])
+
+
+@pytest.fixture
+def vendor(process):
+    """Starts the robot; its process."""
+
+    def start(kind="position", lost=0.0):
+        home = ",".join(map(str, CELL.home[::-1].tolist()))
+        options = ("--joints", ",".join(ORDER), f"--home={home}", "--kind", kind, "--lost", lost)
+        return process(sys.executable, "-m", "support.vendor_robot", *options)
+
+    return start
+
+
+@pytest.fixture
+def config(tmp_path):
+    """Writes ``mcs.yaml`` for the robot, with patience with a busy computer; its path."""
+
+    def write(kind="position"):
+        data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+        data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
+        for slot in data["slots"]:
+            slot.update(driver="robot", interface=kind)
+        settings = {
+            "joints": [slot["name"] for slot in data["slots"]],
+            "state_topic": "/joint_states_of_vendor",
+            "command_topic": f"/forward_{kind}_controller/commands",
+            "command_joints": ORDER,
+            "period_s": 0.008,
+            "silence_s": 3.0,
+            "faults": [{"topic": "/vendor/safety"}],
+        }
+        driver = {"driver": "im_mcs.testbed.joint_state:CommandTopicDriver", "settings": settings}
+        data["testbed"].update(clock="robot", drivers={"robot": driver})
+        data["control"] = LAWS[kind]
+        data["limits"].update(following_error_rad=0.5, following_error_m=0.2)
+        data["safety"].update(driver_age_s=2.0, driver_age_estop_s=2.5)
+        data["servo"].update(period_s=0.008, max_overruns=200)
+        data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
+        path = tmp_path / "robot.yaml"
+        path.write_text(yaml.safe_dump(data), encoding="utf-8")
+        return path
+
+    return write
+
+
+def stands(client):
+    """Where the left arm stands once it moves no more, shape (9,)."""
+    last = None
+    while last is None or np.abs(last - (now := np.array(client.group_state().q))).max() > 1e-4:
+        last = np.array(client.group_state().q)
+        clock.sleep(0.3)
+    return now
+
+
+@pytest.mark.parametrize(("kind", "lost"), [("position", 0.0), ("position", 0.05), ("velocity", 0.05)])
+def test_moves_a_line_and_stops(vendor, config, without_testbed, kind, lost):
+    vendor(kind, lost)
+    client = without_testbed(config=config(kind), use_sim_time=False)
+    client.to_motion()
+    told = client.listen(JointState, "/joint_states", qos.EVENTS)
+    result = client.move(client.home + 0.05)
+    assert result.success, result
+    np.testing.assert_allclose(client.group_state().q, client.home + 0.05, atol=0.01)
+    client.until(lambda: told)
+    stamp = told[-1].header.stamp
+    assert abs(stamp.sec + 1e-9 * stamp.nanosec - clock.wall()) < 60.0, "stamps are of real time"
+
+    handle, result = client.start_far_move()
+    client.cancel(handle)
+    assert not result().success
+    stood = stands(client)
+    assert client.state() == "motion"
+
+    _, result = client.start_far_move()
+    assert client.trigger("estop").success
+    assert not result().success
+    stood = stands(client)
+    assert client.trigger("reset").success
+    client.to_motion()  # the first setpoint is where the arm is
+    np.testing.assert_allclose(stands(client), stood, atol=2e-3)
+
+
+def test_a_protective_stop_of_the_vendor_is_the_reason_and_a_person_resets(vendor, config, without_testbed):
+    vendor()
+    client = without_testbed(config=config(), use_sim_time=False)
+    client.to_motion()
+    _, result = client.start_far_move()
+    assert client.call(SetBool, "/vendor/protective_stop", data=True).success
+    assert not result().success
+    client.until(lambda: client.state() == "estopped")
+    assert "cut the power" in client.states[-1].reason
+    assert "/vendor/safety data is True" in client.states[-1].reason
+    stood = stands(client)
+    refused = client.trigger("reset")
+    assert not refused.success
+    assert "/vendor/safety data is True" in refused.message
+    assert client.call(SetBool, "/vendor/protective_stop", data=False).success
+    np.testing.assert_allclose(stands(client), stood, atol=1e-3)
+    assert client.state() == "estopped", "what has cleared moves nothing, and a person resets"
+    client.until(lambda: client.trigger("reset").success)
+    client.to_motion()
+    np.testing.assert_allclose(stands(client), stood, atol=2e-3)
+    assert client.move(client.home).success
+
+
+def test_a_vendor_that_dies_is_an_estop_and_works_again_when_it_is_back(vendor, config, without_testbed):
+    first = vendor()
+    client = without_testbed(config=config(), use_sim_time=False)
+    client.to_motion()
+    _, result = client.start_far_move()
+    os.kill(first.pid, signal.SIGKILL)
+    assert not result().success
+    client.until(lambda: client.state() == "estopped")
+    assert "/joint_states_of_vendor" in client.states[-1].reason
+    vendor()
+    client.until(lambda: client.trigger("reset").success)
+    client.to_motion()
+    np.testing.assert_allclose(stands(client), client.home, atol=2e-3)  # the new one begins there
+    assert client.move(client.home + 0.05).success
