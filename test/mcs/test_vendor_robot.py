@@ -43,7 +43,7 @@ def vendor(process):
 def config(tmp_path):
     """Writes ``mcs.yaml`` for the robot, with patience with a busy computer; its path."""
 
-    def write(kind="position"):
+    def write(kind="position", following=0.5):
         data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
         data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
         for slot in data["slots"]:
@@ -60,7 +60,7 @@ def config(tmp_path):
         driver = {"driver": "im_mcs.testbed.joint_state:CommandTopicDriver", "settings": settings}
         data["testbed"].update(clock="robot", drivers={"robot": driver})
         data["control"] = LAWS[kind]
-        data["limits"].update(following_error_rad=0.5, following_error_m=0.2)
+        data["limits"].update(following_error_rad=following, following_error_m=following)
         data["safety"].update(driver_age_s=2.0, driver_age_estop_s=2.5)
         data["servo"].update(period_s=0.008, max_overruns=200)
         data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
@@ -92,6 +92,11 @@ def test_moves_a_line_and_stops(vendor, config, without_testbed, kind, lost):
     client.until(lambda: told)
     stamp = told[-1].header.stamp
     assert abs(stamp.sec + 1e-9 * stamp.nanosec - clock.wall()) < 60.0, "stamps are of real time"
+
+    lower = client.group_state().wrist
+    lower.position.z -= 0.05
+    assert client.move(line=[lower], line_speed=0.1).success
+    assert abs(client.group_state().wrist.position.z - lower.position.z) < 0.01
 
     handle, result = client.start_far_move()
     client.cancel(handle)
@@ -133,7 +138,7 @@ def test_a_protective_stop_of_the_vendor_is_the_reason_and_a_person_resets(vendo
 
 def test_a_vendor_that_dies_is_an_estop_and_works_again_when_it_is_back(vendor, config, without_testbed):
     first = vendor()
-    client = without_testbed(config=config(), use_sim_time=False)
+    client = without_testbed(config=config(following=9.0), use_sim_time=False)  # silence is what is noticed
     client.to_motion()
     _, result = client.start_far_move()
     os.kill(first.pid, signal.SIGKILL)
