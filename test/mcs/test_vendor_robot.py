@@ -61,7 +61,7 @@ def config(tmp_path):
         data["testbed"].update(clock="robot", drivers={"robot": driver})
         data["control"] = LAWS[kind]
         data["limits"].update(following_error_rad=following, following_error_m=following)
-        data["safety"].update(driver_age_s=2.0, driver_age_estop_s=2.5)
+        data["safety"].update(driver_age_s=5.0, driver_age_estop_s=6.0)
         data["servo"].update(period_s=0.008, max_overruns=200)
         data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
         path = tmp_path / "robot.yaml"
