@@ -96,7 +96,7 @@ def test_commands_are_of_joints_with_power_and_without_brake(bridge):
         assert driver.read().power == power
         assert driver.read().brakes.tolist() == [b or not power for b in brakes]
     assert driver.read().tick == 3
-    driver._bridge.code = 3
+    driver._process.code = 3
     bridge([1.0, 2.0], 9.0)
     with pytest.raises(LinkError, match=r"im_mcs.ros.topic_channels of topic '/robot/state' ended with code 3"):
         driver.read()

@@ -46,6 +46,8 @@ class TopicChannels(GuardedNode):
         order: Joints in the order of the numbers of a command; None: commands are joint states, with names.
     """
 
+    points = 0
+
     def __init__(
         self,
         name: str,
@@ -58,7 +60,7 @@ class TopicChannels(GuardedNode):
         order: Sequence[str] | None = None,
     ) -> None:
         super().__init__("topic_channels", namespace="/mcs")
-        self._link = TopicLink.attach(name, TopicLink.layout(len(joints)), patience_s())
+        self._link = TopicLink.attach(name, TopicLink.layout(len(joints), self.points), patience_s())
         self._joints, self._silence_s = list(joints), silence_s
         self._channel = {joint: channel for channel, joint in enumerate(joints)}
         self._kinds = {kind: np.array([own == kind for own in kinds]) for kind in dict.fromkeys(kinds)}
@@ -76,8 +78,7 @@ class TopicChannels(GuardedNode):
             self._received["broken"] = str(error).encode()[:512]
             self._link.received.write(self._received)
             raise
-        message_type = JointState if order is None else Float64MultiArray
-        self._publisher = self.create_publisher(message_type, command, qos.NEWEST)
+        self._open(command)
         self.create_subscription(JointState, state, self._take, qos.SENSOR)
         self._running = True
         self._thread = threading.Thread(target=self._give, name="commands", daemon=True)
@@ -138,6 +139,12 @@ class TopicChannels(GuardedNode):
             self._link.received.write(self._received)
 
     # commands
+
+    def _open(self, command: str) -> None:
+        """Make what commands are told with."""
+        self._publisher = self.create_publisher(
+            JointState if self._order is None else Float64MultiArray, command, qos.NEWEST
+        )
 
     def _give(self) -> None:
         value, none = np.zeros(len(self._joints)), np.zeros(len(self._joints), dtype=np.bool_)

@@ -22,6 +22,7 @@ from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.servo.answers import Answers, Emit
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.control_loop import ControlLoop
+from im_mcs.servo.course import Courses
 from im_mcs.servo.dispatch import Dispatch
 from im_mcs.servo.gripper import Grippers
 from im_mcs.servo.partition import Partitions
@@ -107,6 +108,7 @@ class Mcs:
         self.grippers = Grippers(
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
+        self._courses = Courses(testbed.followed) if testbed.followed else None
         self._dispatch = Dispatch(self)
         if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
@@ -147,6 +149,8 @@ class Mcs:
         try:
             self._write()
             self._complete_stop()
+            if self._courses is not None:
+                self._give_course(self._courses)
             self._follow_up()
             for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
                 self._react(finding)
@@ -346,6 +350,13 @@ class Mcs:
         self._testbed.write(
             Drive(loop.command, manager.power, manager.brakes, grippers.opening, wanted, grippers.force)
         )
+
+    def _give_course(self, courses: Courses) -> None:
+        course, findings = courses.update(self.loop.engaged, self.loop.command)
+        for finding in findings:
+            self._react(finding)
+        if course is not None:
+            self._testbed.follow(course)
 
     def _react(self, finding: SafetyFinding) -> None:
         match finding.reaction:

@@ -57,6 +57,20 @@ class Drive(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
+class Course(NamedTuple):
+    """Positions of joints from now on until they rest, if nothing changes.
+
+    Attributes:
+        seconds: Times after the present command, shape (m,) [s].
+        q: Positions, shape (m, n) [rad or m].
+        v: Velocities, shape (m, n) [rad/s or m/s]; 0 in the end.
+    """
+
+    seconds: NDArray[np.float64]
+    q: NDArray[np.float64]
+    v: NDArray[np.float64]
+
+
 class ChannelDriver(Protocol):
     """Hardware seen as numbered channels.
 
@@ -116,6 +130,19 @@ class TimeKeeper(Protocol):
 
     def time_asked(self) -> bool:
         """Whether somebody has asked for time beyond the present tick."""
+        ...
+
+
+@runtime_checkable
+class CourseFollower(Protocol):
+    """Driver of a robot that follows whole trajectories by itself; power and brakes are its only commands besides."""
+
+    def follow(self, course: Course) -> None:
+        """Follow a course from now on, in place of the one before.
+
+        Raises:
+            LinkError: The hardware no longer listens to this driver.
+        """
         ...
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from im_core.errors import ImError, LinkError
-from im_mcs.testbed import Drive, Measured, TestbedInterface
+from im_mcs.testbed import Course, Drive, Measured, TestbedInterface
 
 Given = ParamSpec("Given")
 ResultT = TypeVar("ResultT")
@@ -73,6 +73,14 @@ class GuardedTestbed:
             LinkError: Some hardware no longer listens; all other has heard it.
         """
         _guard("write", self._testbed.write, drive)
+
+    def follow(self, course: Course) -> None:
+        """Give a course to the drivers that follow one.
+
+        Raises:
+            LinkError: Some hardware no longer listens.
+        """
+        _guard("follow", self._testbed.follow, course)
 
     def faults(self) -> list[str]:
         """Return the faults reported by hardware.

@@ -17,7 +17,6 @@ from im_core.shm import Semaphore, SharedBlock, SharedRecord, Snapshot
 from im_mcs.limits.slots import Interface
 from im_mcs.testbed.driver import Drive, Measured, ReportedFault
 
-_BRIDGE = "im_mcs.ros.topic_channels"
 _POLL_S, _AGAIN_S = 0.01, 1.0
 
 
@@ -43,27 +42,32 @@ class TopicLink(SharedRecord):
         received: Positions and when each was received, by joint, and faults; the bridge writes.
         command: Commands, and which joints are driven; the driver, the creator, writes.
         bell: Rung by the driver when there is a command.
+        course: Newest course, where the robot follows courses; the driver writes.
     """
 
     SEMAPHORES = ("bell",)
 
     @staticmethod
-    def layout(n: int) -> np.dtype[np.void]:
-        """Return the fields of a link of ``n`` joints.
+    def layout(n: int, points: int = 0) -> np.dtype[np.void]:
+        """Return the fields of a link of ``n`` joints, and of courses of so many points.
 
         ``received``: positions, the wall times of the receipt (0: never) [s], the names of the last message, the
         present faults, and why the bridge cannot work. ``command``: commands, the driven joints, and the time of
-        writing, monotonic clock [s].
+        writing, monotonic clock [s]. ``course``: its number, points, times [s], positions and velocities.
         """
         texts = [("named", "S1024"), ("faults", "S512"), ("broken", "S512")]
         received = np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), *texts], align=True)
         command = np.dtype([("value", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
-        return np.dtype([("received", Snapshot.layout(received)), ("command", Snapshot.layout(command))], align=True)
+        rows = [("seconds", "<f8", (points,)), ("q", "<f8", (points, n)), ("v", "<f8", (points, n))]
+        course = np.dtype([("number", "<i8"), ("count", "<i8"), *rows], align=True)
+        parts = {"received": received, "command": command, "course": course}
+        return np.dtype([(name, Snapshot.layout(part)) for name, part in parts.items()], align=True)
 
     def __init__(self, block: SharedBlock, dtype: np.dtype[np.void], semaphores: list[Semaphore]) -> None:
         super().__init__(block, dtype, semaphores)
         self.received = Snapshot(self.view["received"], f"{self.name}_received")
         self.command = Snapshot(self.view["command"], f"{self.name}_command")
+        self.course = Snapshot(self.view["course"], f"{self.name}_course")
         (self.bell,) = semaphores
 
 
@@ -93,7 +97,9 @@ class JointStateDriver:
 
     n_grippers = 0
     n_wrenches = 0
-    interfaces_taken = ("effort", "velocity", "position")
+    interfaces_taken: tuple[Interface, ...] = ("effort", "velocity", "position")
+    bridge = "im_mcs.ros.topic_channels"
+    points = 0
 
     def __init__(
         self,
@@ -128,10 +134,10 @@ class JointStateDriver:
             "command": command_topic,
             "silence_s": silence_s,
             "faults": [_fault_topic(given, state_topic).model_dump() for given in faults],
-            "order": self.command_order(interfaces),
+            **self.encoding(interfaces),
         }
         self._settings = json.dumps(settings)
-        self._link = TopicLink.create(settings["name"], TopicLink.layout(self.n_joints))
+        self._link = TopicLink.create(settings["name"], TopicLink.layout(self.n_joints, self.points))
         self._start_bridge()
         try:
             self._wait_for_all(timeout_s)
@@ -139,9 +145,9 @@ class JointStateDriver:
             self.close()
             raise
 
-    def command_order(self, interfaces: Mapping[int, Interface]) -> list[str] | None:
-        """Return the joints in the order of the numbers of a command; None: commands have the names of joints."""
-        return None
+    def encoding(self, interfaces: Mapping[int, Interface]) -> dict[str, object]:
+        """Return settings of the bridge for commands of another form than joint states."""
+        return {}
 
     def connect(self) -> None:
         """Return whether the robot speaks; an ended process is started again.
@@ -149,7 +155,7 @@ class JointStateDriver:
         Raises:
             LinkError: It does not.
         """
-        if self._bridge.poll() is not None and clock.monotonic() >= self._next_start:
+        if self._process.poll() is not None and clock.monotonic() >= self._next_start:
             self._start_bridge()
         self._newest()
 
@@ -195,13 +201,13 @@ class JointStateDriver:
 
     def close(self) -> None:
         """Fall silent, after velocities of 0 and positions as measured: the robot's time-out holds the robot."""
-        self._bridge.stop()
+        self._process.stop()
         self._link.close()
 
     def _start_bridge(self) -> None:
         self._next_start = clock.monotonic() + _AGAIN_S
         self._offset_s = clock.wall() - clock.monotonic()
-        self._bridge = ChildProcess.of_module(_BRIDGE, [self._settings])
+        self._process = ChildProcess.of_module(self.bridge, [self._settings])
 
     def _command(self, value: NDArray[np.float64], driven: NDArray[np.bool_]) -> None:
         """Give the bridge commands and the driven joints, shape (n,) each; the bridge keeps the newest only."""
@@ -247,10 +253,10 @@ class JointStateDriver:
             clock.sleep(_POLL_S)
 
     def _check_bridge(self) -> None:
-        code = self._bridge.poll()
+        code = self._process.poll()
         if code is not None:
             why = _text(self._link.received.read()["broken"])
-            ended = f"the process {_BRIDGE} of topic '{self._topic}' ended with code {code}"
+            ended = f"the process {self.bridge} of topic '{self._topic}' ended with code {code}"
             raise LinkError(f"{ended}: {why}" if why else ended, exit_code=code)
 
 
@@ -297,8 +303,8 @@ class CommandTopicDriver(JointStateDriver):
             instance, timeout_s, interfaces, joints, state_topic, command_topic, period_s, silence_s, faults
         )
 
-    def command_order(self, interfaces: Mapping[int, Interface]) -> list[str]:
-        """Return the joints of the controller.
+    def encoding(self, interfaces: Mapping[int, Interface]) -> dict[str, object]:
+        """Return the joints of the controller, in its order.
 
         Raises:
             ConfigError: They are not those of the driver, or of several kinds, or one has no slot.
@@ -315,7 +321,7 @@ class CommandTopicDriver(JointStateDriver):
         kinds = sorted(set(interfaces.values()))
         if len(kinds) > 1:
             raise ConfigError(f"slots of {told} take {' and '.join(kinds)}; a controller gives one of them")
-        return list(self._order)
+        return {"order": self._order}
 
 
 def _checked(joints: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from im_core.errors import ConfigError
 from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
-from im_mcs.testbed.driver import ChannelDriver, Drive, HostedHardware, Measured, SelfReporting, TimeKeeper, load_driver
+from im_mcs.testbed.driver import (
+    ChannelDriver,
+    Course,
+    CourseFollower,
+    Drive,
+    HostedHardware,
+    Measured,
+    SelfReporting,
+    TimeKeeper,
+    load_driver,
+)
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
@@ -138,6 +148,20 @@ class TestbedInterface:
             return
         self._each(lambda part: part.driver.write(part.drive(drive)))
 
+    @property
+    def followed(self) -> list[int]:
+        """Ranks of the joints whose drivers follow courses."""
+        return [rank for part in self._parts if part.follows for rank in part.joints[0].tolist()]
+
+    def follow(self, course: Course) -> None:
+        """Give a course to the drivers that follow one.
+
+        Raises:
+            LinkError: Some hardware no longer listens.
+        """
+        for part in self._parts:
+            part.follow(course)
+
     def faults(self) -> list[str]:
         """Return the faults reported by hardware, e.g. ``brake_open of left_j2``.
 
@@ -192,6 +216,20 @@ class _Part:
         of_none = [fault.what for fault in reported if fault.channel is None]
         of_joints = [(fault.what, self._channels.get(fault.channel)) for fault in reported if fault.channel is not None]
         return of_none + [f"{what} of {joint}" for what, joint in of_joints if joint is not None]
+
+    @property
+    def follows(self) -> bool:
+        """Whether the driver follows courses."""
+        return isinstance(self.driver, CourseFollower)
+
+    def follow(self, course: Course) -> None:
+        """Give the driver its part of a course, if it follows one."""
+        if isinstance(self.driver, CourseFollower):
+            slots, channels = self.joints
+            q = np.zeros((len(course.seconds), self.driver.n_joints))
+            v = np.zeros_like(q)
+            q[:, channels], v[:, channels] = course.q[:, slots], course.v[:, slots]
+            self.driver.follow(Course(course.seconds, q, v))
 
     def drive(self, drive: Drive) -> Drive:
         """Return the driver's part of ``drive``, in the order of the channels."""

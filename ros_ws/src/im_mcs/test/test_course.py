@@ -1,0 +1,107 @@
+"""Courses for a robot that follows trajectories by itself: what they say is what the setpoints then do."""
+
+import numpy as np
+import pytest
+import yaml
+
+from im_core.config import package_file
+from im_mcs.limits.configuration import load_config
+
+LEFT = slice(0, 9)
+
+
+@pytest.fixture
+def followed(tmp_path, make_bench, monkeypatch):
+    """A bench whose driver takes positions and follows courses; ``courses``: each with the tick that it counts from."""
+    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    loopback = {"driver": "im_mcs.testbed.loopback:LoopbackDriver", "settings": {"inertia": [1.0], "q": [0.0]}}
+    data["testbed"]["drivers"]["testbed"] = loopback
+    for slot in data["slots"]:
+        if slot.get("kind", "joint") == "joint":
+            slot["interface"] = "position"
+    data["control"] = {"controller": "im_mcs.control.setpoints:SetpointPosition"}
+    path = tmp_path / "mcs.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    monkeypatch.setattr("im_mcs.testbed.loopback.LoopbackDriver.follow", lambda driver, course: None, raising=False)
+    bench = make_bench(load_config(path))
+    bench.courses = []
+    bench.driver.follow = lambda course: bench.courses.append((bench.mcs.measured.tick, course))
+    bench.setpoints = {}
+    bench.to_motion("left")
+    return bench
+
+
+def run(bench, ticks):
+    for _ in range(ticks):
+        bench.mcs.tick([])
+        bench.setpoints[bench.mcs.measured.tick] = bench.mcs.setpoint.copy()
+
+
+def check(bench, course, until):
+    """Compare a course with the setpoints up to a tick."""
+    tick, course = course
+    period_s = bench.mcs.config.servo.period_s
+    seen = [(k - tick) * period_s for k in bench.setpoints if tick < k <= until]
+    for joint in range(18):
+        followed = [bench.setpoints[k][0, joint] for k in bench.setpoints if tick < k <= until]
+        told = np.interp(course.seconds, seen, followed)
+        within = course.seconds <= seen[-1]
+        np.testing.assert_allclose(course.q[within, joint], told[within], atol=3e-5)
+
+
+def begin(bench, cell, *offsets):
+    points = [(cell.home[LEFT] + offset).tolist() for offset in offsets]
+    bench.send("move", group="left", path={"kind": "joint", "points": points, "blend": 0.0})
+    bench.setpoints[bench.mcs.measured.tick] = bench.mcs.setpoint.copy()
+
+
+def test_a_motion_is_one_course_up_to_rest(followed, cell):
+    begin(followed, cell, 0.3)
+    run(followed, 2000)
+    (course,) = followed.courses
+    assert not course[1].v[-1].any()
+    np.testing.assert_allclose(course[1].q[-1, LEFT], cell.home[LEFT] + 0.3, atol=1e-6)
+    np.testing.assert_allclose(course[1].q[:, 9:], np.tile(cell.home[9:], (len(course[1].q), 1)))
+    assert (np.diff(course[1].seconds) > 0.0).all()
+    check(followed, course, max(followed.setpoints))
+
+
+@pytest.mark.parametrize("change", ["pause", "protective_stop", "cancel"])
+def test_a_stop_on_the_path_is_a_course_to_where_it_rests(followed, cell, change):
+    begin(followed, cell, 0.5, 0.0)
+    run(followed, 200)
+    assert len(followed.courses) == 1
+    arguments = {"protective_stop": {"reason": "somebody comes"}, "cancel": {"goal": followed._number}}
+    at = followed.mcs.measured.tick
+    followed.send(change, **arguments.get(change, {}))
+    followed.setpoints[followed.mcs.measured.tick] = followed.mcs.setpoint.copy()
+    run(followed, 600)
+    first, second = followed.courses[0], followed.courses[1]
+    assert not second[1].v[-1].any()
+    assert second[1].seconds[-1] < first[1].seconds[-1]
+    check(followed, first, at)
+    check(followed, second, max(followed.setpoints))
+    np.testing.assert_allclose(second[1].q[-1], followed.mcs.setpoint[0], atol=1e-6)
+    assert len(followed.courses) == 2
+
+
+def test_a_resumed_motion_goes_on_to_its_end(followed, cell):
+    begin(followed, cell, 0.5)
+    run(followed, 200)
+    followed.send("pause")
+    run(followed, 600)
+    followed.send("resume")
+    followed.setpoints[followed.mcs.measured.tick] = followed.mcs.setpoint.copy()
+    run(followed, 1500)
+    np.testing.assert_allclose(followed.courses[-1][1].q[-1, LEFT], cell.home[LEFT] + 0.5, atol=1e-6)
+    check(followed, followed.courses[-1], max(followed.setpoints))
+    np.testing.assert_allclose(followed.driver.q[LEFT], cell.home[LEFT] + 0.5, atol=1e-4)
+
+
+def test_a_stream_is_refused_by_name(followed, cell):
+    where = (cell.home[LEFT] + 0.01).tolist()
+    number = followed.send("stream", group="left", kind="setpoint", positions=where, lease_s=1.0)
+    run(followed, 300)
+    assert "trajectory controller cannot follow: the end of this motion is not known" in str(followed.events)
+    assert followed.courses == []
+    assert number
