@@ -37,7 +37,11 @@ class Robot:
         ros(self.channels, self.node)
 
     def _take(self, told):
-        values = zip(self.order, told.data, strict=True) if self.order else zip(told.name, getattr(told, self.kind), strict=True)
+        values = (
+            zip(self.order, told.data, strict=True)
+            if self.order
+            else zip(told.name, getattr(told, self.kind), strict=True)
+        )
         self.heard.append(dict(values))
 
     def drive(self, value, driven=(True, False)):

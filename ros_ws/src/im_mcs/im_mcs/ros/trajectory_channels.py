@@ -25,7 +25,7 @@ _ENDS = {
     FollowJointTrajectory.Result.SUCCESSFUL: "another client's goal, or a cancel, ended it",
     FollowJointTrajectory.Result.INVALID_GOAL: "it is no goal that the robot can follow",
     FollowJointTrajectory.Result.INVALID_JOINTS: "its joints are not those of the controller",
-    FollowJointTrajectory.Result.OLD_HEADER_TIMESTAMP: "it began in the past: the clocks differ, or delay_s is too short",
+    FollowJointTrajectory.Result.OLD_HEADER_TIMESTAMP: "it began in the past: clocks differ, or delay_s is short",
     FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED: "the robot left the path by more than it tolerates",
     FollowJointTrajectory.Result.GOAL_TOLERANCE_VIOLATED: "the robot missed the end by more than it tolerates",
 }
@@ -50,10 +50,14 @@ class TrajectoryChannels(TopicChannels):
         self._number = int(self._link.course.read()["number"])  # of a course from before nothing is sent
         self._client = GuardedActionClient(self, FollowJointTrajectory, command)
         self._canceller = self.create_client(CancelGoal, f"{command}/_action/cancel_goal")
+        self._orphaned = float(self._link.command.read()["at"]) > 0.0  # goals of a process before this one go on
         self._count_servers()
         self.create_timer(_LOOK_S, self._count_servers)
 
     def _count_servers(self) -> None:
+        if self._orphaned and self._canceller.service_is_ready():
+            self._orphaned = False
+            self._cancel()
         count = self.count_publishers(f"{self._action}/_action/status")
         told = {0: f"there is no server of {self._action}", 1: ""}
         self._note_fault("servers", told.get(count, f"there are {count} servers of {self._action}; 1 is needed"))

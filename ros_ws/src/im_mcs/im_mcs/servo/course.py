@@ -1,4 +1,4 @@
-"""Courses of joints that a robot's own trajectory controller moves: the motion under way up to its end, as far as known.
+"""Courses of joints that a robot's own trajectory controller moves: the motion under way, up to its end.
 
 A course is made where a motion begins, or its rate changes: a pause, a stop, a motion that takes over.
 """
@@ -43,7 +43,8 @@ class Courses:
         if not groups:
             self._plan, self._end = [], None
             return None, []
-        findings, plan, planners = [], [], []
+        findings, planners = [], []
+        plan: list[object] = []
         for group in groups:
             try:
                 plan += group.planner.plan

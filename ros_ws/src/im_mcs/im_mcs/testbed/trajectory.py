@@ -11,10 +11,10 @@ from im_mcs.testbed.joint_state import JointStateDriver
 class TrajectoryDriver(JointStateDriver):
     """Positions from a topic of joint states, courses to an action ``control_msgs/action/FollowJointTrajectory``.
 
-    A motion is one goal. Where its rate changes, as in a pause or a stop on the path, a goal with the rest of the motion
-    takes over, which begins where the one before would be then. An emergency stop cancels. Goals have no tolerances:
-    the vendor's hold. A goal that is refused, or ends before its end, and an action with no server or several, are
-    faults. The goal runs ``delay_s`` after the setpoints, which the bound of the following error has to allow.
+    A motion is one goal. Where its rate changes, as in a pause or a stop on the path, a goal with the rest of the
+    motion takes over, which begins where the one before would be then. An emergency stop cancels. Goals have no
+    tolerances: the vendor's hold. A goal that is refused, or that ends otherwise than at its end, and an action with no
+    server or several, are faults. The goal runs ``delay_s`` after the setpoints, which the bound of the following error has to allow.
 
     Args:
         instance: Which machine on this host.

@@ -146,7 +146,7 @@ class PathFollower:
         return ramp_s + max(self.trajectory.duration - sigma, 0.0) / self._clock.rate
 
     def course(self, t: NDArray[np.float64]) -> Setpoint:
-        """Return the setpoints at times from the last knot on, shape (m,) [s], if nothing changes: shape (m, n) each."""
+        """Return the setpoints at times after the last knot, shape (m,) [s], if nothing changes: shape (m, n) each."""
         if self._brake is not None:
             return self._brake[0].span(np.minimum(self._t + t, self._brake[0].duration))
         sigma, rate, change = self._clock.span(self._t + t)
