@@ -229,6 +229,7 @@ def test_servers_are_counted(vendor, config, without_testbed):
 def test_a_process_that_dies_leaves_no_goal_behind(vendor, config, without_testbed):
     client = follow(vendor, config, without_testbed)
     _, result = client.start_far_move()
+    client.until(lambda: np.abs(np.array(client.group_state().q) - client.home).max() > 0.05)
     (bridge,) = [
         int(entry.name)
         for entry in Path("/proc").glob("[0-9]*")

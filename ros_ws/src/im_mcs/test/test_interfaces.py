@@ -6,6 +6,7 @@ import yaml
 
 from im_core.config import package_file
 from im_core.errors import ConfigError
+from im_mcs.client.controllers import listed_controllers
 from im_mcs.limits.configuration import load_config
 
 LEFT = slice(0, 9)
@@ -179,3 +180,9 @@ def test_combinations_that_do_not_fit_are_refused_by_name_and_line(tmp_path, cha
 def test_laws_of_another_kind_are_no_laws_of_the_group(tmp_path):
     config = load_config(file_of(tmp_path, all_of("velocity")))
     assert list(config.parameters_of_laws("left")) == [LAWS["velocity"]["controller"]]
+
+
+def test_controllers_write_what_the_slots_take(tmp_path):
+    config = load_config(file_of(tmp_path, all_of("velocity")))
+    law = next(each for each in listed_controllers(config, {}, {}) if each.name == "left_SetpointVelocity")
+    assert law.commands == tuple(f"{joint}/velocity" for joint in config.groups["left"].joints)

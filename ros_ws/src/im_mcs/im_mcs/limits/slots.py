@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -132,9 +133,14 @@ def interface_of(law: str) -> Interface:
     A law that cannot be loaded counts as one of torques; what makes it says why it cannot be.
     """
     try:
-        found = plugins.load(law, None, "controller")
+        return _interface_of(law)
     except ConfigError:
         return "effort"
+
+
+@cache
+def _interface_of(law: str) -> Interface:
+    found = plugins.load(law, None, "controller")
     return next((kind for kind, method in LAW_METHODS.items() if hasattr(found, method)), "effort")
 
 

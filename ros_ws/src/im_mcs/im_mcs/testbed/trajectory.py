@@ -14,7 +14,8 @@ class TrajectoryDriver(JointStateDriver):
     A motion is one goal. Where its rate changes, as in a pause or a stop on the path, a goal with the rest of the
     motion takes over, which begins where the one before would be then. An emergency stop cancels. Goals have no
     tolerances: the vendor's hold. A goal that is refused, or that ends otherwise than at its end, and an action with no
-    server or several, are faults. The goal runs ``delay_s`` after the setpoints, which the bound of the following error has to allow.
+    server or several, are faults. The goal runs ``delay_s`` after the setpoints, for which the bound of the following
+    error needs room.
 
     Args:
         instance: Which machine on this host.
