@@ -141,7 +141,7 @@ class TopicChannels(GuardedNode):
     # commands
 
     def _open(self, command: str) -> None:
-        """Make what commands are told with."""
+        """Make the publisher of commands."""
         self._publisher = self.create_publisher(
             JointState if self._order is None else Float64MultiArray, command, qos.NEWEST
         )

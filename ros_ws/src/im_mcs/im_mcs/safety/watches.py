@@ -366,7 +366,7 @@ class Supervisor:
         reservations: Reservations,
         faults: Callable[[], Sequence[str]],
     ) -> "Supervisor":
-        """The watches of a configuration; ``faults`` gives what the hardware says of itself."""
+        """The watches of a configuration; ``faults`` gives the faults reported by hardware."""
         safety, servo = config.safety, config.servo
         return cls(
             (

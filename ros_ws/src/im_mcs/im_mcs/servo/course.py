@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, StateError
 from im_mcs.safety import Reaction, SafetyFinding
 from im_mcs.servo.group import ControlledGroup
-from im_mcs.testbed import Course
+from im_mcs.testbed import PlannedCourse
 
 _STEP_S = 0.05
 _MOST_POINTS = 1900
@@ -32,7 +32,7 @@ class Courses:
 
     def update(
         self, engaged: Sequence[ControlledGroup], command: NDArray[np.float64]
-    ) -> tuple[Course | None, list[SafetyFinding]]:
+    ) -> tuple[PlannedCourse | None, list[SafetyFinding]]:
         """Return a course, if it is another one than before; and findings for motions without one.
 
         Args:
@@ -68,4 +68,4 @@ class Courses:
             q[:, place], v[:, place] = states.q, states.v
         v[-1] = 0.0
         self._end = q[-1]
-        return Course(times, q, v), []
+        return PlannedCourse(times, q, v), []

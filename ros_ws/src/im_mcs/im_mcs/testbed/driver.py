@@ -57,7 +57,7 @@ class Drive(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
-class Course(NamedTuple):
+class PlannedCourse(NamedTuple):
     """Positions of joints from now on until they rest, if nothing changes.
 
     Attributes:
@@ -137,7 +137,7 @@ class TimeKeeper(Protocol):
 class CourseFollower(Protocol):
     """Driver of a robot that follows whole trajectories by itself; power and brakes are its only commands besides."""
 
-    def follow(self, course: Course) -> None:
+    def follow(self, course: PlannedCourse) -> None:
         """Follow a course from now on, in place of the one before.
 
         Raises:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from im_core.errors import ImError, LinkError
-from im_mcs.testbed import Course, Drive, Measured, TestbedInterface
+from im_mcs.testbed import PlannedCourse, Drive, Measured, TestbedInterface
 
 Given = ParamSpec("Given")
 ResultT = TypeVar("ResultT")
@@ -74,7 +74,7 @@ class GuardedTestbed:
         """
         _guard("write", self._testbed.write, drive)
 
-    def follow(self, course: Course) -> None:
+    def follow(self, course: PlannedCourse) -> None:
         """Give a course to the drivers that follow one.
 
         Raises:

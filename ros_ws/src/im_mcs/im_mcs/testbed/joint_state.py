@@ -21,7 +21,7 @@ _POLL_S, _AGAIN_S = 0.01, 1.0
 
 
 class FaultTopic(Model):
-    """Topic on which a robot, or what watches it, says that it does not work.
+    """Topic of faults of a robot, told by the robot or by its watch.
 
     With ``status`` it is one of ``diagnostic_msgs/DiagnosticArray``: an error, or a stale status, is a fault.
     """
@@ -188,7 +188,7 @@ class JointStateDriver:
         self._tick += 1
 
     def faults(self) -> list[ReportedFault]:
-        """Return what the fault topics tell.
+        """Return the faults of the fault topics.
 
         Raises:
             LinkError: The robot, or the process, has been silent for too long.

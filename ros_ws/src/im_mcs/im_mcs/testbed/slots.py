@@ -11,7 +11,7 @@ from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import (
     ChannelDriver,
-    Course,
+    PlannedCourse,
     CourseFollower,
     Drive,
     HostedHardware,
@@ -150,10 +150,10 @@ class TestbedInterface:
 
     @property
     def followed(self) -> list[int]:
-        """Ranks of the joints whose drivers follow courses."""
+        """Ranks of the joints on drivers that follow courses."""
         return [rank for part in self._parts if part.follows for rank in part.joints[0].tolist()]
 
-    def follow(self, course: Course) -> None:
+    def follow(self, course: PlannedCourse) -> None:
         """Give a course to the drivers that follow one.
 
         Raises:
@@ -222,14 +222,14 @@ class _Part:
         """Whether the driver follows courses."""
         return isinstance(self.driver, CourseFollower)
 
-    def follow(self, course: Course) -> None:
+    def follow(self, course: PlannedCourse) -> None:
         """Give the driver its part of a course, if it follows one."""
         if isinstance(self.driver, CourseFollower):
             slots, channels = self.joints
             q = np.zeros((len(course.seconds), self.driver.n_joints))
             v = np.zeros_like(q)
             q[:, channels], v[:, channels] = course.q[:, slots], course.v[:, slots]
-            self.driver.follow(Course(course.seconds, q, v))
+            self.driver.follow(PlannedCourse(course.seconds, q, v))
 
     def drive(self, drive: Drive) -> Drive:
         """Return the driver's part of ``drive``, in the order of the channels."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from im_core.errors import ConfigError
 from im_mcs.limits.slots import Interface
-from im_mcs.testbed.driver import Course
+from im_mcs.testbed.driver import PlannedCourse
 from im_mcs.testbed.joint_state import JointStateDriver
 
 
@@ -60,7 +60,7 @@ class TrajectoryDriver(JointStateDriver):
         """Return the delay of goals."""
         return {"delay_s": self._delay_s}
 
-    def follow(self, course: Course) -> None:
+    def follow(self, course: PlannedCourse) -> None:
         """Send a goal, unless no joint is driven."""
         self._number += 1
         record, count = self._link.course.record(), len(course.seconds)
