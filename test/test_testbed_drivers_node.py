@@ -13,7 +13,8 @@ import pytest
 from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.testbed.driver import Drive
-from im_mcs.testbed.joint_state import JointStateDriver
+from im_mcs.testbed.joint_state import CommandTopicDriver, JointStateDriver
+from support.vendor_robot import UR5E, UR5E_HOME
 
 INSTANCE = f"imtopics{os.getpid()}"
 JOINTS = ["shoulder", "elbow"]
@@ -161,3 +162,32 @@ def test_a_robot_that_says_nothing_is_told_apart_from_one_that_lacks_a_joint():
 def test_a_fault_topic_of_an_unknown_kind_is_named(fault, message):
     with pytest.raises(LinkError, match=f"'/nobody/state' ended with code 1: {message}"):
         JointStateDriver(INSTANCE, 60.0, {}, ["elbow"], "/nobody/state", "/nobody/command", faults=[fault])
+
+
+def test_the_robot_of_the_tutorial_goes_where_it_is_told_and_stands_when_power_goes(process):
+    process(sys.executable, "-m", "support.vendor_robot")
+    driver = CommandTopicDriver(
+        INSTANCE,
+        60.0,
+        dict.fromkeys(range(6), "position"),
+        UR5E[::-1],
+        "/joint_states_of_vendor",
+        "/forward_position_controller/commands",
+        command_joints=UR5E,
+        period_s=0.008,
+        silence_s=10.0,
+    )
+    try:
+        begin = driver.read().q
+        np.testing.assert_allclose(begin, UR5E_HOME[::-1], atol=1e-9)
+        free, deadline = np.zeros(6, dtype=bool), clock.monotonic() + 60.0
+        while np.abs(driver.read().q - begin - 0.2).max() > 1e-3 and clock.monotonic() < deadline:
+            driver.write(Drive(begin + 0.2, True, free, NOTHING, True, NOTHING))
+            clock.sleep(0.008)
+        np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
+        for _ in range(50):
+            driver.write(Drive(begin, False, free, NOTHING, True, NOTHING))
+            clock.sleep(0.008)
+        np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
+    finally:
+        driver.close()

@@ -25,11 +25,11 @@ class Robot:
         heard: Commands that the robot was given, each by joint.
     """
 
-    def __init__(self, ros, kind="effort", order=None, faults=()):
+    def __init__(self, ros, kind="effort", order=None, faults=(), kinds=None):
         self.link, self.node = TopicLink.create(NAME, TopicLink.layout(2)), GuardedNode("robot")
         self.kind, self.order, self.heard = kind, order, []
         self.channels = TopicChannels(
-            NAME, JOINTS, [kind] * 2, "/robot/state", "/robot/command", 10.0, faults=faults, order=order
+            NAME, JOINTS, kinds or [kind] * 2, "/robot/state", "/robot/command", 10.0, faults=faults, order=order
         )
         self.publisher = self.node.create_publisher(JointState, "/robot/state", 10)
         message_type = JointState if order is None else Float64MultiArray
@@ -40,7 +40,7 @@ class Robot:
         values = (
             zip(self.order, told.data, strict=True)
             if self.order
-            else zip(told.name, getattr(told, self.kind), strict=True)
+            else zip(told.name, getattr(told, self.kind), strict=False)
         )
         self.heard.append(dict(values))
 
@@ -149,3 +149,16 @@ def test_fault_topics_say_what_is_wrong_until_it_is_not(robot, wait_until):
     )
     stop.publish(Bool(data=False))
     wait_until(lambda: health.publish(say(DiagnosticStatus.OK)) or faults() == "", "no fault")
+
+
+def test_commands_of_two_kinds_are_two_messages(robot, wait_until):
+    robot = robot(kinds=["effort", "velocity"], kind="velocity")
+    efforts = []
+    robot.node.create_subscription(
+        JointState, "/robot/command", lambda told: efforts.append((list(told.name), list(told.effort))), 10
+    )
+    both = (True, True)
+    wait_until(lambda: robot.drive([4.0, 0.5], both) or {"y": 0.5} in robot.heard, "a velocity")
+    wait_until(lambda: robot.drive([4.0, 0.5], both) or (["x"], [4.0]) in efforts, "an effort")
+    wait_until(lambda: robot.drive([4.0, 0.5], (False, False)) or robot.heard[-1] == {"y": 0.0}, "velocity 0")
+    assert (["x"], [0.0]) not in efforts

@@ -1,5 +1,7 @@
 """Slots that take velocities or positions: laws that fit, no leap, and what each kind does when it is stopped."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -186,3 +188,65 @@ def test_controllers_write_what_the_slots_take(tmp_path):
     config = load_config(file_of(tmp_path, all_of("velocity")))
     law = next(each for each in listed_controllers(config, {}, {}) if each.name == "left_SetpointVelocity")
     assert law.commands == tuple(f"{joint}/velocity" for joint in config.groups["left"].joints)
+
+
+class Runaway:
+    """A position law that wants the joints ever further out."""
+
+    def __init__(self, setup):
+        self.far = 0.0
+
+    def reset(self):
+        self.far = 0.0
+
+    def hold_integral(self, hold):
+        pass
+
+    def position(self, given):
+        self.far += 1.0
+        return given.q + self.far
+
+
+def test_no_law_of_positions_makes_a_joint_leap_or_leave_its_range(tmp_path, make_bench, monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    change = all_of("position")
+
+    def wild(data):
+        change(data)
+        data["control"] = {"controller": "test_interfaces:Runaway"}
+        data["limits"].update(following_error_rad=99.0, following_error_m=99.0)
+
+    bench = make_bench(load_config(file_of(tmp_path, wild)))
+    bench.to_motion("left")
+    limits, commands = bench.mcs.limits, []
+    for _ in range(1000):
+        bench.mcs.tick([])
+        commands.append(bench.driver.drive.command.copy())
+    bound = limits.ceiling.velocity * bench.mcs.config.servo.period_s * 1.1
+    assert (np.abs(np.diff(commands, axis=0)) <= bound + 1e-9).all()
+    assert (np.array(commands)[:, LEFT] <= limits.upper[LEFT] + 1e-9).all()
+    assert bench.mcs.saturations.counts[:, LEFT].sum() > 100
+
+
+def test_groups_of_both_kinds_move_at_once_and_stop_each_in_its_way(tmp_path, make_bench, frictionless, cell):
+    def change(data):
+        for slot in data["slots"][9:18]:
+            slot["interface"] = "position"
+        data["presets"] = {"2x9": data["presets"]["2x9"]}
+        data["control"]["parameters"] = frictionless.control.parameters
+        data["group_control"] = {"right": LAWS["position"]}
+
+    bench = make_bench(load_config(file_of(tmp_path, change)))
+    bench.to_motion("left", "right")
+    for group, side in (("left", LEFT), ("right", slice(9, 18))):
+        target = (cell.home[side] + 0.2).tolist()
+        bench.send("move", group=group, path={"kind": "joint", "points": [target], "blend": 0.0})
+    for _ in range(150):
+        bench.mcs.tick([])
+    assert (np.abs(bench.driver.v) > 0.01).all()
+    assert bench.mcs.tau[LEFT].any()
+    assert not bench.mcs.tau[9:].any()
+    here = bench.driver.q.copy()
+    bench.send("estop", reason="red button")
+    np.testing.assert_array_equal(bench.driver.drive.command[LEFT], np.zeros(9))
+    np.testing.assert_array_equal(bench.driver.drive.command[9:], here[9:])

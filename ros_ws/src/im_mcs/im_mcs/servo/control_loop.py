@@ -207,10 +207,11 @@ class ControlLoop:
             own = group.command(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
             wanted[group.place] = own
         least, largest = self._least, self._largest
-        if self._positions:  # no law makes a joint leap
-            least, largest = least.copy(), largest.copy()
-            least[self._positions] += before[self._positions]
-            largest[self._positions] += before[self._positions]
+        if self._positions:  # no law makes a joint leap, or leave its range
+            least, largest, ranks = least.copy(), largest.copy(), self._positions
+            last, limits = before[ranks], self._limits
+            least[ranks] = np.maximum(least[ranks] + last, np.minimum(limits.lower[ranks], last))
+            largest[ranks] = np.minimum(largest[ranks] + last, np.maximum(limits.upper[ranks], last))
         self.command = np.minimum(np.maximum(wanted, least), largest)
         cut = self.command != wanted
         if 1 in cut.tobytes():

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from im_core.errors import ImError, LinkError
-from im_mcs.testbed import PlannedCourse, Drive, Measured, TestbedInterface
+from im_mcs.testbed import Drive, Measured, PlannedCourse, TestbedInterface
 
 Given = ParamSpec("Given")
 ResultT = TypeVar("ResultT")

@@ -11,11 +11,11 @@ from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import (
     ChannelDriver,
-    PlannedCourse,
     CourseFollower,
     Drive,
     HostedHardware,
     Measured,
+    PlannedCourse,
     SelfReporting,
     TimeKeeper,
     load_driver,
