@@ -238,12 +238,12 @@ def test_groups_of_both_kinds_move_at_once_and_stop_each_in_its_way(tmp_path, ma
 
     bench = make_bench(load_config(file_of(tmp_path, change)))
     bench.to_motion("left", "right")
-    for group, side in (("left", LEFT), ("right", slice(9, 18))):
-        target = (cell.home[side] + 0.2).tolist()
+    for group, side, far in (("left", LEFT, 0.2), ("right", slice(9, 18), -0.2)):
+        target = (cell.home[side] + far).tolist()
         bench.send("move", group=group, path={"kind": "joint", "points": [target], "blend": 0.0})
     for _ in range(150):
         bench.mcs.tick([])
-    assert (np.abs(bench.driver.v) > 0.01).all()
+    assert (np.abs(bench.driver.v) > 0.01).all(), str(bench.reply(6))
     assert bench.mcs.tau[LEFT].any()
     assert not bench.mcs.tau[9:].any()
     here = bench.driver.q.copy()
