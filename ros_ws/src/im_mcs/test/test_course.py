@@ -1,6 +1,7 @@
 """Courses for a robot that follows trajectories by itself: what they say is what the setpoints then do."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 
@@ -105,3 +106,44 @@ def test_a_stream_is_refused_by_name(followed, cell):
     assert "trajectory controller cannot follow: the end of this motion is not known" in str(followed.events)
     assert followed.courses == []
     assert number
+
+
+def test_a_line_and_a_motion_that_takes_over_are_courses(followed, cell, model):
+    pose = model.pose(cell.home, "left_wrist")
+    place = [*(pose.translation - [0.0, 0.0, 0.15]).tolist(), *pin.Quaternion(pose.rotation).coeffs().tolist()]
+    followed.send("move", group="left", path={"kind": "line", "poses": [place], "speed": 0.1, "blend": 0.0})
+    followed.setpoints[followed.mcs.measured.tick] = followed.mcs.setpoint.copy()
+    run(followed, 250)
+    (line,) = followed.courses
+    at = followed.mcs.measured.tick
+    check(followed, line, at)
+    q = cell.home.copy()
+    q[LEFT] = line[1].q[-1, LEFT]
+    np.testing.assert_allclose(model.pose(q, "left_wrist").translation, place[:3], atol=1e-5)
+    target = cell.home[LEFT] - 0.1
+    path = {"kind": "joint", "points": [target.tolist()], "blend": 0.0}
+    followed.send("move", group="left", path=path, policy="replace")
+    followed.setpoints[followed.mcs.measured.tick] = followed.mcs.setpoint.copy()
+    run(followed, 1500)
+    check(followed, followed.courses[-1], max(followed.setpoints))
+    np.testing.assert_allclose(followed.courses[-1][1].q[-1, LEFT], target, atol=1e-6)
+
+
+def test_two_groups_are_in_one_course_and_each_ends_in_its_time(followed, cell):
+    followed.to_motion("right")
+    begin(followed, cell, 0.5)
+    run(followed, 100)
+    right = cell.home[9:] - 0.1
+    followed.send("move", group="right", path={"kind": "joint", "points": [right.tolist()], "blend": 0.0})
+    followed.setpoints[followed.mcs.measured.tick] = followed.mcs.setpoint.copy()
+    run(followed, 1500)
+    course = followed.courses[-1][1]
+    np.testing.assert_allclose(course.q[-1], np.concatenate([cell.home[LEFT] + 0.5, right]), atol=1e-6)
+    check(followed, followed.courses[-1], max(followed.setpoints))
+    followed.send("estop", reason="red button")
+    run(followed, 10)
+    followed.ask("reset")
+    followed.to_motion("left")
+    count = len(followed.courses)
+    run(followed, 200)
+    assert len(followed.courses) == count, "an arm that stands needs no goal"
