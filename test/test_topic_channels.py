@@ -123,7 +123,7 @@ def test_a_controller_without_a_place_to_stand_is_told_nothing(robot, wait_until
 
 
 def test_fault_topics_say_what_is_wrong_until_it_is_not(robot, wait_until):
-    watched = [{"topic": "/robot/estop"}, {"topic": "/diagnostics", "status": "arm"}]
+    watched = [{"topic": "/robot/estop"}, {"topic": "/diagnostics", "status": "arm", "silence_s": 1.0}]
     robot = robot(faults=watched)
 
     def faults():
@@ -142,13 +142,15 @@ def test_fault_topics_say_what_is_wrong_until_it_is_not(robot, wait_until):
     stop.publish(Bool(data=False))
     wait_until(lambda: health.publish(say(DiagnosticStatus.WARN)) or faults() == "", "no fault")
     stop.publish(Bool(data=True))
-    wait_until(lambda: faults() == "/robot/estop data is True", "the fault")
+    wait_until(lambda: health.publish(say(DiagnosticStatus.OK)) or faults() == "/robot/estop data is True", "the fault")
     told = "/robot/estop data is True; /diagnostics arm: safety: protective stop"
     wait_until(
         lambda: health.publish(say(DiagnosticStatus.ERROR, "protective stop")) or faults() == told, "the second one"
     )
     stop.publish(Bool(data=False))
     wait_until(lambda: health.publish(say(DiagnosticStatus.OK)) or faults() == "", "no fault")
+    wait_until(lambda: faults() == "nothing was heard of /diagnostics arm for 1 s", "its silence")
+    wait_until(lambda: health.publish(say(DiagnosticStatus.OK)) or faults() == "", "no fault again")
 
 
 def test_commands_of_two_kinds_are_two_messages(robot, wait_until):

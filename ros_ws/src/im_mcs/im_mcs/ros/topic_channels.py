@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
+from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -68,6 +69,7 @@ class TopicChannels(GuardedNode):
         self._received = self._link.received.record()
         self._lock = threading.Lock()
         self._faults: dict[str, str] = {}
+        self._silent: dict[str, Timer] = {}
         self._place = self._stand = np.full(len(joints), np.nan)
         self._driven = self._standing = np.zeros(len(joints), dtype=np.bool_)
         self._stand_until = 0.0
@@ -117,6 +119,8 @@ class TopicChannels(GuardedNode):
         if fault.status is None and not hasattr(message_type(), fault.field):
             raise LinkError(f"fault topic '{fault.topic}': {fault.type} has no field '{fault.field}'")
         self._note_fault(key, f"nothing was heard of {key}")
+        if fault.silence_s is not None:
+            self._silent[key] = self.create_timer(fault.silence_s, partial(self._note_silence, key, fault.silence_s))
         for profile in (qos.SENSOR, qos.LATCHED):
             self.create_subscription(message_type, fault.topic, take, profile)
 
@@ -130,7 +134,13 @@ class TopicChannels(GuardedNode):
             bad = [status for status in ours if status.level >= DiagnosticStatus.ERROR]
             self._note_fault(key, "; ".join(f"{fault.topic} {status.name}: {status.message}" for status in bad))
 
+    def _note_silence(self, key: str, silence_s: float) -> None:
+        if not self._faults[key]:
+            self._note_fault(key, f"nothing was heard of {key} for {silence_s:g} s")
+
     def _note_fault(self, key: str, told: str) -> None:
+        if key in self._silent:
+            self._silent[key].reset()
         if self._faults.get(key) == told:
             return
         self._faults[key] = told

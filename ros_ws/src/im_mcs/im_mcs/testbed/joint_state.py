@@ -32,6 +32,7 @@ class FaultTopic(Model):
     good: tuple[bool | int | float | str, ...] = pydantic.Field(
         default=(False,), min_length=1, description="values of the field with which the robot works"
     )
+    silence_s: float | None = pydantic.Field(default=None, gt=0, description="silence that is a fault, too [s]")
     status: str | None = pydantic.Field(default=None, min_length=1, description="begin of the name of a status")
 
 
