@@ -155,7 +155,7 @@ def test_a_robot_that_says_nothing_is_told_apart_from_one_that_lacks_a_joint():
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        ({"topic": "/a", "field": "mode"}, "fault topic '/a': std_msgs/msg/Bool has no field 'mode'"),
+        ({"topic": "/a", "field": "mode"}, "topic '/a': std_msgs/msg/Bool has no field 'mode'"),
         ({"topic": "/a", "type": "no_msgs/msg/Mode"}, "there is no package with msg types 'no_msgs'"),
     ],
 )

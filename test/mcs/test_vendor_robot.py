@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool
 
 from im_cell.robot import load_cell
@@ -61,6 +62,7 @@ def config(tmp_path):
         }
         if kind == "trajectory":
             settings |= {"action": "/vendor_controller/follow_joint_trajectory", "delay_s": 0.3}
+            settings |= {"speed": {"topic": "/vendor/speed_scaling"}}
             driver = {"driver": "im_mcs.testbed.trajectory:TrajectoryDriver", "settings": settings}
         else:
             settings |= {"command_topic": f"/forward_{kind}_controller/commands", "command_joints": ORDER}
@@ -250,3 +252,23 @@ def command_of(entry):
         return (entry / "cmdline").read_bytes()
     except OSError:
         return b""
+
+
+def test_a_vendor_that_slows_down_and_halts_by_its_slider_is_gone_along_with(vendor, config, without_testbed):
+    vendor("trajectory")
+    client = without_testbed(config=config("trajectory"), use_sim_time=False)  # a following error would be noticed
+    to_motion(client)
+    slider = client.node.create_publisher(Float64, "/vendor/slider", qos.LATCHED)
+    client.until(slider.get_subscription_count)
+    far = client.home + 0.4
+    _, result = client.start_move(far)
+    client.until(lambda: np.abs(np.array(client.group_state().q) - client.home).max() > 0.02)
+    slider.publish(Float64(data=0.4))
+    client.until(lambda: np.abs(np.array(client.group_state().q) - client.home).max() > 0.1)
+    slider.publish(Float64(data=0.0))
+    stood = stands(client)
+    assert np.abs(stood - far).max() > 0.05
+    assert client.state() == "motion"
+    slider.publish(Float64(data=1.0))
+    assert result().success
+    np.testing.assert_allclose(stands(client), far, atol=0.01)

@@ -5,7 +5,8 @@ its own order, and a topic of commands as a ``forward_command_controller`` of ro
 ``joint_trajectory_controller``. Each joint is a position servo, a first-order lag with a largest speed; the last
 command stays in force. ``/vendor/safety`` says whether it stands in a protective stop, which
 ``/vendor/protective_stop`` begins and ends; commands of that time are forgotten. ``/vendor/block`` holds the joints,
-``/vendor/refuse`` lets it take no goal.
+``/vendor/refuse`` lets it take no goal. A trajectory's clock goes at the share of ``/vendor/slider``, told in percent
+on ``/vendor/speed_scaling``.
 """
 
 import argparse
@@ -20,7 +21,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool
 
 from im_core import clock
@@ -73,6 +74,9 @@ class VendorRobot(GuardedNode):
         self.joints, self.kind, self.speed, self.lost = joints, kind, speed, lost
         self.q = np.array(home)
         self.target, self.velocity = self.q.copy(), np.zeros(len(joints))
+        self.speeds = self.create_publisher(Float64, "/vendor/speed_scaling", qos.LATCHED)
+        self.create_subscription(Float64, "/vendor/slider", self.slide, qos.LATCHED)
+        self.slide(Float64(data=1.0))
         self.stopped = self.blocked = self.refusing = False
         self.tolerance, self.active = tolerance, None
         self.random, self.last = np.random.default_rng(1), clock.monotonic()
@@ -113,6 +117,11 @@ class VendorRobot(GuardedNode):
         self.safety.publish(Bool(data=self.stopped))
         response.success = True
         return response
+
+    def slide(self, message: Float64) -> None:
+        """Let trajectories go slower."""
+        self.scaling = message.data
+        self.speeds.publish(Float64(data=100.0 * self.scaling))
 
     def switch(self, name, request, response):
         """Block the joints, or refuse goals."""
@@ -167,7 +176,8 @@ class VendorRobot(GuardedNode):
         if active.handle.is_cancel_requested:
             self.finish("canceled")
             return
-        self.target, self.velocity = active.at(now)
+        self.target, velocity = active.at(now)
+        self.velocity = velocity * self.scaling
         error, over = np.abs(self.target - self.q).max(), now - active.begin - active.times[-1]
         if over < 0.0 and error > self.tolerance:
             self.finish("aborted", -4, "Aborted due to path tolerance violation")
@@ -181,6 +191,7 @@ class VendorRobot(GuardedNode):
         now = clock.monotonic()
         dt, self.last = now - self.last, now
         if self.active is not None:
+            self.active.begin += dt * (1.0 - self.scaling)
             self.follow(now)
         lagging = (self.target - self.q) * -np.expm1(-dt / LAG_S)
         way = self.velocity * dt if self.kind == "velocity" else lagging

@@ -24,6 +24,7 @@ def followed(tmp_path, make_bench, monkeypatch):
     path = tmp_path / "mcs.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     monkeypatch.setattr("im_mcs.testbed.loopback.LoopbackDriver.follow", lambda driver, course: None, raising=False)
+    monkeypatch.setattr("im_mcs.testbed.loopback.LoopbackDriver.speed", 1.0, raising=False)
     bench = make_bench(load_config(path))
     bench.courses = []
     bench.driver.follow = lambda course: bench.courses.append((bench.mcs.measured.tick, course))
@@ -147,3 +148,32 @@ def test_two_groups_are_in_one_course_and_each_ends_in_its_time(followed, cell):
     count = len(followed.courses)
     run(followed, 200)
     assert len(followed.courses) == count, "an arm that stands needs no goal"
+
+
+def test_a_robot_that_follows_slower_has_setpoints_at_its_speed(followed, cell):
+    """The robot's clock goes slower; the points of a course are reached at those times of its clock."""
+    begin(followed, cell, 0.5)
+    run(followed, 100)
+    followed.driver.speed = 0.5
+    run(followed, 250)
+    tick, course = followed.courses[-1]
+    assert followed.mcs.groups["left"].speed == pytest.approx(0.5, abs=1e-3)
+    run(followed, 2000)
+    here = (tick, course._replace(seconds=course.seconds / 0.5))
+    assert len([each for each, _ in followed.courses if each > tick]) == 0
+    check(followed, here, max(followed.setpoints))
+    np.testing.assert_allclose(course.q[-1, LEFT], cell.home[LEFT] + 0.5, atol=1e-6)
+
+
+def test_a_robot_that_halts_itself_halts_the_setpoints_and_goes_on(followed, cell):
+    begin(followed, cell, 0.5)
+    run(followed, 150)
+    followed.driver.speed = 0.0
+    run(followed, 600)
+    stood = followed.mcs.setpoint[0, LEFT].copy()
+    assert (np.abs(stood - cell.home[LEFT] - 0.5) > 0.05).all()
+    run(followed, 50)
+    np.testing.assert_array_equal(followed.mcs.setpoint[0, LEFT], stood)
+    followed.driver.speed = 1.0
+    run(followed, 1500)
+    np.testing.assert_allclose(followed.driver.q[LEFT], cell.home[LEFT] + 0.5, atol=1e-4)

@@ -6,7 +6,7 @@ The driver starts it and ends it; SETTINGS is JSON. It ends by itself when the d
 import json
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -67,6 +67,7 @@ class TopicChannels(GuardedNode):
         self._kinds = {kind: np.array([own == kind for own in kinds]) for kind in dict.fromkeys(kinds)}
         self._order = None if order is None else [self._channel[joint] for joint in order]
         self._received = self._link.received.record()
+        self._received["speed"] = 1.0
         self._lock = threading.Lock()
         self._faults: dict[str, str] = {}
         self._silent: dict[str, Timer] = {}
@@ -76,11 +77,11 @@ class TopicChannels(GuardedNode):
         try:
             for given in faults:
                 self._watch(FaultTopic.model_validate(given))
+            self._open(command)
         except Exception as error:
             self._received["broken"] = str(error).encode()[:512]
             self._link.received.write(self._received)
             raise
-        self._open(command)
         self.create_subscription(JointState, state, self._take, qos.SENSOR)
         self._running = True
         self._thread = threading.Thread(target=self._give, name="commands", daemon=True)
@@ -113,16 +114,27 @@ class TopicChannels(GuardedNode):
 
     def _watch(self, fault: FaultTopic) -> None:
         """Listen to a fault topic, also to the last message of a publisher that was there before."""
-        message_type = message_class(fault.type) if fault.status is None else DiagnosticArray
         key = f"{fault.topic} {fault.status or fault.field}"
         take = partial(self._take_fault if fault.status is None else self._take_diagnostics, fault, key)
-        if fault.status is None and not hasattr(message_type(), fault.field):
-            raise LinkError(f"fault topic '{fault.topic}': {fault.type} has no field '{fault.field}'")
+        message_type = DiagnosticArray
+        if fault.status is None:
+            message_type = self._class_of(fault.topic, fault.type, fault.field)
         self._note_fault(key, f"nothing was heard of {key}")
         if fault.silence_s is not None:
             self._silent[key] = self.create_timer(fault.silence_s, partial(self._note_silence, key, fault.silence_s))
+        self._listen(message_type, fault.topic, take)
+
+    @staticmethod
+    def _class_of(topic: str, name: str, field: str) -> Any:
+        """Return the class of a topic's messages, which must have a field."""
+        found = message_class(name)
+        if not hasattr(found(), field):
+            raise LinkError(f"topic '{topic}': {name} has no field '{field}'")
+        return found
+
+    def _listen(self, message_type: Any, topic: str, take: Callable[[Any], None]) -> None:
         for profile in (qos.SENSOR, qos.LATCHED):
-            self.create_subscription(message_type, fault.topic, take, profile)
+            self.create_subscription(message_type, topic, take, profile)
 
     def _take_fault(self, fault: FaultTopic, key: str, message: Any) -> None:
         value = getattr(message, fault.field)

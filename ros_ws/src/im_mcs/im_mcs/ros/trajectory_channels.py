@@ -1,6 +1,7 @@
 """Process of :class:`im_mcs.testbed.trajectory.TrajectoryDriver`: as :mod:`im_mcs.ros.topic_channels`, with goals."""
 
 import json
+import math
 import sys
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from im_core.ros import run as ros_run
 from im_core.ros.guard import GuardedActionClient
 from im_mcs.ros.topic_channels import TopicChannels
+from im_mcs.testbed.joint_state import SpeedTopic
 from im_mcs.testbed.trajectory import TrajectoryDriver
 
 _LOOK_S = 0.2
@@ -36,12 +38,14 @@ class TrajectoryChannels(TopicChannels):
 
     Args:
         delay_s: Time between a course and the begin of its goal [s]; 0: the goal begins when it arrives.
+        speed: Fields of the :class:`~im_mcs.testbed.joint_state.SpeedTopic`, if there is one.
         **settings: As of :class:`~im_mcs.ros.topic_channels.TopicChannels`; ``command`` is the name of the action.
     """
 
     points = TrajectoryDriver.points
 
-    def __init__(self, delay_s: float, **settings: Any) -> None:
+    def __init__(self, delay_s: float, speed: dict[str, Any] | None = None, **settings: Any) -> None:
+        self._scaling = None if speed is None else SpeedTopic.model_validate(speed)
         self._delay_s, self._goal, self._moves = delay_s, 0, False
         super().__init__(**settings)
 
@@ -51,8 +55,19 @@ class TrajectoryChannels(TopicChannels):
         self._client = GuardedActionClient(self, FollowJointTrajectory, command)
         self._canceller = self.create_client(CancelGoal, f"{command}/_action/cancel_goal")
         self._orphaned = float(self._link.command.read()["at"]) > 0.0  # goals of a process before this one go on
+        if (scaling := self._scaling) is not None:
+            self._note_fault(scaling.topic, f"nothing was heard of {scaling.topic}")
+            message_type = self._class_of(scaling.topic, scaling.type, scaling.field)
+            self._listen(message_type, scaling.topic, partial(self._take_speed, scaling))
         self._count_servers()
         self.create_timer(_LOOK_S, self._count_servers)
+
+    def _take_speed(self, scaling: SpeedTopic, message: Any) -> None:
+        self._note_fault(scaling.topic, "")
+        speed = float(getattr(message, scaling.field)) / scaling.full
+        with self._lock:
+            self._received["speed"] = min(max(speed, 0.0), 1.0) if math.isfinite(speed) else 0.0
+            self._link.received.write(self._received)
 
     def _count_servers(self) -> None:
         if self._orphaned and self._canceller.service_is_ready():

@@ -108,7 +108,8 @@ class Mcs:
         self.grippers = Grippers(
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
-        self._courses = Courses(testbed.followed) if testbed.followed else None
+        near = np.where(np.array(self.limits.units) == "m", config.planning.goal.m, config.planning.goal.rad)
+        self._courses = Courses(testbed.followed, near, config.servo.period_s) if testbed.followed else None
         self._dispatch = Dispatch(self)
         if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
@@ -137,6 +138,8 @@ class Mcs:
         self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
+        if self._courses is not None:
+            self._courses.scale(self.groups.values(), self._testbed.speed(), m.q)
         for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
@@ -352,7 +355,7 @@ class Mcs:
         )
 
     def _give_course(self, courses: Courses) -> None:
-        course, findings = courses.update(self.loop.engaged, self.loop.command)
+        course, findings = courses.update(self.loop.engaged, self.loop.command, self._testbed.speed())
         for finding in findings:
             self._react(finding)
         if course is not None:

@@ -33,6 +33,7 @@ EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]
 """A goal, why it ended badly if it did, and results: ``duration`` [s] of its motion, ``retimed`` if it took longer."""
 
 _CEILING_STEPS = 20
+_SCALING_STEP = 0.01
 
 
 class ControlledGroup:
@@ -336,12 +337,17 @@ class ControlledGroup:
         """Set the upper bound of the rate, in steps of 0.05 from 0.05 to 1; independent of the client's override."""
         self._rates.ceiling = max(int(scale * _CEILING_STEPS), 1) / _CEILING_STEPS
 
+    def set_scaling(self, scale: float) -> None:
+        """Set the share of the wanted speed with which the robot follows, 0 to 1; small changes are none."""
+        if scale in (0.0, 1.0) or abs(scale - self._rates.scaling) > _SCALING_STEP:
+            self._rates.scaling = scale
+
     def drop_goals(self) -> list[Goal]:
         """Forget every goal at once; the goals."""
         goals = list(self.goals)
         self._current = None
         self._queue.clear()
-        self._rates = Rates(override=self._rates.override)
+        self._rates = Rates(override=self._rates.override, scaling=self._rates.scaling)
         return goals
 
     # in every tick

@@ -137,6 +137,11 @@ class TimeKeeper(Protocol):
 class CourseFollower(Protocol):
     """Driver of a robot that follows whole trajectories by itself; power and brakes are its only commands besides."""
 
+    @property
+    def speed(self) -> float:
+        """Share of the wanted speed with which the robot follows now, 0 to 1."""
+        ...
+
     def follow(self, course: PlannedCourse) -> None:
         """Follow a course from now on, in place of the one before.
 

@@ -74,6 +74,14 @@ class GuardedTestbed:
         """
         _guard("write", self._testbed.write, drive)
 
+    def speed(self) -> float:
+        """Share of the wanted speed with which robots follow courses.
+
+        Raises:
+            LinkError: It is not told.
+        """
+        return _guard("speed", self._testbed.speed)
+
     def follow(self, course: PlannedCourse) -> None:
         """Give a course to the drivers that follow one.
 

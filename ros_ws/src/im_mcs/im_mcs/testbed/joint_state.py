@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pydantic
@@ -36,6 +36,15 @@ class FaultTopic(Model):
     status: str | None = pydantic.Field(default=None, min_length=1, description="begin of the name of a status")
 
 
+class SpeedTopic(Model):
+    """Topic on which a robot tells its speed scaling."""
+
+    topic: str = pydantic.Field(min_length=1)
+    type: str = pydantic.Field(default="std_msgs/msg/Float64", pattern=r"^\w+/msg/\w+$")
+    field: str = pydantic.Field(default="data", min_length=1)
+    full: float = pydantic.Field(default=100.0, gt=0, description="value at full speed")
+
+
 class TopicLink(SharedRecord):
     """Memory between driver and bridge: received readings one way, commands for publication the other.
 
@@ -53,11 +62,12 @@ class TopicLink(SharedRecord):
         """Return the fields of a link of ``n`` joints, and of courses of so many points.
 
         ``received``: positions, the wall times of the receipt (0: never) [s], the names of the last message, the
-        present faults, and why the bridge cannot work. ``command``: commands, the driven joints, and the time of
-        writing, monotonic clock [s]. ``course``: its number, points, times [s], positions and velocities.
+        present faults, why the bridge cannot work, and the share of full speed. ``command``: commands, the driven
+        joints, and the time of writing, monotonic clock [s]. ``course``: its number, points, times [s], positions and
+        velocities.
         """
         texts = [("named", "S1024"), ("faults", "S512"), ("broken", "S512")]
-        received = np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), *texts], align=True)
+        received = np.dtype([("q", "<f8", (n,)), ("at", "<f8", (n,)), *texts, ("speed", "<f8")], align=True)
         command = np.dtype([("value", "<f8", (n,)), ("driven", "?", (n,)), ("at", "<f8")], align=True)
         rows = [("seconds", "<f8", (points,)), ("q", "<f8", (points, n)), ("v", "<f8", (points, n))]
         course = np.dtype([("number", "<i8"), ("count", "<i8"), *rows], align=True)
@@ -134,7 +144,10 @@ class JointStateDriver:
             "state": state_topic,
             "command": command_topic,
             "silence_s": silence_s,
-            "faults": [_fault_topic(given, state_topic).model_dump() for given in faults],
+            "faults": [
+                checked_topic(FaultTopic, given, f"faults of the driver of topic '{state_topic}'").model_dump()
+                for given in faults
+            ],
             **self.encoding(interfaces),
         }
         self._settings = json.dumps(settings)
@@ -335,12 +348,20 @@ def _checked(joints: Sequence[str]) -> tuple[str, ...]:
     return names
 
 
-def _fault_topic(given: Mapping[str, object], topic: str) -> FaultTopic:
+TopicT = TypeVar("TopicT", FaultTopic, SpeedTopic)
+
+
+def checked_topic(model: type[TopicT], given: Mapping[str, object], where: str) -> TopicT:
+    """Return settings of a topic as the typed model.
+
+    Raises:
+        ConfigError: They are none; says where.
+    """
     try:
-        return FaultTopic.model_validate(given)
+        return model.model_validate(given)
     except pydantic.ValidationError as error:
-        told = "; ".join(f"{fault.field}: {fault.sentence}" for fault in faults(error, FaultTopic))
-        raise ConfigError(f"faults of the driver of topic '{topic}': {told}") from None
+        told = "; ".join(f"{fault.field}: {fault.sentence}" for fault in faults(error, model))
+        raise ConfigError(f"{where}: {told}") from None
 
 
 def _text(value: Any) -> str:

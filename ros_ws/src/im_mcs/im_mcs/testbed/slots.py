@@ -153,6 +153,11 @@ class TestbedInterface:
         """Ranks of the joints on drivers that follow courses."""
         return [rank for part in self._parts if part.follows for rank in part.joints[0].tolist()]
 
+    def speed(self) -> float:
+        """Share of the wanted speed with which robots follow courses: of the slowest."""
+        drivers = (part.driver for part in self._parts)
+        return min((driver.speed for driver in drivers if isinstance(driver, CourseFollower)), default=1.0)
+
     def follow(self, course: PlannedCourse) -> None:
         """Give a course to the drivers that follow one.
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from im_core.errors import ConfigError
 from im_mcs.limits.slots import Interface
 from im_mcs.testbed.driver import PlannedCourse
-from im_mcs.testbed.joint_state import JointStateDriver
+from im_mcs.testbed.joint_state import JointStateDriver, SpeedTopic, checked_topic
 
 
 class TrajectoryDriver(JointStateDriver):
@@ -25,6 +25,8 @@ class TrajectoryDriver(JointStateDriver):
         state_topic: Positions, from the robot.
         action: Name of the action.
         delay_s: Time for a goal to arrive, by clocks that agree [s]; 0: it begins when it arrives.
+        speed: Fields of :class:`~im_mcs.testbed.joint_state.SpeedTopic`, of a robot that may follow slower than it is
+            asked to: MCS goes along.
         period_s: Time between ticks [s].
         silence_s: A reading older than this, counted from its receipt, is a fault [s].
         faults: As of :class:`~im_mcs.testbed.joint_state.JointStateDriver`.
@@ -47,18 +49,26 @@ class TrajectoryDriver(JointStateDriver):
         state_topic: str,
         action: str,
         delay_s: float = 0.1,
+        speed: Mapping[str, object] | None = None,
         period_s: float = 0.0045,
         silence_s: float = 0.1,
         faults: Sequence[Mapping[str, object]] = (),
     ) -> None:
         if not delay_s >= 0.0:
             raise ConfigError(f"delay_s of the driver of action '{action}' is {delay_s}, not >= 0 [s]")
+        told = f"speed of the driver of action '{action}'"
+        self._scaling = None if speed is None else checked_topic(SpeedTopic, speed, told).model_dump()
         self._delay_s, self._number = delay_s, 0
         super().__init__(instance, timeout_s, interfaces, joints, state_topic, action, period_s, silence_s, faults)
 
     def encoding(self, interfaces: Mapping[int, Interface]) -> dict[str, object]:
-        """Return the delay of goals."""
-        return {"delay_s": self._delay_s}
+        """Return the delay of goals, and the topic of the speed."""
+        return {"delay_s": self._delay_s, "speed": self._scaling}
+
+    @property
+    def speed(self) -> float:
+        """Share of the wanted speed with which the robot follows, 0 to 1; 1 if it does not tell."""
+        return float(self._link.received.read()["speed"])
 
     def follow(self, course: PlannedCourse) -> None:
         """Send a goal, unless no joint is driven."""
