@@ -39,8 +39,8 @@ class Courses:
     def scale(self, groups: Iterable[ControlledGroup], speed: float, q: NDArray[np.float64]) -> None:
         """Let the setpoints of followed groups be as fast as the robot follows.
 
-        Where the robot had halted by itself, setpoints that have braked ahead of it wait until it is there, or should be
-        since long: then its error is judged.
+        Where the robot had halted by itself, setpoints that have braked ahead of it wait until it is there; after a
+        time they go on anyway, and its error is judged.
 
         Args:
             groups: All groups.
