@@ -250,3 +250,21 @@ def test_groups_of_both_kinds_move_at_once_and_stop_each_in_its_way(tmp_path, ma
     bench.send("estop", reason="red button")
     np.testing.assert_array_equal(bench.driver.drive.command[LEFT], np.zeros(9))
     np.testing.assert_array_equal(bench.driver.drive.command[9:], here[9:])
+
+
+def test_a_joint_without_a_reading_keeps_its_position(bench_of, cell):
+    bench = bench_of("position")
+    bench.to_motion("left")
+    read = bench.driver.read
+
+    def blind():
+        measured = read()
+        measured.q[4] = np.nan
+        return measured
+
+    bench.driver.read = blind
+    for _ in range(3):
+        bench.mcs.tick([])
+        np.testing.assert_allclose(bench.driver.drive.command, cell.home, atol=1e-6)
+    assert not bench.driver.drive.power
+    assert "gave no reading" in bench.mcs.manager.cause

@@ -198,9 +198,8 @@ class ControlLoop:
 
     def _control(self, m: Measured, v: NDArray[np.float64], setpoint: Setpoint) -> None:
         before = self.command
-        self.command = wanted = np.zeros(len(m.q))
-        if self._positions:
-            self._free(slice(None), m.q)
+        self.command = wanted = before.copy()
+        self._free(slice(None), m.q)
         gravity = self.model.gravity(m.q)
         for group in self.engaged:
             driven = self.torque_streams.torque(group.name)
@@ -228,9 +227,11 @@ class ControlLoop:
             q: Where all joints are, shape (n,) [rad or m].
         """
         self._q = q
-        before = self.command[self._positions]
-        free = np.zeros_like(self.command)
-        free[self._positions] = np.where(np.isfinite(q[self._positions]), q[self._positions], before)
+        if not self._positions:
+            self.command[place] = 0.0
+            return
+        before, free = self.command, np.zeros_like(self.command)
+        free[self._positions] = np.where(np.isfinite(q), q, before)[self._positions]
         self.command[place] = free[place]
 
 
