@@ -13,7 +13,8 @@ import pytest
 from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.testbed.driver import Drive
-from im_mcs.testbed.joint_state import JointStateDriver
+from im_mcs.testbed.joint_state import CommandTopicDriver, JointStateDriver
+from support.vendor_robot import UR5E, UR5E_HOME
 
 INSTANCE = f"imtopics{os.getpid()}"
 JOINTS = ["shoulder", "elbow"]
@@ -101,7 +102,7 @@ def standing(driver):
 def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
     with robot() as process:
         driver = JointStateDriver(
-            INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
+            INSTANCE, 60.0, {}, JOINTS, "/robot/state", "/robot/command", period_s=0.005, silence_s=SILENCE_S
         )
         try:
             measured = driver.read()
@@ -141,11 +142,52 @@ def test_a_robot_that_speaks_topics_moves_and_its_silence_is_a_fault():
 
 def test_a_joint_that_the_robot_does_not_have_is_named():
     with robot():
-        JointStateDriver(INSTANCE, 60.0, JOINTS, "/robot/state", "/robot/command").close()  # it has begun
+        JointStateDriver(INSTANCE, 60.0, {}, JOINTS, "/robot/state", "/robot/command").close()  # it has begun
         with pytest.raises(LinkError, match=r"nothing of joint wrist within 10 s; it names gripper, elbow, shoulder$"):
-            JointStateDriver(INSTANCE, 10.0, ["elbow", "wrist"], "/robot/state", "/robot/command")
+            JointStateDriver(INSTANCE, 10.0, {}, ["elbow", "wrist"], "/robot/state", "/robot/command")
 
 
 def test_a_robot_that_says_nothing_is_told_apart_from_one_that_lacks_a_joint():
     with pytest.raises(LinkError, match=r"nothing of joint elbow within 2 s; nothing was received$"):
-        JointStateDriver(INSTANCE, 2.0, ["elbow"], "/nobody/state", "/nobody/command")
+        JointStateDriver(INSTANCE, 2.0, {}, ["elbow"], "/nobody/state", "/nobody/command")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"topic": "/a", "field": "mode"}, "topic '/a': std_msgs/msg/Bool has no field 'mode'"),
+        ({"topic": "/a", "type": "no_msgs/msg/Mode"}, "there is no package with msg types 'no_msgs'"),
+    ],
+)
+def test_a_fault_topic_of_an_unknown_kind_is_named(fault, message):
+    with pytest.raises(LinkError, match=f"'/nobody/state' ended with code 1: {message}"):
+        JointStateDriver(INSTANCE, 60.0, {}, ["elbow"], "/nobody/state", "/nobody/command", faults=[fault])
+
+
+def test_the_robot_of_the_tutorial_goes_where_it_is_told_and_stands_when_power_goes(process):
+    process(sys.executable, "-m", "support.vendor_robot")
+    driver = CommandTopicDriver(
+        INSTANCE,
+        60.0,
+        dict.fromkeys(range(6), "position"),
+        UR5E[::-1],
+        "/joint_states_of_vendor",
+        "/forward_position_controller/commands",
+        command_joints=UR5E,
+        period_s=0.008,
+        silence_s=10.0,
+    )
+    try:
+        begin = driver.read().q
+        np.testing.assert_allclose(begin, UR5E_HOME[::-1], atol=1e-9)
+        free, deadline = np.zeros(6, dtype=bool), clock.monotonic() + 60.0
+        while np.abs(driver.read().q - begin - 0.2).max() > 1e-3 and clock.monotonic() < deadline:
+            driver.write(Drive(begin + 0.2, True, free, NOTHING, True, NOTHING))
+            clock.sleep(0.008)
+        np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
+        for _ in range(50):
+            driver.write(Drive(begin, False, free, NOTHING, True, NOTHING))
+            clock.sleep(0.008)
+        np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
+    finally:
+        driver.close()

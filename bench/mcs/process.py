@@ -32,7 +32,7 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
             spent = []
             for _ in range(_TIMES):
                 began = clock.monotonic()
-                control.torque(given)
+                control.command(given)
                 spent.append(clock.monotonic() - began)
         finally:
             source.close()

@@ -146,7 +146,14 @@ def test_a_bridge_that_died_is_started_again(robot, config, without_testbed):
 def test_efforts_that_are_too_old_are_not_published(ros, process, wait_until):
     name = f"{names.instance()}_topics_old"
     link = TopicLink.create(name, TopicLink.layout(1))
-    settings = {"name": name, "joints": ["x"], "state": "/old/state", "command": "/old/command", "silence_s": 0.5}
+    settings = {
+        "name": name,
+        "joints": ["x"],
+        "kinds": ["effort"],
+        "state": "/old/state",
+        "command": "/old/command",
+        "silence_s": 0.5,
+    }
     process(sys.executable, "-m", "im_mcs.ros.topic_channels", json.dumps(settings))
     efforts = []
     node = ros(GuardedNode("listener"))
@@ -155,7 +162,7 @@ def test_efforts_that_are_too_old_are_not_published(ros, process, wait_until):
     record["driven"] = True
 
     def give(effort, age_s):
-        record["effort"], record["at"] = effort, clock.monotonic() - age_s
+        record["value"], record["at"] = effort, clock.monotonic() - age_s
         link.command.write(record)
         link.bell.post()
         clock.sleep(0.05)

@@ -102,7 +102,9 @@ def make_bench(model: CellModel, cell: Cell) -> Callable[[McsConfig], Bench]:
     """Benches over the loopback driver."""
 
     def make(config: McsConfig) -> Bench:
-        driver = LoopbackDriver(model.inertia_diagonal(cell.home), cell.home, bias=CellModel(cell).gravity)
+        interfaces = {slot.channel: slot.interface for slot in config.joint_slots}
+        inertia = model.inertia_diagonal(cell.home)
+        driver = LoopbackDriver(inertia, cell.home, bias=CellModel(cell).gravity, interfaces=interfaces)
         return Bench(config, model, driver)
 
     return make
@@ -188,7 +190,7 @@ class LeftArm:
             mass = np.triu(pin.crba(self._pin, self._data, self.q))[:9, :9]
             mass = mass + np.triu(mass, 1).T
             bias = pin.nonLinearEffects(self._pin, self._data, self.q, self.v)[:9]
-            momentum = mass @ self.v[:9] + dt * (drive.tau[:9] - bias - self._viscous * self.v[:9])
+            momentum = mass @ self.v[:9] + dt * (drive.command[:9] - bias - self._viscous * self.v[:9])
             self.v[:9] = _slide(mass, momentum, dt * self._friction)
             self.q = self.q + dt * self.v
 
@@ -241,7 +243,7 @@ class PlantDriver:
 
     def write(self, drive: Drive) -> None:
         self.plant.run_tick(
-            TickCommand(drive.tau, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
+            TickCommand(drive.command, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
         )
         self._tick += 1
 

@@ -41,7 +41,7 @@ def test_gravity_is_what_pid_gravity_adds(model, cell, config):
     controller = load_controller("im_mcs.control.pid_gravity:PidGravity", setup)
     gravity = model.gravity(cell.home)[:9]
     given = seen(cell.home, cell.home[:9], gravity)
-    np.testing.assert_allclose(controller.torque(given), gravity)
+    np.testing.assert_allclose(controller.command(given), gravity)
 
 
 def test_pid_pushes_towards_the_setpoint_and_integrates(model, cell, config):
@@ -49,11 +49,11 @@ def test_pid_pushes_towards_the_setpoint_and_integrates(model, cell, config):
     setup = ControllerSetup(np.arange(9), 0.0045, model, np.full(9, 1e3), cell.home, parameters)
     controller = load_controller("im_mcs.control.pid:Pid", setup)
     given = seen(cell.home - 1e-3, cell.home[:9], np.zeros(9))
-    torques = [controller.torque(given) for _ in range(5)]
+    torques = [controller.command(given) for _ in range(5)]
     assert (torques[0] > 0).all()
     assert (torques[-1] > torques[1]).all()
     controller.hold_integral(True)
-    held = [controller.torque(given) for _ in range(50)]
+    held = [controller.command(given) for _ in range(50)]
     np.testing.assert_allclose(held[-1], held[-2], rtol=1e-9)
 
 

@@ -50,7 +50,7 @@ def test_without_an_error_the_torque_is_that_of_the_motion_and_its_friction(want
     coulomb = np.where(direction > 0, MODEL.coulomb_positive, MODEL.coulomb_negative) * direction
     expected = MODEL.inverse_dynamics(wanted.q, wanted.v, wanted.a) + coulomb + MODEL.viscous_friction * wanted.v
     fast = np.abs(wanted.v[LEFT]) > 0.02
-    torque = make(law).torque(seen(wanted, 0.0))
+    torque = make(law).command(seen(wanted, 0.0))
     np.testing.assert_allclose(torque[fast], expected[LEFT][fast], rtol=1e-9, atol=1e-9)
 
 
@@ -64,7 +64,7 @@ def test_computed_torque_turns_the_error_into_an_acceleration(wanted):
     error = np.linspace(-1e-3, 1e-3, 9)
     given_ = seen(wanted, error)
     tau = MODEL.inverse_dynamics(given_.q_all, wanted.v, wanted.a)
-    tau[LEFT] = law.torque(given_)
+    tau[LEFT] = law.command(given_)
     a = pin.aba(MODEL.pin, MODEL.pin.createData(), given_.q_all, wanted.v, tau)
     w = CONFIG.switching.laws[COMPUTED_TORQUE]["bandwidth_rad_s"]
     np.testing.assert_allclose(a[LEFT], wanted.a[LEFT] + w**2 * error, atol=1e-6)
@@ -72,15 +72,15 @@ def test_computed_torque_turns_the_error_into_an_acceleration(wanted):
 
 def test_an_impedance_yields_in_proportion_to_what_pushes_it():
     law, wanted = make(IMPEDANCE, feedforward={}), Setpoint.at_rest(CELL.home)
-    at_rest = law.torque(seen(wanted, 0.0))
+    at_rest = law.command(seen(wanted, 0.0))
     expected = CELL.per_joint("stiffness")[:9]
     for error in (1e-3, -2e-3):
         law.reset()
         displaced = seen(wanted, 0.0)
         displaced = replace(displaced, setpoint=Setpoint.at_rest(wanted.q[LEFT] + error))
-        np.testing.assert_allclose(law.torque(displaced) - at_rest, expected * error, rtol=1e-9)
+        np.testing.assert_allclose(law.command(displaced) - at_rest, expected * error, rtol=1e-9)
         for _ in range(100):
-            held = law.torque(displaced)
+            held = law.command(displaced)
         np.testing.assert_allclose(held - at_rest, expected * error, rtol=1e-9)  # nothing accumulates
 
 
@@ -152,7 +152,7 @@ FAULTY = f"{__name__}:Faulty"
     [
         ("zero division", "torque raised ZeroDivisionError"),
         ("nan", "returned nan as torque of joint 4 of 9"),
-        ("shape", r"returned torques of shape \(3,\), not \(9,\)"),
+        ("shape", r"torque returned shape \(3,\), not \(9,\)"),
         ("text", "torque raised ValueError"),
         ("hold_integral", "hold_integral raised KeyError"),
     ],

@@ -80,7 +80,7 @@ def in_the_mood(value):
 
 def process_of(laws):
     """Process id of the law, which tells it as a torque."""
-    pid = int(laws.torque(in_the_mood(3.0))[0])
+    pid = int(laws.command(in_the_mood(3.0))[0])
     assert laws.late == 0
     assert pid not in (0, os.getpid())
     return pid
@@ -108,7 +108,7 @@ def test_torques_are_bit_for_bit_those_of_the_law_in_the_loop(start):
         if not model.changing:
             laws.hold_integral(hold)
         here.hold_integral(hold)
-        np.testing.assert_array_equal(laws.torque(question), here.torque(question))
+        np.testing.assert_array_equal(laws.command(question), here.command(question))
     assert source.late == {COMPUTED_TORQUE: laws.late}
     assert laws.late == 0
 
@@ -129,13 +129,13 @@ def test_a_late_law_is_replaced_by_its_last_torques_with_the_gravity_of_now_and_
     laws.switch(MOODY)
     laws.reset()
     question = in_the_mood(0.0)
-    np.testing.assert_array_equal(laws.torque(question), question.gravity + 1.0)
+    np.testing.assert_array_equal(laws.command(question), question.gravity + 1.0)
     slow = in_the_mood(1.0)
     heavier = replace(slow, gravity=slow.gravity + 0.5)
-    np.testing.assert_allclose(laws.torque(heavier), heavier.gravity + 1.0, rtol=1e-12)
+    np.testing.assert_allclose(laws.command(heavier), heavier.gravity + 1.0, rtol=1e-12)
     assert laws.late == 1
     clock.sleep(1.5 * PACED_S)  # in the meantime it has answered, and is asked anew
-    np.testing.assert_array_equal(laws.torque(question), question.gravity + 1.0)
+    np.testing.assert_array_equal(laws.command(question), question.gravity + 1.0)
     assert laws.late == 1
 
 
@@ -144,9 +144,9 @@ def test_late_too_often_is_an_error_that_says_so(start):
     laws.switch(MOODY)
     laws.reset()
     for _ in range(2):
-        laws.torque(in_the_mood(1.0))
+        laws.command(in_the_mood(1.0))
     with pytest.raises(ControlLawError, match=rf"'{MOODY}', in process \d+, .* within 2.667 ms in 3 ticks in a row"):
-        laws.torque(in_the_mood(1.0))
+        laws.command(in_the_mood(1.0))
     assert source.late == {MOODY: 3}
 
 
@@ -155,8 +155,8 @@ def test_a_failing_law_is_named_as_in_the_loop(start):
     laws.switch(MOODY)
     laws.reset()
     with pytest.raises(ControlLawError, match=f"control law '{MOODY}': torque raised KeyError: 'grip'"):
-        laws.torque(in_the_mood(2.0))
-    laws.torque(in_the_mood(0.0))
+        laws.command(in_the_mood(2.0))
+    laws.command(in_the_mood(0.0))
 
 
 def test_a_killed_law_is_an_error_that_names_it(start):
@@ -168,7 +168,7 @@ def test_a_killed_law_is_an_error_that_names_it(start):
 
     def work():
         for _ in range(900):
-            laws.torque(in_the_mood(0.0))
+            laws.command(in_the_mood(0.0))
 
     sentence = rf"the process of control law '{re.escape(MOODY)}' \(pid {pid}\) was ended by SIGKILL"
     with pytest.raises(ControlLawError, match=sentence):
@@ -178,10 +178,10 @@ def test_a_killed_law_is_an_error_that_names_it(start):
 def test_a_switch_to_it_and_back_has_no_bump(start):
     _, laws = start(MOODY)
     question = in_the_mood(0.0)
-    torques = [laws.torque(question)]
+    torques = [laws.command(question)]
     for law in (MOODY, CONFIG.control.controller):
         laws.switch(law)
-        torques += [laws.torque(question) for _ in range(40)]
+        torques += [laws.command(question) for _ in range(40)]
         assert not laws.switching
     steps = np.abs(np.diff(torques, axis=0))
     span = np.ptp(torques, axis=0)

@@ -30,7 +30,7 @@ class Constant:
 
     def hold_integral(self, hold): ...
 
-    def torque(self, given):
+    def command(self, given):
         return self.value
 
 
@@ -52,7 +52,7 @@ def laws():
 
 
 def run(laws, ticks):
-    return np.array([laws.torque(GIVEN) for _ in range(ticks)])
+    return np.array([laws.command(GIVEN) for _ in range(ticks)])
 
 
 def test_the_first_torque_is_the_last_and_the_difference_fades_in_the_time_stated(laws):

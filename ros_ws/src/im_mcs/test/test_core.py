@@ -48,7 +48,7 @@ def test_from_cold_to_a_move_and_back(bench, cell, target):
     assert mcs.groups["left"].monitor.at_rest
     assert bench.ask("disable_motion")["success"]
     assert bench.driver.drive.brakes.all()
-    assert not bench.driver.drive.tau.any()
+    assert not bench.driver.drive.command.any()
     assert bench.ask("power_off")["success"]
     assert bench.ask("release", group="left")["success"]
     assert mcs.manager.state is State.COLD
@@ -61,7 +61,7 @@ def test_gravity_torque_is_there_before_the_brakes_release(bench, model, cell):
     seen = []
     while bench.mcs.wants_time:
         drive = bench.driver.drive
-        seen.append((bool(drive.brakes[LEFT].any()), drive.tau[LEFT].copy()))
+        seen.append((bool(drive.brakes[LEFT].any()), drive.command[LEFT].copy()))
         bench.mcs.tick([])
     with_brakes = [tau for braked, tau in seen if braked]
     assert len(with_brakes) >= bench.mcs.config.servo.brake_lead_ticks
@@ -79,7 +79,7 @@ def test_estop_acts_in_the_same_tick_and_reset_moves_nothing(bench, cell, target
     drive = bench.driver.drive
     assert not drive.power
     assert drive.brakes.all()
-    assert not drive.tau.any()
+    assert not drive.command.any()
     assert bench.reply(number)["success"]
     refused(bench.reply(goal), "emergency stop: red button")
     assert bench.mcs.manager.state is State.ESTOPPED
@@ -291,7 +291,7 @@ def test_power_loss_and_missing_readings_are_estops(bench, cell):
     bench.mcs.tick([])
     assert bench.mcs.manager.state is State.ESTOPPED
     assert "left_j2 gave no reading" in bench.mcs.manager.cause
-    assert not bench.driver.drive.tau.any()
+    assert not bench.driver.drive.command.any()
 
 
 def test_a_lost_testbed_ends_the_goal(bench, target):

@@ -68,7 +68,7 @@ def test_hardware_whose_driver_works_stops_with_that_whose_driver_fails(halves, 
     assert halves.mcs.manager.state is State.ESTOPPED
     assert not other.drive.power
     assert other.drive.brakes.all()
-    assert not other.drive.tau.any()
+    assert not other.drive.command.any()
 
 
 @pytest.mark.parametrize("failing", [0, 1])
@@ -121,7 +121,7 @@ def test_the_owner_drives_torques_until_its_lease_lapses(owned, model, cell):
     push = gravity.copy()
     push[3] += 5.0
     first = drive(owned, push)
-    np.testing.assert_array_equal(owned.driver.drive.tau[LEFT], push)
+    np.testing.assert_array_equal(owned.driver.drive.command[LEFT], push)
     for _ in range(20):
         assert owned.reply(drive(owned, push))["success"]
     assert owned.driver.v[3] > 0.05
@@ -183,7 +183,7 @@ def test_torques_end_before_the_joint_leaves_its_range_or_is_too_fast(owned, mod
 def test_torques_beyond_the_limit_are_cut_and_counted(owned):
     limit = owned.mcs.limits.torque[LEFT]
     drive(owned, limit * 3.0)
-    np.testing.assert_array_equal(owned.driver.drive.tau[LEFT], limit)
+    np.testing.assert_array_equal(owned.driver.drive.command[LEFT], limit)
     assert owned.mcs.saturations.counts[4, LEFT].all()
 
 

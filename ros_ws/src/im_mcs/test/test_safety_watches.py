@@ -110,7 +110,7 @@ def test_an_estop_acts_in_the_tick_of_its_cause(moving, inject, words):
     drive = moving.driver.drive
     assert not drive.power
     assert drive.brakes.all()
-    assert not drive.tau.any()
+    assert not drive.command.any()
     assert mcs.measured.tick == tick + 1
     assert words in mcs.manager.cause
     reply = moving.reply(moving.goal)

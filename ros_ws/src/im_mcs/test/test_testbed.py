@@ -36,7 +36,7 @@ def test_slots_are_independent_of_channels(driver):
     np.testing.assert_array_equal(testbed.read().q, [0.2, 0.0, 0.1])
     brakes = np.array([True, False, False])
     testbed.write(Drive(np.array([1.0, 2.0, 3.0]), True, brakes, np.array([0.01, 0.02]), True, np.array([5.0, 6.0])))
-    np.testing.assert_array_equal(driver.drive.tau, [2.0, 3.0, 1.0, 0.0])
+    np.testing.assert_array_equal(driver.drive.command, [2.0, 3.0, 1.0, 0.0])
     np.testing.assert_array_equal(driver.drive.brakes, [False, False, True, True])
     np.testing.assert_array_equal(driver.drive.gripper, [0.02, 0.01])
     np.testing.assert_array_equal(driver.drive.gripper_force, [6.0, 5.0])
@@ -113,11 +113,13 @@ def test_mistakes_in_the_configuration_are_named(tmp_path, old, new, message):
 
 def test_configured_drivers_are_made_with_their_settings():
     settings = {"inertia": [1.0, 2.0], "q": [0.1, 0.2], "period_s": 0.002}
-    driver = load_driver("im_mcs.testbed.loopback:LoopbackDriver", settings, instance="im0", timeout_s=1.0)
+    driver = load_driver(
+        "im_mcs.testbed.loopback:LoopbackDriver", settings, instance="im0", timeout_s=1.0, interfaces={}
+    )
     assert (driver.n_joints, driver.period_s) == (2, 0.002)
     assert driver.read().q.tolist() == [0.1, 0.2]
     with pytest.raises(ConfigError, match=r"nowhere:Driver.*module:Class"):
-        load_driver("nowhere:Driver", {}, instance="im0", timeout_s=1.0)
+        load_driver("nowhere:Driver", {}, instance="im0", timeout_s=1.0, interfaces={})
 
 
 def test_stop_circuits_say_what_they_could_not_do():

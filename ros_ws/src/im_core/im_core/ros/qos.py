@@ -49,6 +49,9 @@ CLOCK = _reliable(500)
 #: Streams of which the newest counts.
 SENSOR = qos_profile_sensor_data
 
+#: Commands of which the newest counts, for subscribers of any reliability.
+NEWEST = _reliable(1)
+
 #: Images: reliable, so that every subscriber matches, and a short queue, for they are large.
 IMAGES = _reliable(5)
 

@@ -1,7 +1,7 @@
 """Groups, control laws and grippers in the form of controllers of ros2_control: a list, and the steps of a switch.
 
-A group is a joint trajectory controller, chained to the control law in force, which writes efforts. The group is active
-while it may move; a law is active while it is in force and the group is active.
+A group is a joint trajectory controller, chained to the control law in force, which writes commands. The group is
+active while it may move; a law is active while it is in force and the group is active.
 """
 
 from collections.abc import Mapping, Sequence
@@ -80,19 +80,20 @@ def listed_controllers(
         states: State of each group; empty: MCS is unconfigured.
         laws: Law in force of each group.
     """
-    joints = [slot.name for slot in config.joint_slots]
+    interfaces = {slot.name: slot.interface for slot in config.joint_slots}
+    joints = list(interfaces)
     measured = tuple(f"{joint}/{quantity}" for joint in joints for quantity in MEASURED)
     controllers = [ListedController("joint_state_broadcaster", _BROADCASTER, bool(states), states=measured)]
     for group, description in config.groups.items():
         active = states.get(group) is State.MOTION
         state = tuple(f"{joint}/{quantity}" for joint in description.joints for quantity in MEASURED)
-        effort = tuple(f"{joint}/effort" for joint in description.joints)
+        commands = tuple(f"{joint}/{interfaces[joint]}" for joint in description.joints)
         in_force = laws.get(group, config.group_control.get(group, config.control).controller)
         for law in config.parameters_of_laws(group):
             name = f"{group}_{law.rpartition(':')[2]}"
             references = tuple(f"{name}/{joint}/position" for joint in description.joints)
             in_use = active and law == in_force
-            controllers.append(ListedController(name, law, in_use, effort, state, group, law, references))
+            controllers.append(ListedController(name, law, in_use, commands, state, group, law, references))
             if law == in_force:
                 controllers.append(ListedController(group, _GROUP, active, references, state, group))
     powered = any(state in POWERED for state in states.values())

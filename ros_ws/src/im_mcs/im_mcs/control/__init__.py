@@ -1,4 +1,4 @@
-"""Motion control layer (paper, section 4): setpoints and measured positions to torques, every servo tick."""
+"""Motion control layer (paper, section 4): setpoints and measured positions to commands, every servo tick."""
 
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 from im_mcs.control.guard import load_controller

@@ -56,7 +56,10 @@ class ControlInput:
 
 
 class Controller(Protocol):
-    """A control law for the joints of one group."""
+    """A control law for the joints of one group.
+
+    A law for slots of another interface has a method ``velocity`` or ``position`` in place of ``torque``.
+    """
 
     def reset(self) -> None:
         """Start anew: no integral, no past; the arm stands still."""

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from im_core import plugins
 from im_core.errors import ImError
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
+from im_mcs.limits.slots import LAW_METHODS, interface_of
 
 
 class ControlLawError(ImError):
-    """Control law with an error, or with a wrong kind of torque."""
+    """Control law with an error, or with a wrong kind of answer."""
 
     default_code = "control_law"
 
@@ -21,12 +22,13 @@ class GuardedLaw:
 
     Args:
         name: ``module:Class``.
-        law: The law.
+        law: The law: a :class:`Controller`, or one of velocities or positions.
     """
 
     def __init__(self, name: str, law: Controller) -> None:
         self._name = name
         self._law = law
+        self._method = LAW_METHODS[interface_of(name)]
         self._fault: ControlLawError | None = None
 
     def reset(self) -> None:
@@ -42,14 +44,14 @@ class GuardedLaw:
             raise self._failed("reset", error) from error
 
     def hold_integral(self, hold: bool) -> None:
-        """Freeze or free accumulated terms; an error of the law is raised by the next :meth:`torque`."""
+        """Freeze or free accumulated terms; an error of the law is raised by the next :meth:`command`."""
         try:
             self._law.hold_integral(hold)
         except Exception as error:
             self._fault = self._failed("hold_integral", error)
 
-    def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for the current tick, shape (n,) [Nm or N], finite.
+    def command(self, given: ControlInput) -> NDArray[np.float64]:
+        """Return torques, velocities or positions for the current tick, shape (n,), finite.
 
         Raises:
             ControlLawError: The law raised an error, or returned something else.
@@ -57,28 +59,30 @@ class GuardedLaw:
         if self._fault is not None:
             raise self._fault
         try:
-            tau = np.asarray(self._law.torque(given), dtype=np.float64)
+            answer = np.asarray(getattr(self._law, self._method)(given), dtype=np.float64)
         except Exception as error:
-            raise self._failed("torque", error) from error
-        if tau.shape != given.q.shape:
+            raise self._failed(self._method, error) from error
+        if answer.shape != given.q.shape:
             raise ControlLawError(
-                f"control law '{self._name}' returned torques of shape {tau.shape}, not {given.q.shape}",
+                f"control law '{self._name}': {self._method} returned shape {answer.shape}, not {given.q.shape}",
                 controller=self._name,
             )
-        if not math.isfinite(tau.dot(tau)) and not np.isfinite(tau).all():  # the first is sufficient, and quick
+        if (
+            not math.isfinite(answer.dot(answer)) and not np.isfinite(answer).all()
+        ):  # the first is sufficient, and quick
             raise ControlLawError(
-                f"control law '{self._name}' returned {tau[~np.isfinite(tau)][0]} as torque of joint "
-                f"{int(np.argmin(np.isfinite(tau))) + 1} of {len(tau)}",
+                f"control law '{self._name}' returned {answer[~np.isfinite(answer)][0]} as {self._method} of joint "
+                f"{int(np.argmin(np.isfinite(answer))) + 1} of {len(answer)}",
                 controller=self._name,
             )
-        return tau
+        return answer
 
     def _failed(self, method: str, error: Exception) -> ControlLawError:
         told = f"control law '{self._name}': {method} raised {type(error).__name__}: {error}"
         return ControlLawError(told, controller=self._name)
 
 
-def load_controller(name: str, setup: ControllerSetup) -> Controller:
+def load_controller(name: str, setup: ControllerSetup) -> GuardedLaw:
     """Make the control law named ``module:Class`` in the configuration.
 
     Raises:

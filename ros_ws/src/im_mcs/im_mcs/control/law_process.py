@@ -158,7 +158,7 @@ class RemoteLaw:
         """Freeze or free accumulated terms, with the next question."""
         self._hold = int(hold)
 
-    def torque(self, given: ControlInput) -> NDArray[np.float64]:
+    def command(self, given: ControlInput) -> NDArray[np.float64]:
         """Return torques for the current tick, shape (n,) [Nm or N].
 
         Raises:

@@ -9,8 +9,8 @@ import numpy as np
 from im_cell.robot import Cell
 from im_core.errors import ImError
 from im_core.processes import scheduling
-from im_mcs.control.controller import Controller, ControllerSetup
-from im_mcs.control.guard import ControlLawError, load_controller
+from im_mcs.control.controller import ControllerSetup
+from im_mcs.control.guard import ControlLawError, GuardedLaw, load_controller
 from im_mcs.control.link import LawLink
 from im_mcs.model import ControlledModel
 
@@ -34,7 +34,7 @@ def main() -> int:
     return 0
 
 
-def serve(link: LawLink, model: ControlledModel, laws: list[Controller], sizes: list[int]) -> None:
+def serve(link: LawLink, model: ControlledModel, laws: list[GuardedLaw], sizes: list[int]) -> None:
     """Answer questions until told to end.
 
     Args:
@@ -60,14 +60,14 @@ def serve(link: LawLink, model: ControlledModel, laws: list[Controller], sizes: 
                 law.reset()
             if hold >= 0:
                 law.hold_integral(bool(hold))
-            view["tau"][:n] = law.torque(link.given(n))
+            view["tau"][:n] = law.command(link.given(n))
             view["fault"][()] = b""
         except ControlLawError as fault:
             link.fault = fault.message
         link.answer.post()
 
 
-def _make(law: str, model: ControlledModel, group: dict[str, Any]) -> Controller:
+def _make(law: str, model: ControlledModel, group: dict[str, Any]) -> GuardedLaw:
     setup = ControllerSetup(
         joints=np.array(group["joints"], dtype=np.intp),
         period_s=group["period_s"],

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import NotFoundError
-from im_mcs.control.controller import ControlInput, Controller
+from im_mcs.control.controller import ControlInput
+from im_mcs.control.guard import GuardedLaw
 from im_mcs.control.law_process import RemoteLaw
 from im_mcs.model import ControlledModel
 
@@ -27,7 +28,7 @@ class _Share:
         ticks: How long it has been in the shadow, then in force [ticks].
     """
 
-    law: Controller
+    law: GuardedLaw | RemoteLaw
     error: NDArray[np.float64] | None = None
     torque: NDArray[np.float64] | None = None
     left: float = 0.0
@@ -38,7 +39,7 @@ class _Share:
         if self.left > 0.0 and self.error is not None:
             setpoint = replace(given.setpoint, q=given.setpoint.q - self.left * self.error)
             given = replace(given, setpoint=setpoint)
-        tau = self.law.torque(given)
+        tau = self.law.command(given)
         return tau if self.torque is None or self.left == 0.0 else tau + self.left * self.torque
 
 
@@ -64,7 +65,7 @@ class ControlLaws:
 
     def __init__(
         self,
-        laws: Mapping[str, Controller],
+        laws: Mapping[str, GuardedLaw | RemoteLaw],
         name: str,
         period_s: float,
         handover_s: float,
@@ -119,8 +120,8 @@ class ControlLaws:
         """Freeze or free accumulated terms."""
         self._present.law.hold_integral(hold)
 
-    def torque(self, given: ControlInput) -> NDArray[np.float64]:
-        """Return torques for the current tick, shape (n,) [Nm or N].
+    def command(self, given: ControlInput) -> NDArray[np.float64]:
+        """Return torques, velocities or positions for the current tick, shape (n,).
 
         Raises:
             ControlLawError: A law failed, be it the one in the shadow.

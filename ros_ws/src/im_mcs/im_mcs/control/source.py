@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from im_core.errors import ConfigError, ImError
 from im_core.processes.startup import patience_s
-from im_mcs.control.controller import Controller, ControllerSetup
-from im_mcs.control.guard import load_controller
+from im_mcs.control.controller import ControllerSetup
+from im_mcs.control.guard import GuardedLaw, load_controller
 from im_mcs.control.law_process import LawProcess, RemoteLaw
 from im_mcs.control.laws import ControlLaws
 from im_mcs.limits.configuration import McsConfig
@@ -60,7 +60,7 @@ class LawSource:
         """
         first = self._config.group_control.get(group, self._config.control).controller
         setup = self._setup(preset, group)
-        laws: dict[str, Controller] = {}
+        laws: dict[str, GuardedLaw | RemoteLaw] = {}
         for law, parameters in self._config.parameters_of_laws(group).items():
             if law in self._processes:
                 laws[law] = self._connect(law, preset, group)

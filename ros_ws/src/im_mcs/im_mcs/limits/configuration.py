@@ -11,7 +11,7 @@ from im_core.config import FieldError, Model, fault_in, faults, load_model, pack
 from im_core.errors import ConfigError, NotFoundError, nearest
 from im_core.rate_groups import Overrun, rate_fault
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
-from im_mcs.limits.slots import Slot, Testbed, check_slots, slots_of
+from im_mcs.limits.slots import LAW_METHODS, Interface, Slot, Testbed, check_slots, interface_of, slots_of
 
 REFERENCE = r"^[\w.]+:\w+$"
 """Pattern of ``module:Class``."""
@@ -235,9 +235,15 @@ class McsConfig(Model):
         return self.presets[self.preset]
 
     def parameters_of_laws(self, group: str) -> dict[str, dict[str, Any]]:
-        """Return parameters, by ``module:Class``, of every possible control law of a group."""
+        """Return parameters, by ``module:Class``, of every possible control law of a group: all of one kind."""
         first = self.group_control.get(group, self.control)
-        return {**self.switching.laws, first.controller: first.parameters}
+        kind = interface_of(first.controller)
+        others = {law: given for law, given in self.switching.laws.items() if interface_of(law) == kind}
+        return {**others, first.controller: first.parameters}
+
+    def ranks_of(self, interface: Interface) -> tuple[int, ...]:
+        """Return ranks of the joints with commands of a kind, among all joints."""
+        return tuple(rank for rank, slot in enumerate(self.joint_slots) if slot.interface == interface)
 
     @property
     def joint_slots(self) -> tuple[Slot, ...]:
@@ -305,22 +311,25 @@ class McsConfig(Model):
             if law not in known:
                 where = ("law_processes", "laws", rank)
                 raise FieldError(where, f"'{law}' is none of the control laws: {', '.join(sorted(known))}")
+            if (kind := interface_of(law)) != "effort":
+                where = ("law_processes", "laws", rank)
+                raise FieldError(where, f"'{law}' gives {kind}; only a law of torques may have a process of its own")
 
     def of_cell(self, cell: Cell) -> Self:
         """Return the configuration with slots and presets of a cell, where it has none of its own.
 
         Raises:
-            FieldError: A preset names a joint that there is not, or has no groups; or the preset in force is not there.
+            FieldError: A preset names a joint that there is not, or has no groups; the law of a group gives other
+                commands than a slot of it takes; or the preset in force is not there.
         """
         presets = self.presets or cell.partitions
         slots = self.slots or slots_of(cell, self.testbed.clock)
-        if self.presets:
-            self._check_groups(presets, [slot.name for slot in slots if slot.kind == "joint"])
+        self._check_groups(presets, {slot.name: slot.interface for slot in slots if slot.kind == "joint"})
         if (preset := self.preset or next(iter(presets))) not in presets:
             raise FieldError(("preset",), f"preset '{preset}' is not one of {', '.join(sorted(presets))}")
         return self.model_copy(update={"presets": presets, "slots": slots, "preset": preset})
 
-    def _check_groups(self, presets: Mapping[str, Mapping[str, Group]], joints: Collection[str]) -> None:
+    def _check_groups(self, presets: Mapping[str, Mapping[str, Group]], joints: Mapping[str, Interface]) -> None:
         for preset, groups in presets.items():
             if not groups:
                 raise FieldError(("presets", preset), "the preset has no groups; at least 1 is needed")
@@ -333,6 +342,20 @@ class McsConfig(Model):
                     if joint in moved_by:
                         raise FieldError(where, f"'{joint}' is already in group '{moved_by[joint]}'")
                     moved_by[joint] = group
+                    self._check_interface(group, joint, joints[joint])
+
+    def _check_interface(self, group: str, joint: str, interface: Interface) -> None:
+        """Refuse a joint with commands of another kind than the law of its group gives."""
+        own = group in self.group_control
+        law = (self.group_control[group] if own else self.control).controller
+        gives = interface_of(law)
+        if gives != interface:
+            where = ("group_control", group, "controller") if own else ("control", "controller")
+            raise FieldError(
+                where,
+                f"control law '{law}' gives {gives}, and slot '{joint}' of group '{group}' takes {interface}; its law "
+                f"needs a method '{LAW_METHODS[interface]}'",
+            )
 
 
 def load_config(path: Path | None = None, cell: Cell | None = None) -> McsConfig:

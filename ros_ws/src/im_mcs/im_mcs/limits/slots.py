@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -13,8 +14,13 @@ from im_core.errors import ConfigError
 
 Kind = Literal["joint", "gripper", "wrench"]
 
+Interface = Literal["effort", "velocity", "position"]
+"""Kind of the commands that a joint takes, by the names of ros2_control."""
 
-OFFERED = ("instance", "timeout_s")
+LAW_METHODS: dict[Interface, str] = {"effort": "torque", "velocity": "velocity", "position": "position"}
+"""Method of a control law for each kind; the first one of a law counts."""
+
+OFFERED = ("instance", "timeout_s", "interfaces")
 """Parameters of a driver's constructor that MCS fills in."""
 
 
@@ -73,12 +79,15 @@ class Slot(Model):
     kind: Kind = "joint"
     driver: str
     channel: int = Field(ge=0)
+    interface: Interface = Field(default="effort", description="what commands of a joint are")
     limits: SlotLimits | None = None
 
     @model_validator(mode="after")
     def _limited(self) -> Self:
         if self.limits is not None and self.kind != "joint":
             raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have limits of their own")
+        if self.interface != "effort" and self.kind != "joint":
+            raise ValueError(f"slot '{self.name}' is a {self.kind}; only joints have an interface")
         return self
 
 
@@ -118,6 +127,29 @@ def check_slots(testbed: Testbed, slots: tuple[Slot, ...]) -> None:
                 f" slot '{served[channel]}'",
             )
         served[channel] = slot.name
+        takes = getattr(find_driver(testbed.drivers[slot.driver].driver), "interfaces_taken", ("effort",))
+        if slot.kind == "joint" and slot.interface not in takes:
+            raise FieldError(
+                ("slots", rank, "interface"),
+                f"slot '{slot.name}': driver '{slot.driver}' takes {' or '.join(takes)}, not {slot.interface}",
+            )
+
+
+def interface_of(law: str) -> Interface:
+    """Return the kind of commands of the control law ``module:Class``: that of its method.
+
+    A law that cannot be loaded counts as one of torques; what makes it says why it cannot be.
+    """
+    try:
+        return _interface_of(law)
+    except ConfigError:
+        return "effort"
+
+
+@cache
+def _interface_of(law: str) -> Interface:
+    found = plugins.load(law, None, "controller")
+    return next((kind for kind, method in LAW_METHODS.items() if hasattr(found, method)), "effort")
 
 
 def check_settings(name: str, settings: Mapping[str, object]) -> None:

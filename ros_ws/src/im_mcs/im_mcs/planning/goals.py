@@ -93,20 +93,22 @@ class Rates:
     Attributes:
         override: Of the client, above 0 up to 1; 0 halts.
         ceiling: Of the collision monitor, above 0 up to 1.
+        scaling: Of the robot itself, 0 to 1, on top of the others; 0 halts.
         paused: By the client.
         protective: Fault of a protective stop in force.
     """
 
     override: float = 1.0
     ceiling: float = 1.0
+    scaling: float = 1.0
     paused: bool = False
     protective: ImError | None = None
 
     def of(self, current: Current | None, share: float | None = None) -> float:
         """Rate wanted of a motion."""
-        halted = self.paused or self.override == 0.0 or self.protective is not None
+        halted = self.paused or 0.0 in (self.override, self.scaling) or self.protective is not None
         if halted or (current is not None and current.goal.fault is not None):
             return 0.0
         if share is None:
             share = 1.0 if current is None else current.share
-        return min(max(self.override * share, SLOWEST), self.ceiling)
+        return min(max(self.override * share, SLOWEST), self.ceiling) * self.scaling

@@ -172,6 +172,35 @@ class GroupPlanner:
             raise StateError(f"the time is {place:.3f} s on the trajectory, which goes from 0 to {last:.3f} s")
         return scaled(trajectory.at(place), rate, 0.0)
 
+    @property
+    def plan(self) -> tuple[object, ...]:
+        """Objects that stay the same as long as the motion goes on as planned.
+
+        Raises:
+            StateError: The motion has no end that is known.
+        """
+        return (self.follower, *self._planned.plan)
+
+    @property
+    def left_s(self) -> float:
+        """Time until the motion rests, if nothing changes [s]; raises as :attr:`plan`."""
+        left_s = self._planned.left_s
+        return left_s + len(self._ready) * self.period_s
+
+    def course(self, times: NDArray[np.float64]) -> Setpoint:
+        """Return the setpoints at times after the present one, shape (m,) [s], if nothing changes: shape (m, n) each.
+
+        Raises:
+            StateError: The motion has no end that is known.
+        """
+        return self._planned.course(times - len(self._ready) * self.period_s)
+
+    @property
+    def _planned(self) -> PathFollower | Standing:
+        if not isinstance(self.follower, PathFollower | Standing):
+            raise StateError("the end of this motion is not known beforehand")
+        return self.follower
+
     def advance(self) -> Setpoint:
         """The setpoint of the next servo tick."""
         if not self._ready:

@@ -20,7 +20,6 @@ from im_mcs.state import Event
 
 _PREFIX = "/controller_manager"
 _WRENCH = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
-_COMMANDS = {"joint": ("effort",), "gripper": ("position",), "wrench": ()}
 _STATES = {"joint": MEASURED, "gripper": MEASURED, "wrench": _WRENCH}
 _LABELS = {
     LifecycleState.PRIMARY_STATE_UNCONFIGURED: "unconfigured",
@@ -105,7 +104,8 @@ class ControllerServices:
 
     def _commands(self, slots: Iterable[Slot]) -> list[HardwareInterface]:
         claimed = {name for each in self._controllers() if each.active for name in each.commands}
-        names = [f"{slot.name}/{quantity}" for slot in slots for quantity in _COMMANDS[slot.kind]]
+        taken = {slot.name: "position" if slot.kind == "gripper" else slot.interface for slot in slots}
+        names = [f"{slot.name}/{taken[slot.name]}" for slot in slots if slot.kind != "wrench"]
         there = self._there()
         return [HardwareInterface(name=name, is_available=there, is_claimed=name in claimed) for name in names]
 

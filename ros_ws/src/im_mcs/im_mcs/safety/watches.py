@@ -1,7 +1,7 @@
 """Watches: each checks one possible fault in every tick with power on; the supervisor runs all watches."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -109,12 +109,24 @@ class Watch(Protocol):
 
 
 class PowerWatch:
-    """Watch over the power: the testbed may cut the power without a command."""
+    """Watch over the power: the testbed may cut the power without a command.
+
+    Args:
+        faults: What the hardware says of itself.
+    """
+
+    def __init__(self, faults: Callable[[], Sequence[str]]) -> None:
+        self._faults = faults
 
     def check(self, now: Situation) -> SafetyFinding | None:
         """An e-stop of the hardware is one of MCS."""
         if now.power and not now.measured.power:
-            return SafetyFinding(Reaction.ESTOP, LinkError(f"the testbed cut the power at tick {now.measured.tick}"))
+            told = f"the testbed cut the power at tick {now.measured.tick}"
+            try:
+                said = ", ".join(self._faults())
+            except LinkError as error:
+                said = error.message
+            return SafetyFinding(Reaction.ESTOP, LinkError(f"{told}: {said}" if said else told))
         return None
 
 
@@ -347,12 +359,18 @@ class Supervisor:
         self._watches = tuple(watches)
 
     @classmethod
-    def make(cls, config: McsConfig, limits: JointLimits, reservations: Reservations) -> "Supervisor":
-        """The watches of a configuration."""
+    def make(
+        cls,
+        config: McsConfig,
+        limits: JointLimits,
+        reservations: Reservations,
+        faults: Callable[[], Sequence[str]],
+    ) -> "Supervisor":
+        """The watches of a configuration; ``faults`` gives the faults reported by hardware."""
         safety, servo = config.safety, config.servo
         return cls(
             (
-                PowerWatch(),
+                PowerWatch(faults),
                 BrakeWatch(limits, servo.period_s, servo.answer_timeout_s, safety.brake_s),
                 ReadingWatch(limits),
                 SpeedWatch(limits),

@@ -1,4 +1,4 @@
-"""From setpoints to torques, for all groups under control: plan, limit, control, limit; then look around."""
+"""From setpoints to commands, for all groups under control: plan, limit, control, limit; then look around."""
 
 from collections.abc import Container, Iterable
 
@@ -11,12 +11,18 @@ from im_mcs.collision.guard import GuardedMonitor
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
+from im_mcs.limits.slots import Interface
 from im_mcs.model import ControlledModel
+from im_mcs.model.dynamics import Place
 from im_mcs.planning import Setpoint
 from im_mcs.safety import Reaction, SafetyFinding, SetpointLimiter
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.torque_stream import Ended, TorqueStreams
 from im_mcs.testbed import Measured
+
+_LOOPS_OF_ROBOTS: tuple[Interface, Interface] = ("velocity", "position")
+# largest step of a position in a tick, as a multiple of that of a joint at its largest velocity
+_STEP = 1.1
 
 
 class ControlLoop:
@@ -28,7 +34,8 @@ class ControlLoop:
         ended: Goals of such groups that ended in this tick.
         model: Dynamics in the eyes of the control laws.
         setpoint: Positions, velocities, accelerations that are followed, shape (3, n).
-        tau: Torques, shape (n,).
+        command: Torque, velocity or position of each joint, as its slot takes them, shape (n,). Without control a joint
+            gets no torque and no velocity, and the position at which it is.
         proximity: What the collision monitor said last; None while nothing is under control.
 
     Args:
@@ -54,12 +61,26 @@ class ControlLoop:
         self.ended: list[Ended] = []
         self.model = model
         self.setpoint = _standing(q)
-        self.tau = np.zeros(model.n)
+        self.command = np.zeros(model.n)
         self.proximity: Proximity | None = None
         self._config, self._limits = config, limits
-        self._least_torque = -limits.torque
+        self._velocities, self._positions = (list(config.ranks_of(kind)) for kind in _LOOPS_OF_ROBOTS)
+        self._largest = limits.torque.copy()
+        self._largest[self._velocities] = limits.ceiling.velocity[self._velocities]
+        self._largest[self._positions] = _STEP * period_s * limits.ceiling.velocity[self._positions]
+        self._least = -self._largest
         self._saturations = saturations
+        self._free(slice(None), q)
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
+
+    @property
+    def tau(self) -> NDArray[np.float64]:
+        """Torques, shape (n,) [Nm or N]; 0 of joints that take other commands."""
+        if not self._velocities and not self._positions:
+            return self.command
+        tau = self.command.copy()
+        tau[self._velocities + self._positions] = 0.0
+        return tau
 
     def moving(self, groups: Container[str]) -> str | None:
         """Return one of the groups with a goal."""
@@ -75,19 +96,19 @@ class ControlLoop:
                 self.engaged.append(group)
 
     def disengage(self, groups: Container[str]) -> None:
-        """End setpoints and torques of groups, from the current tick on."""
-        self.tau = self.tau.copy()
+        """End setpoints and commands of groups, from the current tick on."""
+        self.command = self.command.copy()
         for group in self.engaged:
             if group.name in groups:
                 group.disengage()
                 self._limiter.release(group.index)
-                self.tau[group.place] = 0.0
+                self._free(group.place, self._q)
         self.engaged = [group for group in self.engaged if group.engaged]
         if not self.engaged:
             self.proximity = None
 
     def run(self, m: Measured, v: NDArray[np.float64]) -> list[SafetyFinding]:
-        """Run one tick, up to the torques; return the findings.
+        """Run one tick, up to the commands; return the findings.
 
         Args:
             m: What the slots say.
@@ -95,7 +116,10 @@ class ControlLoop:
         """
         self.setpoint = wanted = _standing(m.q)
         self.model.advance()
+        self._q = m.q
         if not self.engaged:
+            if self._positions:
+                self._free(slice(None), m.q)
             return []
         try:
             self._plan(wanted, m, v)
@@ -173,16 +197,42 @@ class ControlLoop:
         return [SafetyFinding(Reaction.PROTECTIVE_STOP, fault)]
 
     def _control(self, m: Measured, v: NDArray[np.float64], setpoint: Setpoint) -> None:
-        tau = np.zeros(len(m.q))
+        before = self.command
+        self.command = wanted = before.copy()
+        self._free(slice(None), m.q)
         gravity = self.model.gravity(m.q)
         for group in self.engaged:
             driven = self.torque_streams.torque(group.name)
-            own = group.torque(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
-            tau[group.place] = own
-        self.tau = np.minimum(np.maximum(tau, self._least_torque), self._limits.torque)
-        cut = self.tau != tau
+            own = group.command(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
+            wanted[group.place] = own
+        least, largest = self._least, self._largest
+        if self._positions:  # no law makes a joint leap, or leave its range
+            least, largest, ranks = least.copy(), largest.copy(), self._positions
+            last, limits = before[ranks], self._limits
+            least[ranks] = np.maximum(least[ranks] + last, np.minimum(limits.lower[ranks], last))
+            largest[ranks] = np.minimum(largest[ranks] + last, np.maximum(limits.upper[ranks], last))
+        self.command = np.minimum(np.maximum(wanted, least), largest)
+        cut = self.command != wanted
         if 1 in cut.tobytes():
-            self._saturations.add("torque", cut)
+            torques = cut.copy()
+            torques[self._velocities + self._positions] = False
+            self._saturations.add("torque", torques)
+            self._saturations.add("velocity", cut & ~torques)
+
+    def _free(self, place: Place, q: NDArray[np.float64]) -> None:
+        """Give joints the commands of joints without control; a joint without a reading keeps its position.
+
+        Args:
+            place: Which joints.
+            q: Where all joints are, shape (n,) [rad or m].
+        """
+        self._q = q
+        if not self._positions:
+            self.command[place] = 0.0
+            return
+        before, free = self.command, np.zeros_like(self.command)
+        free[self._positions] = np.where(np.isfinite(q), q, before)[self._positions]
+        self.command[place] = free[place]
 
 
 def _estop(fault: ImError, tick: int) -> SafetyFinding:

@@ -22,6 +22,7 @@ from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.servo.answers import Answers, Emit
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.control_loop import ControlLoop
+from im_mcs.servo.course import Courses
 from im_mcs.servo.dispatch import Dispatch
 from im_mcs.servo.gripper import Grippers
 from im_mcs.servo.partition import Partitions
@@ -100,13 +101,15 @@ class Mcs:
             arms=self,
         )
         self.situation = Situation(self.measured, self.v, self.groups, self.manager.brakes)
-        self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations)
+        self._supervisor = Supervisor.make(config, self.limits, self.manager.reservations, self._testbed.faults)
         gripper = model.cell.gripper
         names = tuple(slot.name for slot in config.gripper_slots)
         patience_ticks = round(config.servo.settle.timeout_s / config.servo.period_s)
         self.grippers = Grippers(
             names, gripper.stroke, gripper.force, self.measured.gripper, self.answers, patience_ticks
         )
+        near = np.where(np.array(self.limits.units) == "m", config.planning.goal.m, config.planning.goal.rad)
+        self._courses = Courses(testbed.followed, near, config.servo.period_s) if testbed.followed else None
         self._dispatch = Dispatch(self)
         if latch is not None and (cause := latch.read()):  # an emergency stop outlives the process that declared it
             self.manager.estop(cause)
@@ -135,6 +138,8 @@ class Mcs:
         self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
+        if self._courses is not None:
+            self._courses.scale(self.groups.values(), self._testbed.speed(), m.q)
         for finding in self.loop.run(m, self.v):
             self._react(finding)
         self._finish()
@@ -147,6 +152,8 @@ class Mcs:
         try:
             self._write()
             self._complete_stop()
+            if self._courses is not None:
+                self._give_course(self._courses)
             self._follow_up()
             for finding in loop.look_around(m, self.v, self._collision):  # while the testbed moves on
                 self._react(finding)
@@ -255,7 +262,7 @@ class Mcs:
         self.loop.engage([self.groups[name] for name in groups], self.measured.q)
 
     def disengage(self, groups: Sequence[str]) -> None:
-        """No setpoints and no torques of groups any more."""
+        """No setpoints and no commands of groups any more."""
         self.loop.disengage(groups)
 
     def drop_goals(self, reason: ImError) -> None:
@@ -343,7 +350,16 @@ class Mcs:
     def _write(self) -> None:
         loop, manager, grippers = self.loop, self.manager, self.grippers
         wanted = self.wants_time and not self.held
-        self._testbed.write(Drive(loop.tau, manager.power, manager.brakes, grippers.opening, wanted, grippers.force))
+        self._testbed.write(
+            Drive(loop.command, manager.power, manager.brakes, grippers.opening, wanted, grippers.force)
+        )
+
+    def _give_course(self, courses: Courses) -> None:
+        course, findings = courses.update(self.loop.engaged, self.loop.command, self._testbed.speed())
+        for finding in findings:
+            self._react(finding)
+        if course is not None:
+            self._testbed.follow(course)
 
     def _react(self, finding: SafetyFinding) -> None:
         match finding.reaction:

@@ -33,13 +33,14 @@ EndedGoal = tuple[Goal, ImError | None, dict[str, Any]]
 """A goal, why it ended badly if it did, and results: ``duration`` [s] of its motion, ``retimed`` if it took longer."""
 
 _CEILING_STEPS = 20
+_SCALING_STEP = 0.01
 
 
 class ControlledGroup:
     """Motions, control law and rest monitor of the joints of one group.
 
-    In every tick: :meth:`plan`, :meth:`advance`, :meth:`torque`, :meth:`ended`. Tolerances of trajectories are judged
-    within :meth:`torque`.
+    In every tick: :meth:`plan`, :meth:`advance`, :meth:`command`, :meth:`ended`. Tolerances of trajectories are judged
+    within :meth:`command`.
 
     Attributes:
         name: Name of the group.
@@ -336,12 +337,17 @@ class ControlledGroup:
         """Set the upper bound of the rate, in steps of 0.05 from 0.05 to 1; independent of the client's override."""
         self._rates.ceiling = max(int(scale * _CEILING_STEPS), 1) / _CEILING_STEPS
 
+    def set_scaling(self, scale: float) -> None:
+        """Set the share of the wanted speed with which the robot follows, 0 to 1; small changes are none."""
+        if scale in (0.0, 1.0) or abs(scale - self._rates.scaling) > _SCALING_STEP:
+            self._rates.scaling = scale
+
     def drop_goals(self) -> list[Goal]:
         """Forget every goal at once; the goals."""
         goals = list(self.goals)
         self._current = None
         self._queue.clear()
-        self._rates = Rates(override=self._rates.override)
+        self._rates = Rates(override=self._rates.override, scaling=self._rates.scaling)
         return goals
 
     # in every tick
@@ -398,7 +404,7 @@ class ControlledGroup:
                 )
             )
 
-    def torque(
+    def command(
         self,
         tick: int,
         q: NDArray[np.float64],
@@ -406,7 +412,7 @@ class ControlledGroup:
         gravity: NDArray[np.float64],
         wanted: Setpoint,
     ) -> NDArray[np.float64]:
-        """Return torques of the current tick, shape (n,), for the present setpoint of the planner.
+        """Return torques, velocities or positions of the current tick, shape (n,), for the planner's present setpoint.
 
         Args:
             tick: Number of the tick.
@@ -429,7 +435,7 @@ class ControlledGroup:
             self._begun()
         if self._current is not None and (fault := self.check.on_the_way(self._current, tick)) is not None:
             self._interrupt(fault)
-        return self.controller.torque(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
+        return self.controller.command(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""

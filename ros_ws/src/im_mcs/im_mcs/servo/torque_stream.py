@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError, LimitError, StateError
 from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.slots import interface_of
 from im_mcs.planning.goals import Goal
 from im_mcs.planning.motions.stream import LAPSED, StreamLease
 from im_mcs.protocol.requests import StreamRequest
@@ -69,9 +70,12 @@ class TorqueStreams:
             Whether they opened it.
 
         Raises:
-            StateError: The group follows a motion, or a protective stop holds it.
+            StateError: The group takes other commands than torques, follows a motion, or a protective stop holds it.
             DataError: A wrong size, or a value that is not finite.
         """
+        kind = interface_of(group.controller.name)
+        if kind != "effort":
+            raise StateError(f"group '{group.name}' takes {kind}, no torques", group=group.name)
         tau = self._limits.check_finite(group.index, request.torques, "stream", "torque")
         lease = StreamLease(request.owner, request.lease_s, self._period_s, "torques")
         stream = self._streams.get(group.name)

@@ -456,11 +456,14 @@ class StateManager:
         yield from self._until(lambda: self.power or not self.measured.power, lambda: secured)
         self._needing.update(groups)
         try:
-            yield from self._until(lambda: self.measured.power, lambda: "the testbed to switch power on")
+            yield from self._until(lambda: self.measured.power, self._awaited_power)
         except WaitTimeoutError:
             self._needing.difference_update(groups)
             raise
         enter()
+
+    def _awaited_power(self) -> str:
+        return ": ".join(filter(None, ("the testbed to switch power on", ", ".join(self._arms.broken()))))
 
     def _power_off(self, groups: Sequence[str], enter: Enter) -> Generator[None, None, None]:
         """Disable motion, then switch power off, unless another group needs it; if it stays on, do an e-stop."""

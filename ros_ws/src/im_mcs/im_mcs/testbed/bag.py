@@ -31,6 +31,8 @@ class BagDriver:
         DataError: The bag cannot be read, or lacks the topic, or a name.
     """
 
+    interfaces_taken = ("effort", "velocity", "position")
+
     def __init__(
         self,
         bag: str,

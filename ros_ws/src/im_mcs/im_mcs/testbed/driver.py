@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from im_mcs.limits.slots import OFFERED, check_settings, find_driver
+from im_mcs.limits.slots import OFFERED, Interface, check_settings, find_driver
 
 
 class Measured(NamedTuple):
@@ -40,7 +40,8 @@ class Drive(NamedTuple):
     """Commands to the channels until the next tick.
 
     Attributes:
-        tau: Torques, shape (n,) [Nm or N].
+        command: Torque, velocity or position of each joint, as its slot says, shape (n,)
+            [Nm or N, rad/s or m/s, rad or m].
         power: Whether the motors shall have power.
         brakes: Which brakes shall be engaged, shape (n,).
         gripper: Wanted openings, shape (m,) [m].
@@ -48,7 +49,7 @@ class Drive(NamedTuple):
         gripper_force: Largest force between the jaws, shape (m,) [N]; infinity stands for all the gripper can give.
     """
 
-    tau: NDArray[np.float64]
+    command: NDArray[np.float64]
     power: bool
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]
@@ -56,10 +57,26 @@ class Drive(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
+class PlannedCourse(NamedTuple):
+    """Positions of joints from now on until they rest, if nothing changes.
+
+    Attributes:
+        seconds: Times after the present command, shape (m,) [s].
+        q: Positions, shape (m, n) [rad or m].
+        v: Velocities, shape (m, n) [rad/s or m/s]; 0 in the end.
+    """
+
+    seconds: NDArray[np.float64]
+    q: NDArray[np.float64]
+    v: NDArray[np.float64]
+
+
 class ChannelDriver(Protocol):
     """Hardware seen as numbered channels.
 
     The loop calls ``connect`` once, then in every tick ``wait``, ``read``, ``write``, in the end ``close``.
+    A driver of joints that take other commands than torques names the kinds in a static ``interfaces_taken``, and
+    finds the kind of each channel in the parameter ``interfaces`` of its constructor.
     """
 
     n_joints: int
@@ -113,6 +130,24 @@ class TimeKeeper(Protocol):
 
     def time_asked(self) -> bool:
         """Whether somebody has asked for time beyond the present tick."""
+        ...
+
+
+@runtime_checkable
+class CourseFollower(Protocol):
+    """Driver of a robot that follows whole trajectories by itself; power and brakes are its only commands besides."""
+
+    @property
+    def speed(self) -> float:
+        """Share of the wanted speed with which the robot follows now, 0 to 1."""
+        ...
+
+    def follow(self, course: PlannedCourse) -> None:
+        """Follow a course from now on, in place of the one before.
+
+        Raises:
+            LinkError: The hardware no longer listens to this driver.
+        """
         ...
 
 
@@ -217,7 +252,9 @@ def find_stop_circuit(name: str, instance: str) -> StopCircuit | None:
     return None if make is None else cast(StopCircuit, make(instance))
 
 
-def load_driver(name: str, settings: Mapping[str, object], *, instance: str, timeout_s: float) -> ChannelDriver:
+def load_driver(
+    name: str, settings: Mapping[str, object], *, instance: str, timeout_s: float, interfaces: Mapping[int, Interface]
+) -> ChannelDriver:
     """Make the driver named ``module:Class`` in the configuration.
 
     Args:
@@ -225,6 +262,7 @@ def load_driver(name: str, settings: Mapping[str, object], *, instance: str, tim
         settings: Keywords of its constructor.
         instance: Which machine on this host; given to a constructor with a parameter of that name.
         timeout_s: How long hardware may take to answer at first [s]; likewise.
+        interfaces: Kinds of commands of the joints, by channel; likewise.
 
     Raises:
         ConfigError: There is no such module or class, or it does not take these settings.
@@ -232,7 +270,7 @@ def load_driver(name: str, settings: Mapping[str, object], *, instance: str, tim
     """
     check_settings(name, settings)
     factory = find_driver(name)
-    offered = dict(zip(OFFERED, (instance, timeout_s), strict=True))
+    offered = dict(zip(OFFERED, (instance, timeout_s, interfaces), strict=True))
     taken = {key: value for key, value in offered.items() if key in inspect.signature(factory).parameters}
     return cast(ChannelDriver, factory(**taken, **settings))
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 from im_core.errors import ImError, LinkError
-from im_mcs.testbed import Drive, Measured, TestbedInterface
+from im_mcs.testbed import Drive, Measured, PlannedCourse, TestbedInterface
 
 Given = ParamSpec("Given")
 ResultT = TypeVar("ResultT")
@@ -73,6 +73,22 @@ class GuardedTestbed:
             LinkError: Some hardware no longer listens; all other has heard it.
         """
         _guard("write", self._testbed.write, drive)
+
+    def speed(self) -> float:
+        """Share of the wanted speed with which robots follow courses.
+
+        Raises:
+            LinkError: It is not told.
+        """
+        return _guard("speed", self._testbed.speed)
+
+    def follow(self, course: PlannedCourse) -> None:
+        """Give a course to the drivers that follow one.
+
+        Raises:
+            LinkError: Some hardware no longer listens.
+        """
+        _guard("follow", self._testbed.follow, course)
 
     def faults(self) -> list[str]:
         """Return the faults reported by hardware.

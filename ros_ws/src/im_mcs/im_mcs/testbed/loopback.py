@@ -1,15 +1,20 @@
 """Channel driver without hardware: every joint a separate mass. For tests and for trying a controller."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from im_mcs.limits.slots import Interface
 from im_mcs.testbed.driver import Drive, Measured
+
+_LAG_S = 0.02
 
 
 class LoopbackDriver:
     """Joints ``inertia * qdd = tau - bias(q)``, integrated semi-implicitly; a braked joint stands still.
+
+    A joint that takes velocities has its velocity at once; one that takes positions goes there as a first-order lag.
 
     Jaws are at once where they are told to be; nothing presses on them or on the wrists.
 
@@ -19,9 +24,11 @@ class LoopbackDriver:
         period_s: Servo period [s].
         bias: Torques that positions cause, such as gravity; none if not given.
         grippers, wrenches: Numbers of grippers and wrist sensors.
+        interfaces: Kinds of commands by channel; torques where none is given.
     """
 
     wall_period_s = 0.0
+    interfaces_taken = ("effort", "velocity", "position")
 
     def __init__(
         self,
@@ -31,7 +38,9 @@ class LoopbackDriver:
         bias: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
         grippers: int = 2,
         wrenches: int = 2,
+        interfaces: Mapping[int, Interface] | None = None,
     ) -> None:
+        self._interfaces = dict(interfaces or {})
         self._inertia = np.asarray(inertia, dtype=np.float64)
         self.n_joints, self.n_grippers, self.n_wrenches = len(self._inertia), grippers, wrenches
         self.period_s = period_s
@@ -69,9 +78,14 @@ class LoopbackDriver:
         """Let one period pass."""
         self.drive = drive
         braked = drive.brakes | (not drive.power)
-        tau = drive.tau if drive.power else np.zeros(self.n_joints)
         bias = self._bias(self.q) if self._bias is not None else 0.0
-        self.v = np.where(braked, 0.0, self.v + (tau - bias) / self._inertia * self.period_s)
+        v = self.v + (drive.command - bias) / self._inertia * self.period_s
+        for joint, kind in self._interfaces.items():
+            if kind == "velocity":
+                v[joint] = drive.command[joint]
+            elif kind == "position":
+                v[joint] = (drive.command[joint] - self.q[joint]) / _LAG_S
+        self.v = np.where(braked, 0.0, v)
         self.q = self.q + self.v * self.period_s
         self._tick += 1
 

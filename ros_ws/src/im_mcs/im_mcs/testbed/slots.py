@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from im_core.errors import ConfigError
 from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
-from im_mcs.testbed.driver import ChannelDriver, Drive, HostedHardware, Measured, SelfReporting, TimeKeeper, load_driver
+from im_mcs.testbed.driver import (
+    ChannelDriver,
+    CourseFollower,
+    Drive,
+    HostedHardware,
+    Measured,
+    PlannedCourse,
+    SelfReporting,
+    TimeKeeper,
+    load_driver,
+)
 
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
@@ -21,7 +31,7 @@ class TestbedInterface:
 
     Args:
         drivers: By name.
-        slots: What is on their channels; a channel without a slot gets no torque and keeps its brake.
+        slots: What is on their channels; a channel without a slot gets no command and keeps its brake.
         clock: Name of the driver that is the clock.
 
     Raises:
@@ -52,7 +62,13 @@ class TestbedInterface:
             LinkError: A driver's hardware does not answer in time.
         """
         drivers = {
-            name: load_driver(spec.driver, spec.settings, instance=instance, timeout_s=patience_s())
+            name: load_driver(
+                spec.driver,
+                spec.settings,
+                instance=instance,
+                timeout_s=patience_s(),
+                interfaces={s.channel: s.interface for s in slots if s.kind == "joint" and s.driver == name},
+            )
             for name, spec in testbed.drivers.items()
         }
         return cls(drivers, slots, testbed.clock)
@@ -132,6 +148,25 @@ class TestbedInterface:
             return
         self._each(lambda part: part.driver.write(part.drive(drive)))
 
+    @property
+    def followed(self) -> list[int]:
+        """Ranks of the joints on drivers that follow courses."""
+        return [rank for part in self._parts if part.follows for rank in part.joints[0].tolist()]
+
+    def speed(self) -> float:
+        """Share of the wanted speed with which robots follow courses: of the slowest."""
+        drivers = (part.driver for part in self._parts)
+        return min((driver.speed for driver in drivers if isinstance(driver, CourseFollower)), default=1.0)
+
+    def follow(self, course: PlannedCourse) -> None:
+        """Give a course to the drivers that follow one.
+
+        Raises:
+            LinkError: Some hardware no longer listens.
+        """
+        for part in self._parts:
+            part.follow(course)
+
     def faults(self) -> list[str]:
         """Return the faults reported by hardware, e.g. ``brake_open of left_j2``.
 
@@ -187,16 +222,30 @@ class _Part:
         of_joints = [(fault.what, self._channels.get(fault.channel)) for fault in reported if fault.channel is not None]
         return of_none + [f"{what} of {joint}" for what, joint in of_joints if joint is not None]
 
+    @property
+    def follows(self) -> bool:
+        """Whether the driver follows courses."""
+        return isinstance(self.driver, CourseFollower)
+
+    def follow(self, course: PlannedCourse) -> None:
+        """Give the driver its part of a course, if it follows one."""
+        if isinstance(self.driver, CourseFollower):
+            slots, channels = self.joints
+            q = np.zeros((len(course.seconds), self.driver.n_joints))
+            v = np.zeros_like(q)
+            q[:, channels], v[:, channels] = course.q[:, slots], course.v[:, slots]
+            self.driver.follow(PlannedCourse(course.seconds, q, v))
+
     def drive(self, drive: Drive) -> Drive:
         """Return the driver's part of ``drive``, in the order of the channels."""
-        tau = np.zeros(self.driver.n_joints)
+        command = np.zeros(self.driver.n_joints)
         brakes = np.ones(self.driver.n_joints, dtype=np.bool_)
         gripper, force = np.full(self.driver.n_grippers, np.nan), np.full(self.driver.n_grippers, np.nan)
         slots, channels = self.joints
-        tau[channels], brakes[channels] = drive.tau[slots], drive.brakes[slots]
+        command[channels], brakes[channels] = drive.command[slots], drive.brakes[slots]
         slots, channels = self.grippers
         gripper[channels], force[channels] = drive.gripper[slots], drive.gripper_force[slots]
-        return Drive(tau, drive.power, brakes, gripper, drive.wants_time, force)
+        return Drive(command, drive.power, brakes, gripper, drive.wants_time, force)
 
     def _places(self, kind: Kind, slots: Sequence[Slot]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         count: Any = getattr(self.driver, _COUNTS[kind])

@@ -47,7 +47,7 @@ class NoLaw:
 
     def hold_integral(self, hold: bool) -> None: ...
 
-    def torque(self, given: ControlInput) -> NDArray[np.float64]:
+    def command(self, given: ControlInput) -> NDArray[np.float64]:
         return np.zeros_like(given.q)
 
 
@@ -121,7 +121,7 @@ class Rig:
             self.q_all[self.index] = setpoint.q - self.error
             v = np.zeros(18)
             v[self.index] = setpoint.v - self.velocity_error
-            self.group.torque(self.tick, self.q_all.copy(), v, np.zeros(18), Setpoint.at_rest(self.q_all))
+            self.group.command(self.tick, self.q_all.copy(), v, np.zeros(18), Setpoint.at_rest(self.q_all))
             for goal, fault, results in self.group.ended():
                 self.results[goal.id] = fault, results, self.tick
 

@@ -129,6 +129,30 @@ class PathFollower:
         self.between, self._now = knot.between, knot.setpoint
         return knot.setpoint, knot.ticks
 
+    @property
+    def plan(self) -> tuple[object, object]:
+        """Objects that stay the same as long as the motion goes on as planned."""
+        return self._clock, self._brake
+
+    @property
+    def left_s(self) -> float:
+        """Time from the last knot until the motion rests, if nothing changes [s]."""
+        if self._brake is not None:
+            return max(self._brake[0].duration - self._t, 0.0)
+        ramp_s = max(self._clock.ramp_s - self._t, 0.0)
+        sigma = self._clock.at(self._t + ramp_s)[0]
+        if self._clock.rate == 0.0:
+            return ramp_s
+        return ramp_s + max(self.trajectory.duration - sigma, 0.0) / self._clock.rate
+
+    def course(self, t: NDArray[np.float64]) -> Setpoint:
+        """Return the setpoints at times after the last knot, shape (m,) [s], if nothing changes: shape (m, n) each."""
+        if self._brake is not None:
+            return self._brake[0].span(np.minimum(self._t + t, self._brake[0].duration))
+        sigma, rate, change = self._clock.span(self._t + t)
+        s = self.trajectory.span(np.minimum(sigma, self.trajectory.duration))
+        return scaled(s, rate[:, None], change[:, None])
+
     def look_ahead(self) -> None:
         """Evaluate the knot to which :meth:`advance` comes next, unless the rate changes."""
         if self._brake is None and not self.finished:
@@ -239,9 +263,19 @@ class Standing:
     ahead = None
     between = None
     trajectory = None
+    left_s = 0.0
 
     def __init__(self, q: NDArray[np.float64]) -> None:
         self.end_setpoint = Setpoint.at_rest(q)
+
+    @property
+    def plan(self) -> tuple[object, object]:
+        """The place."""
+        return self.end_setpoint, None
+
+    def course(self, t: NDArray[np.float64]) -> Setpoint:
+        """Return the place at times, shape (m,): shape (m, n)."""
+        return Setpoint.at_rest(np.tile(self.end_setpoint.q, (len(t), 1)))
 
     def look_ahead(self) -> None:
         """There is nothing to prepare."""

@@ -1,0 +1,105 @@
+"""Courses of joints that a robot's own trajectory controller moves: the motion under way, up to its end.
+
+A course is made where a motion begins, or its rate changes: a pause, a stop, a motion that takes over.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from im_core.errors import ImError, StateError
+from im_mcs.safety import Reaction, SafetyFinding
+from im_mcs.servo.group import ControlledGroup
+from im_mcs.testbed import PlannedCourse
+
+_STEP_S = 0.05
+_MOST_POINTS = 1900
+_SAME = 1e-6
+# time that a robot that had halted by itself is given to come to where the setpoints rest
+_CATCH_UP_S, _PATIENCE = 2.0, 3.0
+
+
+class Courses:
+    """Watch over the motions of groups, for courses.
+
+    Args:
+        followed: Ranks of the joints whose drivers follow courses.
+        near: Following errors with which a robot that had halted counts as there, shape (n,) [rad or m].
+        period_s: Servo period [s].
+    """
+
+    def __init__(self, followed: Collection[int], near: NDArray[np.float64], period_s: float) -> None:
+        self._followed = frozenset(followed)
+        self._near, self._period_s = near, period_s
+        self._wait_s = 0.0
+        self._plan: list[object] = []
+        self._end: NDArray[np.float64] | None = None
+
+    def scale(self, groups: Iterable[ControlledGroup], speed: float, q: NDArray[np.float64]) -> None:
+        """Let the setpoints of followed groups be as fast as the robot follows.
+
+        Where the robot had halted by itself, setpoints that have braked ahead of it wait until it is there; after a
+        time they go on anyway, and its error is judged.
+
+        Args:
+            groups: All groups.
+            speed: Share of the wanted speed, 0 to 1.
+            q: Measured positions of all joints, shape (n,) [rad or m].
+        """
+        followed = [group for group in groups if self._follows(group)]
+        if speed == 0.0:
+            self._wait_s = _PATIENCE * _CATCH_UP_S
+        elif self._wait_s > 0.0:
+            self._wait_s -= speed * self._period_s
+            errors = (np.abs(group.following_error(q)) - self._near[group.place] for group in followed if group.engaged)
+            if all(error.max() < 0.0 for error in errors):
+                self._wait_s = 0.0
+        for group in followed:
+            group.set_scaling(0.0 if self._wait_s > 0.0 else speed)
+
+    def update(
+        self, engaged: Sequence[ControlledGroup], command: NDArray[np.float64], speed: float
+    ) -> tuple[PlannedCourse | None, list[SafetyFinding]]:
+        """Return a course, if it is another one than before; and findings for motions without one.
+
+        Args:
+            engaged: Groups under control.
+            command: Commands of this tick, shape (n,) [rad or m].
+            speed: Share of the wanted speed with which the robot follows; times of a course are on its clock.
+        """
+        groups = [group for group in engaged if self._follows(group)]
+        if not groups:
+            self._plan, self._end = [], None
+            return None, []
+        findings, planners = [], []
+        plan: list[object] = []
+        for group in groups:
+            try:
+                plan += group.planner.plan
+                planners.append((group.place, group.planner))
+            except StateError as error:
+                why = f"group '{group.name}': the robot's trajectory controller cannot follow: {error.message}"
+                fault = ImError(why, code="course", group=group.name)
+                findings.append(SafetyFinding(Reaction.END, fault, (group.name,)))
+        if findings or (len(plan) == len(self._plan) and all(a is b for a, b in zip(plan, self._plan, strict=True))):
+            return None, findings
+        self._plan = plan
+        left_s = max(planner.left_s for _, planner in planners)
+        if left_s == 0.0 and (self._end is None or np.abs(command - self._end).max() < _SAME):
+            return None, []
+        step_s = max(_STEP_S, left_s / _MOST_POINTS)
+        times = np.append(np.arange(step_s, left_s - step_s / 2.0, step_s), max(left_s, _STEP_S))
+        q = np.tile(command, (len(times), 1))
+        v = np.zeros_like(q)
+        for place, planner in planners:
+            states = planner.course(times)
+            q[:, place], v[:, place] = states.q, states.v
+        v[-1] = 0.0
+        self._end = q[-1]
+        if speed == 0.0:  # later on, the robot takes its time to where the setpoints have braked to
+            return PlannedCourse(times + _CATCH_UP_S, q, v), []
+        return PlannedCourse(times * speed, q, v / speed), []
+
+    def _follows(self, group: ControlledGroup) -> bool:
+        return bool(self._followed.intersection(group.index.tolist()))
