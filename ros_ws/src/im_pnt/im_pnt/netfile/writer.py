@@ -148,6 +148,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
         **_filled(on_failure=arcs_data(t.on_failure), on_doubt=arcs_data(t.on_doubt)),
         **_said(
             retry_of=t.retry_of,
+            cancels=t.cancels,
             emit=list(t.emit) or None,
             delay=None if t.delay is None else _delay_data(t.delay),
             success=None if t.success == 1.0 else t.success,

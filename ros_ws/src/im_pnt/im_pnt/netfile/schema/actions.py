@@ -39,14 +39,19 @@ class TopicFile(_MessageFile):
     message: Fields = Field({}, description="Fields of the message.")
 
 
-class AwaitFile(FilePart):
-    """Awaited message."""
+class WatchedFile(FilePart):
+    """Watched topic."""
 
     name: _RosName = Field(description="Name of the topic.")
     type: Annotated[str, type_form("msg")] = Field(description="Its type, package/msg/Type.")
     latched: Truth = Field(
         False, description="Whether the last message of a latched topic, published before, counts too."
     )
+
+
+class AwaitFile(WatchedFile):
+    """Awaited message."""
+
     until: Given[Annotated[str, TextForm(r"\$\{.*\}", "is not a condition ${...}")]] = Field(
         None, description="Condition on the message, answers.TRANSITION of its own transition; others are passed over."
     )
