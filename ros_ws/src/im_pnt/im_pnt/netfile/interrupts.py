@@ -114,7 +114,7 @@ class Weave:
         return [(scalar(name(key), self._near), self._value(data)) for key, data in made.items()]
 
     def _steps(self, target: "Value | str", failed: "Value | str") -> dict[str, Mapping[str, object]]:
-        """Return the transitions of what is done."""
+        """Return the transitions of the steps."""
         file, made = self._interrupt.file, dict[str, Mapping[str, object]]()
         written = find(self._near, ("do",)).value
         steps = written.children if written.kind is Kind.LIST else (written,)

@@ -1,4 +1,4 @@
-"""Interrupts of a net file: rules for what happens while an action runs."""
+"""Interrupts of a net file: rules for the time during an action."""
 
 from typing import Annotated, Literal, Self
 
@@ -17,7 +17,7 @@ def _as_steps(value: object) -> object:
 
 
 class InterruptFile(FilePart):
-    """Interrupt: a condition that ends an action early, and what is done then."""
+    """Interrupt: a condition that ends an action early, and the steps after that."""
 
     during: Texts = Field(description="Transitions with the actions or the subnets that it interrupts.")
     watch: Given[WatchedFile] = Field(None, description="Topic of its condition; every message is looked at.")
