@@ -21,8 +21,6 @@ from im_pnt.netfile.text import complaint
 
 Pair = tuple[Value, Value]
 _MESSAGE = "message"
-_KNOWN = "${failure.code == ''}"
-"""Guard that holds where the watch has not failed."""
 _OWN = ("in", "out", "on_failure", "on_doubt", "symbol", "emit", "guard", "inhibitors", "resets", "cancels", "with")
 
 
@@ -62,7 +60,7 @@ class Weave:
         steps = [self._name(f"do_{rank}") for rank in range(1, len(interrupt.file.do) + 1)]
         waiting = [self._name("armed"), self._name("stopped")]
         kept = interrupt.file.then == "continue"
-        watched = [self._name("seen")] if interrupt.file.watch is not None and not kept else []
+        watched = [self._name("seen"), self._name("blind")] if interrupt.file.watch is not None and not kept else []
         done = [self._name("done")] if interrupt.file.do and interrupt.file.then == "restart" else []
         self.places = [*own.values(), *waiting, *watched, *steps, *done]
 
@@ -80,33 +78,33 @@ class Weave:
         ready, over, missed = (self.inner[kind] for kind in ("in", "out", "on_failure"))
         armed, stopped = name("armed"), name("stopped")
         kept = file.then == "continue"
-        target: Value | str = {"restart": wanted, "skip": done, "fail": failed, "continue": stopped}[file.then]
+        targets: dict[str, Value | str] = {"restart": wanted, "skip": done, "fail": failed, "continue": stopped}
+        target = targets[file.then]
         first = name("do_1") if file.do else target
-        held, made = armed, {"begin": {"in": [wanted], "out": [ready, armed]}}
+        held = [armed]
+        made: dict[str, Mapping[str, object]] = {"begin": {"in": [wanted], "out": [ready, armed]}}
         if file.watch is not None:
-            held = name("seen")
-            watch: dict[str, object] = {"in": [armed], "await": self._watched()}
-            watch |= {"out": [first], "on_failure": [stopped]} if kept else {"out": [held], "on_failure": [held]}
-            if file.delay is not None:
-                watch["delay"] = find(self._near, ("delay",)).value
-            made["watch"] = watch
+            held = [] if kept else [name("seen"), name("blind")]
+            ends = [first, stopped] if kept else held
+            watch = {"in": [armed], "await": self._watched(), "out": ends[:1], "on_failure": ends[1:]}
+            delay = find(self._near, ("delay",)).value
+            made["watch"] = watch if file.delay is None else {**watch, "delay": delay}
             for suffix, place in (("", over), ("_missed", missed)):
                 made[f"leave{suffix}"] = {"in": [place], "out": [place], "cancels": name("watch")}
-        title = file.says or self._interrupt.name
+        asked = {"guard": find(self._near, ("if",)).value} if file.watch is None else {}
         if file.watch is None and kept:
-            made["see"] = {"in": [armed], "guard": find(self._near, ("if",)).value, "out": [first]}
+            made["see"] = {"in": [armed], "out": [first], **asked}
+        title = file.says or self._interrupt.name
         for rank, action in enumerate(() if kept else actions):
             suffix = f"_{rank + 1}" if rank else ""
-            stop = {"in": [held], "cancels": action, "title": title}
-            guard = _KNOWN if file.watch is not None else find(self._near, ("if",)).value
-            made[f"stop{suffix}"] = {**stop, "out": [stopped], "guard": guard}
-            if file.watch is not None:
-                made[f"stop_blind{suffix}"] = {**stop, "out": [held], "guard": f"not {_KNOWN}"}
+            stop = {"cancels": action, "title": title}
+            made[f"stop{suffix}"] = {"in": held[:1], "out": [stopped], **asked, **stop}
+            for blind in held[1:]:
+                made[f"stop_blind{suffix}"] = {"in": [blind], "out": [blind], **stop}
         for place, ended, end in ((over, "end", done), (missed, "fail", failed)):
-            if not (kept and file.watch is not None):
-                made[ended] = {"in": [place, held], "out": [end]}
-            if kept or place is over:
-                made[f"{ended}_stopped"] = {"in": [place, stopped], "out": [end]}
+            waits = zip(("", "_blind"), held, strict=False)
+            beside = [*waits, ("_stopped", stopped)] if kept or place is over else waits
+            made |= {f"{ended}{suffix}": {"in": [place, other], "out": [end]} for suffix, other in beside}
         if not kept:
             made["interrupted"] = {"in": [missed, stopped], "guard": "not cancelled", "out": [first]}
             made["give_up"] = {"in": [missed, stopped], "guard": "cancelled", "out": [failed]}
@@ -115,11 +113,12 @@ class Weave:
 
     def _steps(self, target: "Value | str", failed: "Value | str") -> dict[str, Mapping[str, object]]:
         """Return the transitions of the steps."""
-        file, made = self._interrupt.file, dict[str, Mapping[str, object]]()
+        file = self._interrupt.file
+        made: dict[str, Mapping[str, object]] = {}
         written = find(self._near, ("do",)).value
         steps = written.children if written.kind is Kind.LIST else (written,)
         if file.do and file.then == "restart":
-            again, target = self._name("done"), self._name("done")
+            again = target = self._name("done")
             made["again"] = {"in": [again], "guard": "not cancelled", "out": [self._arcs["in"]]}
             made["give_up_again"] = {"in": [again], "guard": "cancelled", "out": [failed]}
         for rank, step in enumerate(steps if file.do else (), 1):
@@ -128,10 +127,11 @@ class Weave:
             for key, _ in step.pairs:
                 if key.text in _OWN:
                     raise complaint(key, f"'{key.text}' of what an interrupt does follows from the interrupt")
-            here, keys = self._name(f"do_{rank}"), {key.text: child for key, child in step.pairs}
+            here = self._name(f"do_{rank}")
+            keys: dict[str, object] = {key.text: child for key, child in step.pairs}
             end = self._name(f"do_{rank + 1}") if rank < len(steps) else target
-            if "await" in keys:
-                keys["await"] = self._awaited(keys["await"], f"do_{rank}")
+            if isinstance(awaited := keys.get("await"), Value):
+                keys["await"] = self._awaited(awaited, f"do_{rank}")
             acts = keys.keys() - {"delay", "title"}
             made[f"do_{rank}"] = {"in": [here], "out": [end], **({"on_failure": [failed]} if acts else {}), **keys}
             if not acts:

@@ -369,8 +369,8 @@ class Subnets:
         if not acting:
             raise complaint(key, f"transition {key.text} has no action that an interrupt could end")
         for weave in weaves:
-            for name, content in weave.transitions(acting):
-                yield from self._transition(level, name, content)
+            for each, content in weave.transitions(acting):
+                yield from self._transition(level, each, content)
         yield from made
 
 

@@ -36,7 +36,7 @@ class InterruptFile(FilePart):
     )
     says: Text = Field("", description="Its name for people, in the failure: 'interrupted by ...'.")
     delay: Given[DelayFile] = Field(
-        None, description="Time until the condition comes, in simulation and analysis; without it at once."
+        None, description="Time until the condition comes, in simulation and analysis; without it never."
     )
 
     @pydantic.model_validator(mode="after")
