@@ -97,6 +97,9 @@ transitions:
   follow:
     {in: idle, out: ready, symbol: follow, on_failure: trouble,
      goal: {name: /hardware/follow, type: control_msgs/action/FollowJointTrajectory}}
+  hush:
+    {in: idle, out: ready, symbol: hush, on_failure: trouble,
+     await: {name: /hardware/nothing, type: std_msgs/msg/String, silent: 0.5}}
   hear:
     {in: idle, out: ready, symbol: hear, on_failure: trouble, timeout: 30.0,
      await: {name: /hardware/events, type: std_msgs/msg/String, handle: heard}}
@@ -627,6 +630,12 @@ def test_a_message_interrupts_a_goal_and_nothing_is_left_of_the_watch(machine, w
     assert (marking["idle"], [place for place in marking if "drive" in place]) == (1, [])
     refused = run(node, "drive", speed=0.9)
     assert refused.status.message.startswith("left_j3: too fast"), "a failure of its own is told as one"
+
+
+def test_a_wait_on_a_topic_without_any_message_fails_where_that_was_asked_for(machine):
+    outcome = run(machine[0], "hush")
+    assert (outcome.success, outcome.status.code) == (False, "silent")
+    assert outcome.status.message == "no message of /hardware/nothing came for 0.5 s"
 
 
 def test_a_condition_over_a_field_that_the_type_does_not_have_is_refused():

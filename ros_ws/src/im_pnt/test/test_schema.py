@@ -18,7 +18,7 @@ KEYS = {
     "NetFile": "net description escalate include templates use places services at_once commands rest "
     "transitions assume interrupts",
     "InterruptFile": "during watch if do then says delay",
-    "WatchedFile": "name type latched",
+    "WatchedFile": "name type latched silent",
     "TemplateFile": "parameters ports arguments results places services commands rest transitions",
     "PortsFile": "in out on_failure",
     "UseFile": "template for with",
@@ -36,7 +36,7 @@ KEYS = {
     "ServiceCallFile": "name type request build handle task",
     "GoalFile": "name type goal build handle task",
     "TopicFile": "name type message build",
-    "AwaitFile": "name type latched until handle",
+    "AwaitFile": "name type latched until handle silent",
     "RequestFile": "to arguments build",
     "ConstantFile": "value",
     "ExponentialFile": "rate mean",

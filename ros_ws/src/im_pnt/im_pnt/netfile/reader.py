@@ -423,7 +423,7 @@ def _action(file: TransitionFile) -> Action | None:
     if (topic := file.topic) is not None:
         return TopicAction(topic.name, topic.type, topic.message, topic.build)
     if (awaited := file.awaited) is not None:
-        return AwaitAction(awaited.name, awaited.type, awaited.latched, awaited.handle, awaited.until)
+        return AwaitAction(awaited.name, awaited.type, awaited.latched, awaited.handle, awaited.until, awaited.silent)
     if (request := file.request) is not None:
         net, _, service = request.to.partition(".")
         return RequestAction(net, service, request.arguments, request.build)

@@ -177,7 +177,10 @@ def _action_data(action: Action | None) -> dict[str, object]:
             return {"request": {"to": to, **more} if more else to}
     data: dict[str, object] = {"name": action.name, "type": action.type}
     if isinstance(action, AwaitAction):
-        return {"await": data | _filled(latched=action.latched, until=action.until, handle=action.handle)}
+        return {
+            "await": data
+            | _filled(latched=action.latched, until=action.until, handle=action.handle, silent=action.silent)
+        }
     if isinstance(action, TopicAction):
         return {"topic": data | _filled(message=dict(action.fields), build=action.build)}
     kind, fields = ("service", "request") if isinstance(action, ServiceAction) else ("goal", "goal")

@@ -14,7 +14,7 @@ from im_pnt.execution.firing.rule import DOUBT_CODE
 from im_pnt.execution.functions import ActionContext, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity, ActivityState, Command, CommandResult, Job, Request
 from im_pnt.execution.notification import Firing, Observer, Phase
-from im_pnt.execution.timers import Timers
+from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import Done
 from im_pnt.expression.template import Way
 from im_pnt.model.action import (
@@ -152,6 +152,7 @@ class ScenarioRunner(Observer):
         topics = (topic for step in self._file.steps for topic in step.messages)
         self._listening: dict[str, list[_Hearing]] = {topic: [] for topic in topics}
         self._latest: dict[str, Mapping[str, object]] = {}
+        self._heard_at: dict[str, float] = {}
         self._watches = {(net.name, t.cancels) for net in scenarios.nets for t in net.transitions.values() if t.cancels}
         self._outcome = ScenarioReport()
         self._exchange = _ScenarioExchange(self)
@@ -238,7 +239,7 @@ class ScenarioRunner(Observer):
                 self._cancel(order)
         elif step.messages:
             for topic, message in step.messages.items():
-                self._latest[topic] = message
+                self._latest[topic], self._heard_at[topic] = message, self._now
                 for hearing in tuple(self._listening[topic]):
                     hearing.hear(message)
         else:
@@ -372,13 +373,25 @@ class ScenarioRunner(Observer):
         listening.append(hearing)
         if action.latched and action.name in self._latest:
             hearing.hear(self._latest[action.name])
+        if action.silent is not None:
+            self._listen_for_silence(hearing, action, self._now, action.silent)
         await hearing.pause
+        self._timers.cancel(hearing.timer)
         listening.remove(hearing)
         if hearing.error is not None:
             raise hearing.error
         if hearing.fields is None:
             raise ImError(f"{action} was cancelled", code="cancelled")
         return hearing.fields
+
+    def _listen_for_silence(self, hearing: "_Hearing", action: AwaitAction, began: float, longest: float) -> None:
+        """Have a wait fail once its topic has been silent for too long."""
+        due = max(began, self._heard_at.get(action.name, began)) + longest
+        if self._now < due:
+            hearing.timer = self._timers.at(due, partial(self._listen_for_silence, hearing, action, began, longest))
+        else:
+            hearing.error = action.silence
+            hearing.pause.wake()
 
     def _doubt(self, executor: Executor, name: str, command: Command, why: ImError) -> None:
         """Bring the action of a command in doubt."""
@@ -505,7 +518,8 @@ class _Hearing:
     Attributes:
         pause: Ends with the first message that counts, or whose condition has no value.
         fields: Its fields, None: there was none.
-        error: Why the condition has no value.
+        error: Why the condition has no value, or that its topic is silent.
+        timer: Strikes when it may be.
     """
 
     def __init__(self, action: AwaitAction, context: ActionContext, empty: Mapping[str, object]) -> None:
@@ -513,6 +527,7 @@ class _Hearing:
         self.pause = _Pause()
         self.fields: dict[str, object] | None = None
         self.error: ImError | None = None
+        self.timer: Timer | None = None
 
     def hear(self, message: Mapping[str, object]) -> None:
         """Take a message."""

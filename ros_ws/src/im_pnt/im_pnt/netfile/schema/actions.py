@@ -6,7 +6,7 @@ import pydantic
 from pydantic import Field
 
 from im_pnt.netfile.schema.names import MAX_NAME, NAME
-from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, TextForm, Truth, type_form
+from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, Positive, TextForm, Truth, type_form
 
 _SERVICE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.service")
 
@@ -47,6 +47,7 @@ class WatchedFile(FilePart):
     latched: Truth = Field(
         False, description="Whether the last message of a latched topic, published before, counts too."
     )
+    silent: Given[Positive] = Field(None, description="Time without any message after which the wait fails [s].")
 
 
 class AwaitFile(WatchedFile):
