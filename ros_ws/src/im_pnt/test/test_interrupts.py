@@ -217,3 +217,21 @@ def test_mistakes_are_named(find, replace, complaint):
     assert find in NET
     with pytest.raises(NetFileError, match=complaint):
         parse_net(NET.replace(find, replace, 1).replace("THEN", "skip"))
+
+
+def test_a_request_is_taken_back_and_the_other_net_ends_its_action():
+    front = parse_net(NET.replace("THEN", "fail").replace("action: reach", "request: m.move"))
+    back = parse_net(
+        "net: m\nplaces: {asked: , moved: , missed: }\nservices: {move: {entry: asked, done: moved, failed: missed}}\n"
+        "transitions: {move: {in: asked, out: moved, action: drive, on_failure: missed}}"
+    )
+    alarmed = [False]
+    functions = {"drive": hold, "say": lambda ctx: None}
+    made = Process([front, back], functions, {"alarmed": lambda ctx: alarmed[0]})
+    made.command("n", "go")
+    strike(made, alarmed)
+    assert (made.marking("n")["reach.cancelling"], made.marking("m")["move.cancelling"]) == (1, 1)
+    made.end("move", ImError("the drive was cancelled", code="cancelled"))
+    assert str(made.results[0].error) == "interrupted by an alarm"
+    assert made.marking("n") == {"idle": 2}
+    assert made.marking("m") == {"SI": 1, "SO": 1}

@@ -57,7 +57,7 @@ class Weave:
         self._near = interrupt.written
         own = {kind: self._name(name) for kind, name in (("in", "ready"), ("out", "over"), ("on_failure", "missed"))}
         self.inner = {kind: scalar(name, self._near) for kind, name in own.items()}
-        steps = [self._name(f"do_{rank}") for rank in range(1, len(interrupt.file.do) + 1)]
+        steps = [self._name(f"next_{rank}") for rank in range(1, len(interrupt.file.do) + 1)]
         waiting = [self._name("armed"), self._name("stopped")]
         kept = interrupt.file.then == "continue"
         watched = [self._name("seen"), self._name("blind")] if interrupt.file.watch is not None and not kept else []
@@ -80,7 +80,7 @@ class Weave:
         kept = file.then == "continue"
         targets: dict[str, Value | str] = {"restart": wanted, "skip": done, "fail": failed, "continue": stopped}
         target = targets[file.then]
-        first = name("do_1") if file.do else target
+        first = name("next_1") if file.do else target
         held = [armed]
         made: dict[str, Mapping[str, object]] = {"begin": {"in": [wanted], "out": [ready, armed]}}
         if file.watch is not None:
@@ -127,9 +127,9 @@ class Weave:
             for key, _ in step.pairs:
                 if key.text in _OWN:
                     raise complaint(key, f"'{key.text}' of what an interrupt does follows from the interrupt")
-            here = self._name(f"do_{rank}")
+            here = self._name(f"next_{rank}")
             keys: dict[str, object] = {key.text: child for key, child in step.pairs}
-            end = self._name(f"do_{rank + 1}") if rank < len(steps) else target
+            end = self._name(f"next_{rank + 1}") if rank < len(steps) else target
             if isinstance(awaited := keys.get("await"), Value):
                 keys["await"] = self._awaited(awaited, f"do_{rank}")
             acts = keys.keys() - {"delay", "title"}
