@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from rclpy.parameter import Parameter
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 import im_coordinators.ros.vision as vision
 from im_bag import BagWriter, Delivery
@@ -509,3 +509,59 @@ def test_a_net_that_had_got_a_token_before_it_is_recorded_has_it_again():
     assert run_again(texts).firings == 1
     with pytest.raises(Difference, match=r"begins with ready: 1\n.*now: +2\n.*another initial marking"):
         run_again(texts, joined=parse_net(JOINED.replace("ready: 1", "ready: 2")))
+
+
+INTERRUPTED = """
+net: walker
+places: {ready: {tokens: 1, resource: true}, wanted: , there: , tired: }
+interrupts:
+  halt:
+    during: march
+    watch: {name: /halt, type: std_msgs/msg/Bool}
+    if: ${message.data}
+    do: [{topic: {name: /steps, type: std_msgs/msg/String, message: {data: halted}}}]
+    then: skip
+transitions:
+  begin: {symbol: walk, in: ready, out: wanted}
+  march: {in: wanted, out: there, action: march, on_failure: tired}
+  arrived: {in: there, out: ready, emit: walk_done}
+  give_up: {in: tired, out: ready, emit: walk_failed}
+"""
+
+
+def marching(host):
+    """A march that only an interrupt ends."""
+
+    async def march(ctx):
+        while not ctx.cancelled:
+            await host.pause(0.02)
+        raise DataError("the march was cancelled", code="cancelled")
+
+    return Functions({"march": march})
+
+
+def test_an_interrupted_action_is_interrupted_again_where_it_was(ros, tmp_path, wait_until):
+    texts: list[str] = []
+    node = walker_of(tmp_path, INTERRUPTED, marching)
+    listener = listening(texts)
+    halts = listener.create_publisher(Bool, "/halt", qos.EVENTS)
+    ros(listener, node)
+    outcomes = []
+
+    async def walk() -> None:
+        outcomes.append(await node.commands.run("walk", {}))
+
+    wait_until(lambda: texts, "the state of the net")
+    node.spawn(walk())
+
+    def ended():
+        halts.publish(Bool(data=False))
+        halts.publish(Bool(data=True))
+        return outcomes
+
+    assert wait_until(ended, "the end of the march")[0].success
+    wait_until(lambda: "arrived" in texts[-1], "the last events")
+    (stream,) = streams_of(texts)
+    entries = [item[2][:2] for turn in stream.turns for item in turn.items if item[0] == "net"]
+    assert ["fire", "march.halt.stop"] in entries
+    assert NodeRerun(stream, RosWorld(), RosMessages(), {}).run().firings > 10

@@ -51,14 +51,26 @@ places:
   flipped:
   told:
   path_valid: {data_object: path, on_invalid: [trouble]}
+  set_out:
+interrupts:
+  halt:
+    during: drive
+    watch: {name: /hardware/events, type: std_msgs/msg/String}
+    if: ${message.data == 'halt'}
+    do: [{topic: {name: /hardware/shouts, type: std_msgs/msg/String, message: {data: halt}}}]
+    then: skip
 transitions:
+  begin_drive: {in: idle, out: set_out, symbol: drive}
+  drive:
+    {in: set_out, out: ready, on_failure: trouble,
+     goal: {name: /hardware/move, type: im_msgs/action/Move, build: path}}
   switch:
     {in: idle, out: ready, symbol: switch, on_failure: trouble,
      service: {name: /hardware/switch, type: std_srvs/srv/SetBool, build: wanted, handle: note}}
   ended:
     {in: ready, out: idle,
      emit: [switch_done, slow_done, move_done, shout_done, follow_done, hear_done, sense_done, read_done, last_done,
-            until_done, elsewhere_done, mine_done]}
+            until_done, elsewhere_done, mine_done, drive_done]}
   move:
     {in: idle, out: ready, symbol: move, on_failure: trouble,
      goal: {name: /hardware/move, type: im_msgs/action/Move, build: path}}
@@ -85,6 +97,9 @@ transitions:
   follow:
     {in: idle, out: ready, symbol: follow, on_failure: trouble,
      goal: {name: /hardware/follow, type: control_msgs/action/FollowJointTrajectory}}
+  hush:
+    {in: idle, out: ready, symbol: hush, on_failure: trouble,
+     await: {name: /hardware/nothing, type: std_msgs/msg/String, silent: 0.5}}
   hear:
     {in: idle, out: ready, symbol: hear, on_failure: trouble, timeout: 30.0,
      await: {name: /hardware/events, type: std_msgs/msg/String, handle: heard}}
@@ -597,6 +612,35 @@ def test_a_topic_that_is_not_latched_is_heard_all_the_same_where_that_was_asked_
         return outcomes
 
     assert wait_until(came, "the next message")[0].results == {"heard": "next"}
+
+
+def test_a_message_interrupts_a_goal_and_nothing_is_left_of_the_watch(machine, wait_until):
+    node, hardware, _, _ = machine
+    sent = len(hardware.goals)
+    _, outcomes = begin(node, "drive", speed=0.2)
+    wait_until(lambda: len(hardware.goals) > sent, "the goal")
+
+    def came():
+        hardware.events.publish(String(data="nonsense"))
+        hardware.events.publish(String(data="halt"))
+        return outcomes
+
+    assert wait_until(came, "the end of the interrupted goal")[0].success
+    marking = node.exchange.nets["worker"].marking()
+    assert (marking["idle"], [place for place in marking if "drive" in place]) == (1, [])
+    refused = run(node, "drive", speed=0.9)
+    assert refused.status.message.startswith("left_j3: too fast"), "a failure of its own is told as one"
+
+
+def test_a_wait_on_a_topic_without_any_message_fails_where_that_was_asked_for(machine):
+    outcome = run(machine[0], "hush")
+    assert (outcome.success, outcome.status.code) == (False, "silent")
+    assert outcome.status.message == "no message of /hardware/nothing came for 0.5 s"
+
+
+def test_a_condition_over_a_field_that_the_type_does_not_have_is_refused():
+    with pytest.raises(NetFileError, match=r"halt.watch.await.until: std_msgs/msg/String has no field 'dta'"):
+        check_net(parse_net(NET.replace("${message.data == 'halt'}", "${message.dta == 'halt'}")), RosTypes())
 
 
 def begin_or_ended(node, symbol):

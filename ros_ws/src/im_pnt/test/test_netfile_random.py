@@ -81,7 +81,15 @@ actions = st.one_of(
     st.builds(ServiceAction, ros_names, st.just("p/srv/Do"), fields, functions, functions, optional),
     st.builds(GoalAction, ros_names, st.just("p/action/Move"), fields, functions, functions, optional),
     st.builds(TopicAction, ros_names, st.just("p/msg/Word"), fields, functions),
-    st.builds(AwaitAction, ros_names, st.just("p/msg/Word"), st.booleans(), functions, st.none() | st.just("${1 < 2}")),
+    st.builds(
+        AwaitAction,
+        ros_names,
+        st.just("p/msg/Word"),
+        st.booleans(),
+        functions,
+        st.none() | st.just("${1 < 2}"),
+        st.none() | st.just(2.5),
+    ),
     st.builds(RequestAction, names, names, fields, functions),
     st.builds(ValuesAction),
 )

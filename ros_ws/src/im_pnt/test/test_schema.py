@@ -16,7 +16,9 @@ FILE = Path(im_pnt.__file__).parent / "schema" / "net.schema.json"
 KEYS = {
     "AssumptionFile": "at_most returns",
     "NetFile": "net description escalate include templates use places services at_once commands rest "
-    "transitions assume",
+    "transitions assume interrupts",
+    "InterruptFile": "during watch if do then says delay",
+    "WatchedFile": "name type latched silent",
     "TemplateFile": "parameters ports arguments results places services commands rest transitions",
     "PortsFile": "in out on_failure",
     "UseFile": "template for with",
@@ -28,13 +30,13 @@ KEYS = {
     "TransitionFile": "title use arguments with "
     "in out inhibitors resets guard symbol emit action service goal topic await request result "
     "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority "
-    "servers",
+    "servers cancels",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",
     "GoalFile": "name type goal build handle task",
     "TopicFile": "name type message build",
-    "AwaitFile": "name type latched until handle",
+    "AwaitFile": "name type latched until handle silent",
     "RequestFile": "to arguments build",
     "ConstantFile": "value",
     "ExponentialFile": "rate mean",

@@ -228,7 +228,7 @@ def test_mistakes_point_into_the_subnet_and_at_its_use(find, replace, complaint)
         ("with: {power: {group: left}}", "with: power", "subnet power needs its argument 'group'"),
         ("{group: left}", "{group: lift}", "argument group is 'lift', not one of 'left', 'right'"),
         ("in: asked, out: done", "in: [asked, arm], out: done", "needs one place in each of in, out, on_failure"),
-        ("action: go, on", "action: go, guard: late, on", "'guard' does not go together with 'with'"),
+        ("action: go, on", "action: go, guard: late, on", "'guard' does not go together with a scope"),
         ("out: [powered, done]", "out: done", "'power' is no scope: a scope is a template with three ports"),
     ],
 )

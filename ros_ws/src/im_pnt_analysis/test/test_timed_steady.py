@@ -13,7 +13,7 @@ from im_pnt.model.action import FunctionAction, RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.delay import Delay, exponential
 from im_pnt.model.net import LARGEST, Net, Place, Service, Transition
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.simulation.simulate import summarise
 from im_pnt_analysis.timed.steady import steady_state
 from support.fixtures import NETS
@@ -345,3 +345,21 @@ def test_random_nets_agree_with_a_dense_solution(one):
     tokens = sum(one.initial_marking().values())
     assert sum(state.mean_tokens.values()) == close(tokens)
     assert sum(share for _, share in state.probability) == close(1)
+
+
+@pytest.mark.parametrize(("then", "rate"), [("skip", 0.15), ("restart", 0.1), ("fail", 0.15)])
+def test_an_interrupt_is_a_race_of_the_action_with_its_condition(then, rate):
+    """The action takes 10 s, the condition after 20 s: one of them every 20/3 s, the action two times in three."""
+    state = steady_state(
+        [
+            parse_net(
+                "net: n\nplaces: {wanted: 1, there: , failed: }\ninterrupts:\n  seen:\n    during: reach\n"
+                "    watch: {name: /seen, type: std_msgs/msg/Bool}\n    delay: {exponential: {mean: 20}}\n"
+                f"    then: {then}\ntransitions:\n"
+                "  reach: {in: wanted, out: there, action: r, on_failure: failed, delay: {exponential: {mean: 10}}}\n"
+                "  again: {in: there, out: wanted}\n  failed: {in: failed, out: wanted}\n"
+            )
+        ]
+    )
+    assert state.throughput["again"] + state.throughput.get("failed", 0.0) == close(rate)
+    assert state.throughput["reach.seen.stop"] == close(0.05)

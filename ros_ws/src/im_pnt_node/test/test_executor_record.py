@@ -42,9 +42,11 @@ places:
   lost:
   asked:
   answered:
+  armed:
 services: {serve: {entry: asked, done: answered, failed: bad}}
 transitions:
-  begin: {in: idle, out: ready, symbol: go}
+  begin: {in: idle, out: [ready, armed], symbol: go}
+  halt: {in: armed, out: armed, cancels: move, guard: again}
   plan: {in: ready, out: path, action: now, on_failure: bad}
   move: {in: [path, tool], out: [done, tool], action: act, on_failure: [bad, tool], on_doubt: [lost, tool], timeout: 1}
   found: {in: lost, out: bad}

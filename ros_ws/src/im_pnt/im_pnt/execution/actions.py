@@ -9,7 +9,7 @@ from im_core.errors import FOREIGN, ImError
 from im_pnt.execution.conflicts import ConflictResolution
 from im_pnt.execution.doubt import Inquiry
 from im_pnt.execution.events import Answer, Outcome
-from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule
+from im_pnt.execution.firing.rule import DOUBT_CODE, FiringRule, is_interrupted
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity, ActivityState, Lineage, as_failure
 from im_pnt.execution.journal_entries import Record, plain_dict
@@ -172,7 +172,8 @@ class Actions:
     def finish(self, activity: Activity, error: ImError | None, results: dict[str, object]) -> None:
         """End an action; the returned and stored values and the data objects come before success."""
         self._rule.values.stale()
-        if error is not None and error.code == "cancelled" and self.inquiry.called_off(activity):
+        called_off = self.inquiry.called_off(activity) or is_interrupted(activity)
+        if error is not None and error.code == "cancelled" and called_off:
             error = activity.doubt
         if error is None and not activity.concluded and activity.transition in self._rule.values.effective:
             activity.concluded = True
@@ -213,7 +214,7 @@ class Actions:
             index = self._rule.number[f"{activity.transition}.start"]
             if activity.reply is not None:
                 self.finish(activity, *activity.reply)
-            elif isinstance(activity.action, AwaitAction) and activity.state is not ActivityState.IN_DOUBT:
+            elif isinstance(activity.action, AwaitAction) and activity.state is ActivityState.ACTIVE:
                 self._begin_soon(index, activity)  # it has no effect, and is awaited again
             elif not isinstance(activity.action, RequestAction) or activity.state is ActivityState.IN_DOUBT:
                 self.inquiry.doubt(activity, why)

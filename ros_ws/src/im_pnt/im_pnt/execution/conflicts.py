@@ -191,7 +191,7 @@ class ConflictResolution:
         symbol, guard, negated, unowned = self._conditions_of[index]
         if symbol is not None and not self._rule.ledger.tape.has(symbol):
             return False
-        if not self._tokens.queues and symbol is None:
+        if not self._tokens.queues and symbol is None and index not in self._rule.cancelling:
             if guard is None or self._passes(index, guard, negated, NO_LINEAGE, unowned):
                 return True
         elif self._finds_owner(index, guard, negated):

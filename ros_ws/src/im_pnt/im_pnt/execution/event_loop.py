@@ -147,7 +147,9 @@ class EventLoop:
             self.operator.spent()
             self.release()
         try:
-            if activity is not None:
+            if index in self.rule.cancelling and activity is not None:
+                self.actions.call_off(activity)
+            elif activity is not None:
                 self.actions.begin(index, activity)
         finally:
             if not enabling.unmet[index]:

@@ -310,7 +310,7 @@ class Activity:
         concluded: Whether what its transition returns and stores has been.
         checked: Whether the data objects have been looked at.
         reply: How it has ended, when that is known and the net has not yet fired.
-        doubt: Why it is in doubt, None if it is not.
+        doubt: Why it is in doubt, or why a transition has asked it to end early; None if neither.
         doubted: When it came in doubt (monotonic) [s].
         timer: What strikes next: its deadline, or the next question about it.
         on_cancel: Called when it is asked to end early.

@@ -6,6 +6,7 @@ print), ``+ -``, ``* /``, the sign, and ``.field`` (``.'a.b'`` where its name is
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -135,6 +136,24 @@ def shown(node: Node) -> str:
             return f"{function}({', '.join(map(shown, arguments))})"
         case Listing(elements):
             return f"[{', '.join(map(shown, elements))}]"
+
+
+def rebuilt(node: Node, change: Callable[[Node], Node]) -> Node:
+    """Return a tree with the parts of its root changed."""
+    match node:
+        case Field(of, name):
+            return Field(change(of), name)
+        case Item(of, index):
+            return Item(change(of), change(index))
+        case Unary(sign, of):
+            return Unary(sign, change(of))
+        case Binary(sign, left, right):
+            return Binary(sign, change(left), change(right))
+        case Call(function, arguments):
+            return Call(function, tuple(map(change, arguments)))
+        case Listing(elements):
+            return Listing(tuple(map(change, elements)))
+    return node
 
 
 class _Parser:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from im_core.errors import ImError
+
 
 @dataclass(frozen=True, slots=True)
 class FunctionAction:
@@ -98,6 +100,7 @@ class AwaitAction:
         latched: Whether the last message, published before the wait began, counts too.
         until: Condition ``${...}`` that a message fulfils which counts; None: any does.
         handle: Registered function that reads the message.
+        silent: Time without any message after which it fails [s]; None: never.
     """
 
     name: str
@@ -105,6 +108,12 @@ class AwaitAction:
     latched: bool = False
     handle: str | None = None
     until: str | None = None
+    silent: float | None = None
+
+    @property
+    def silence(self) -> ImError:
+        """Failure of a wait on a topic that has become silent."""
+        return ImError(f"no message of {self.name} came for {self.silent:g} s", code="silent", topic=self.name)
 
     @property
     def functions(self) -> tuple[str, ...]:

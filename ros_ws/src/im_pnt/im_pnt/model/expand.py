@@ -146,7 +146,10 @@ def _servers(transition: Transition) -> Arcs:
 
 def _phases(net: Net, transition: Transition) -> Iterator[Transition]:
     if transition.action is None:
-        yield replace(transition, origin=transition.name)
+        other = transition.cancels
+        taken, given = ({}, {}) if other is None else ({active_place(other): 1}, {cancelling_place(other): 1})
+        inputs, outputs = {**transition.inputs, **taken}, {**transition.outputs, **given}
+        yield replace(transition, inputs=inputs, outputs=outputs, origin=transition.name)
         return
     name, servers = transition.name, _servers(transition)
     active, cancelling, in_doubt = ({phase(name): 1} for phase in (active_place, cancelling_place, doubt_place))

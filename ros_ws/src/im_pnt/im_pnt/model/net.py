@@ -189,6 +189,7 @@ class Transition:
         says: What its action does, as a verb with its object, for progress and failures; empty: not said.
         servers: How many of its tokens are worked on at once, :data:`LARGEST`: all; None: all with an action, one with
             a delay alone.
+        cancels: Transition whose running action it asks to end early; it fires only while there is one. None: none.
     """
 
     name: str
@@ -223,6 +224,7 @@ class Transition:
     title: str = ""
     says: str = ""
     servers: int | None = None
+    cancels: str | None = None
 
     @property
     def at_once(self) -> int:

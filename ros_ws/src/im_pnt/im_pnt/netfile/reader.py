@@ -183,6 +183,14 @@ class _Reader:
             raise self._error(location, sentence)
         return name
 
+    def _cancelled(self, location: Location, name: str | None) -> str | None:
+        other = self._file.transitions.get(name or "")
+        if name is not None and (other is None or _action(other) is None or other.tries > 1):
+            acting = [each for each, file in self._file.transitions.items() if _action(file) is not None]
+            sentence = "no transition with an action, tried once" if other is not None else "no transition"
+            raise self._error(location, f"'{shown_name(name)}' is {sentence}{nearest(name, acting)}")
+        return name
+
     def _require_one_reading(self, transitions: Mapping[str, Transition]) -> None:
         """Check whether all readers of a symbol agree on the reading."""
         first: dict[str, Transition] = {}
@@ -304,6 +312,7 @@ class _Reader:
             title=file.title,
             says=file.says,
             servers=file.servers,
+            cancels=self._cancelled((*here, "cancels"), file.cancels),
         )
 
     def _check_servers(self, location: Location, file: TransitionFile, action: Action | None) -> None:
@@ -414,7 +423,7 @@ def _action(file: TransitionFile) -> Action | None:
     if (topic := file.topic) is not None:
         return TopicAction(topic.name, topic.type, topic.message, topic.build)
     if (awaited := file.awaited) is not None:
-        return AwaitAction(awaited.name, awaited.type, awaited.latched, awaited.handle, awaited.until)
+        return AwaitAction(awaited.name, awaited.type, awaited.latched, awaited.handle, awaited.until, awaited.silent)
     if (request := file.request) is not None:
         net, _, service = request.to.partition(".")
         return RequestAction(net, service, request.arguments, request.build)

@@ -5,18 +5,20 @@ place at the use. All else of the subnet (places, transitions, data objects) has
 its own name, so the net is flat when it is read, and is verified, run and recorded as any other.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from im_core.errors import DataError, nearest, quoted_text
 from im_core.text.yamltext import MAX_VALUES, Kind, Value, as_data, find, mapping, plain_scalar, scalar, sequence
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text
-from im_pnt.expression.syntax import Binary, Call, Field, Item, Listing, Literal, Name, Node, Unary, parse, shown
+from im_pnt.expression.syntax import Binary, Field, Listing, Literal, Name, Node, Unary, parse, rebuilt, shown
 from im_pnt.expression.template import OPENS, has_expressions, written_pieces
+from im_pnt.netfile.interrupts import Interrupt, Weave
 from im_pnt.netfile.schema.names import is_qualified
 from im_pnt.netfile.schema.scalars import as_plain, written
 from im_pnt.netfile.schema.templates import PortsFile, SubnetUseFile
+from im_pnt.netfile.schema.transitions import ACTIONS
 from im_pnt.netfile.substitution import Template, filled, size
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data
 
@@ -140,19 +142,7 @@ class _Level:
                     hint = nearest(name, self.objects)
                     raise ExpressionError(f"data.{name}: there is no data object '{name}' in the subnet{hint}")
                 return Field(Name("data"), self.objects[name])
-            case Field(of, name):
-                return Field(self._node(of), name)
-            case Item(of, index):
-                return Item(self._node(of), self._node(index))
-            case Unary(sign, of):
-                return Unary(sign, self._node(of))
-            case Binary(sign, left, right):
-                return Binary(sign, self._node(left), self._node(right))
-            case Call(function, several):
-                return Call(function, tuple(map(self._node, several)))
-            case Listing(several):
-                return Listing(tuple(map(self._node, several)))
-        return node
+        return rebuilt(node, self._node)
 
 
 def _expression(value: Value, name: str) -> Node:
@@ -179,10 +169,15 @@ class Subnets:
 
     Args:
         templates: Templates of the net by name.
+        interrupts: Interrupts of transitions of the net.
     """
 
-    def __init__(self, templates: Mapping[str, Template]) -> None:
+    def __init__(self, templates: Mapping[str, Template], interrupts: Sequence[Interrupt] = ()) -> None:
         self._templates = templates
+        self._interrupts: dict[str, list[Interrupt]] = {}
+        for interrupt in interrupts:
+            for name in interrupt.file.during:
+                self._interrupts.setdefault(name, []).append(interrupt)
         self._places: list[Pair] = []
         self._rest: list[Value] = []
         self._values = 0
@@ -196,6 +191,11 @@ class Subnets:
             NetFileError: A use does not fit the subnet, or a subnet is wrong.
         """
         net = _Level(places={name.text: name.text for name, _ in sections.get("places", ())})
+        known = [key.text for key, _ in sections.get("transitions", ())]
+        for name, (interrupt, *_) in self._interrupts.items():
+            if name not in known:
+                sentence = f"there is no transition {quoted_text(name)}{nearest(name, known)}"
+                raise complaint_at(interrupt.written, ("during",), sentence)
         transitions = list(self._transitions(net, sections.get("transitions", [])))
         places = [*sections.get("places", []), *self._places]
         all_rest = [*(rest or []), *self._rest] if rest is not None or self._rest else None
@@ -214,6 +214,8 @@ class Subnets:
         keys = _keys(value)
         if "with" in keys:
             yield from self._scoped(level, key, value)
+        elif not level.prefix and key.text in self._interrupts:
+            yield from self._interrupted(level, key, value)
         elif "use" in keys:
             yield from self._used(level, key, value)
         else:
@@ -317,14 +319,7 @@ class Subnets:
 
     def _scoped(self, level: _Level, key: Value, value: Value) -> Iterator[Pair]:
         """Yield the transitions of scopes around a transition, from the outermost inward, then the transition."""
-        arcs = {kind: find(value, (kind, 0)).value for kind in _KINDS if kind in _keys(value)}
-        others = [k for k, _ in value.pairs if k.text in ("guard", "symbol", "inhibitors", "resets", "emit")]
-        for other in others:
-            raise complaint(other, f"'{other.text}' does not go together with 'with'; give it a transition of its own")
-        for kind in _KINDS:
-            count = len(find(value, (kind,)).value.children) if kind in arcs else 0
-            if kind not in arcs or count > 1 or arcs[kind].kind is not Kind.SCALAR:
-                raise complaint(key, f"a transition with a scope needs one place in each of {', '.join(_KINDS)}")
+        arcs = _single_arcs(key, value, "a scope")
         scopes = next(child for k, child in value.pairs if k.text == "with")
         entries = scopes.pairs or tuple((each, mapping((), each)) for each in scopes.children or (scopes,))
         for scope, arguments in entries:
@@ -354,6 +349,42 @@ class Subnets:
             arcs = places
         pairs = ((k, arcs.get(k.text, child)) for k, child in value.pairs if k.text != "with")
         yield from self._transition(level, key, mapping(pairs, value))
+
+    def _interrupted(self, level: _Level, key: Value, value: Value) -> Iterator[Pair]:
+        """Yield a transition, or the subnet that it stands for, with its interrupts; the first one is the outermost."""
+        arcs: Mapping[str, Value] = _single_arcs(key, value, "an interrupt")
+        for k, _ in value.pairs:
+            if k.text in ("tries", "on_doubt"):
+                raise complaint(k, f"'{k.text}' does not go together with an interrupt of {key.text}")
+        weaves = []
+        for interrupt in self._interrupts.pop(key.text):
+            weaves.append(Weave(interrupt, key.text, arcs))
+            arcs = weaves[-1].inner
+            for name in weaves[-1].places:
+                level.places[name] = name
+                self._places.append((scalar(name, interrupt.written), scalar("", key, quoted=False)))
+        inner = ((k, arcs.get(k.text, child)) for k, child in value.pairs)
+        made = list(self._transition(level, key, mapping(inner, value)))
+        acting = [name.text for name, content in made if _keys(content) & {*ACTIONS, "result", "store"}]
+        if not acting:
+            raise complaint(key, f"transition {key.text} has no action that an interrupt could end")
+        for weave in weaves:
+            for each, content in weave.transitions(acting):
+                yield from self._transition(level, each, content)
+        yield from made
+
+
+def _single_arcs(key: Value, value: Value, what: str) -> dict[str, Value]:
+    """Return the only place in each of the arcs of a transition, by the keys; of no other kind may it have any."""
+    arcs = {kind: find(value, (kind, 0)).value for kind in _KINDS if kind in _keys(value)}
+    for other, _ in value.pairs:
+        if other.text in ("guard", "symbol", "inhibitors", "resets", "emit"):
+            raise complaint(other, f"'{other.text}' does not go together with {what}; give it a transition of its own")
+    for kind in _KINDS:
+        count = len(find(value, (kind,)).value.children) if kind in arcs else 0
+        if kind not in arcs or count > 1 or arcs[kind].kind is not Kind.SCALAR:
+            raise complaint(key, f"a transition with {what} needs one place in each of {', '.join(_KINDS)}")
+    return arcs
 
 
 def _keys(value: Value) -> set[str]:
@@ -388,7 +419,7 @@ def _content(level: _Level, value: Value) -> Value:
         elif key.text == "store":
             named = ((replace(k, text=level.objects.get(k.text, k.text)), level.values(v)) for k, v in child.pairs)
             child = replace(child, pairs=tuple(named))
-        elif key.text == "retry_of" and child.text in level.transitions:
+        elif key.text in ("retry_of", "cancels") and child.text in level.transitions:
             child = replace(child, text=level.prefix + child.text)
         else:
             child = level.values(child, guard=key.text == "guard")

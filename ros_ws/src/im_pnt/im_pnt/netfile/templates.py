@@ -9,6 +9,7 @@ from im_core.message_paths import resolve_below
 from im_core.text.yamltext import MAX_VALUES, Kind, Location, Value, find, mapping, scalar, sequence
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
+from im_pnt.netfile.interrupts import Interrupt
 from im_pnt.netfile.schema.net import FragmentFile
 from im_pnt.netfile.schema.templates import Parameter, UseFile
 from im_pnt.netfile.subnets import Subnets, uses_subnets
@@ -32,13 +33,15 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
         within: Folders that included files lie below; empty: they may lie anywhere.
 
     Returns:
-        The same net without ``include``, ``templates`` and ``use``, those of transitions too.
+        The same net without ``include``, ``templates``, ``interrupts`` and ``use``, those of transitions too.
 
     Raises:
         NetFileError: A file that cannot be included, includes that go round, or a template that cannot be used.
     """
     fragment = FragmentFile.model_fields.keys()
-    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use"} and not uses_subnets(root):
+    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use", "interrupts"} and not uses_subnets(
+        root
+    ):
         return root
     assembly = _Assembly(within)
     own = {key: value for key, value in read_data(root).items() if key in fragment}
@@ -63,6 +66,7 @@ class _Assembly:
         self.rest: list[Value] | None = None
         self._templates: dict[str, Template] = {}
         self._uses: list[tuple[Value, Location, UseFile]] = []
+        self._interrupts: list[Interrupt] = []
         self._read: set[Path] = set()
         self._values = 0
 
@@ -80,6 +84,12 @@ class _Assembly:
                 sentence = f"template {quoted_text(name)} is there twice; the first is in {other.root.file}:{line}"
                 raise complaint_at(root, location, sentence, key=True)
             self._templates[name] = Template(template, root, location)
+        for name, interrupt in fragment.interrupts.items():
+            if name in {other.name for other in self._interrupts}:
+                raise complaint_at(
+                    root, ("interrupts", name), f"interrupt {quoted_text(name)} is there twice", key=True
+                )
+            self._interrupts.append(Interrupt(name, interrupt, find(root, ("interrupts", name)).value))
         self._uses += [(root, ("use", rank), use) for rank, use in enumerate(fragment.use)]
         self._add_sections({key.text: value for key, value in root.pairs if key.text in _SECTIONS}, root, ())
 
@@ -99,7 +109,8 @@ class _Assembly:
                 if self._values > MAX_VALUES:
                     sentence = f"the copies of templates make more than {MAX_VALUES} values"
                     raise complaint_at(root, location, sentence)
-        self.sections, self.rest = Subnets(self._templates).replaced(self.sections, self.rest)
+        subnets = Subnets(self._templates, self._interrupts)
+        self.sections, self.rest = subnets.replaced(self.sections, self.rest)
 
     def _add_sections(self, sections: Mapping[str, Value], root: Value, location: Location) -> None:
         for name, value in sections.items():

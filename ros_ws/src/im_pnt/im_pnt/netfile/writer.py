@@ -148,6 +148,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
         **_filled(on_failure=arcs_data(t.on_failure), on_doubt=arcs_data(t.on_doubt)),
         **_said(
             retry_of=t.retry_of,
+            cancels=t.cancels,
             emit=list(t.emit) or None,
             delay=None if t.delay is None else _delay_data(t.delay),
             success=None if t.success == 1.0 else t.success,
@@ -176,7 +177,10 @@ def _action_data(action: Action | None) -> dict[str, object]:
             return {"request": {"to": to, **more} if more else to}
     data: dict[str, object] = {"name": action.name, "type": action.type}
     if isinstance(action, AwaitAction):
-        return {"await": data | _filled(latched=action.latched, until=action.until, handle=action.handle)}
+        return {
+            "await": data
+            | _filled(latched=action.latched, until=action.until, handle=action.handle, silent=action.silent)
+        }
     if isinstance(action, TopicAction):
         return {"topic": data | _filled(message=dict(action.fields), build=action.build)}
     kind, fields = ("service", "request") if isinstance(action, ServiceAction) else ("goal", "goal")

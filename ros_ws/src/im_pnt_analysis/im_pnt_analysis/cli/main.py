@@ -20,6 +20,7 @@ PNML files of other tools. docs/nets.md tells how to write one.
   scripts/im pnt test my_nets                                     runs scenarios: mocked answers, expectations
   scripts/im pnt simulate dispatcher.yaml --seed 7 --steps 50     plays a net with imagined actions
   scripts/im pnt time dispatcher.yaml --command calibrate_camera  how long a command takes, and why{draw}
+  scripts/im pnt policy pick.yaml --command pick                  which of several ways to take, and when
   scripts/im pnt convert dispatcher.yaml dispatcher.pnml          writes it for other tools, or reads theirs
   scripts/im pnt schema > net.schema.json                         what editors complete and explain net files with
   scripts/im pnt journal show dispatcher                          what a node would remember if it came back
@@ -37,6 +38,7 @@ _COMMANDS = {
     "verify": "check whether nets may run",
     "simulate": "play a net",
     "time": "compute how fast a net is",
+    "policy": "compute the best choices of a net",
     "convert": "convert YAML to PNML and back",
     "schema": "print the JSON schema",
     "bag": "show the firings of a recording",

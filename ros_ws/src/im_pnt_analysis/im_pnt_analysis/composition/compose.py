@@ -237,7 +237,9 @@ def assumptions(nets: Sequence[Net], decided: Mapping[str, frozenset[str]]) -> I
         clocks = [t for t in transitions if t.action is None and t.delay is not None and t.delay.kind in _BOUNDED]
         if len(clocks) > 1 or (clocks and any(t.role is Role.START or t.symbol for t in transitions)):
             yield f"{NOT_LOOKED_AT}how long the delays of {_names(clocks)} are ({net.name}): any may be over first"
-        endless = [t.origin for t in transitions if isinstance(t.action, AwaitAction) and t.timeout is None]
+        ended = {t.cancels for t in transitions}  # such as the watch of an interrupt: nothing waits for its message
+        awaits = (t for t in transitions if isinstance(t.action, AwaitAction) and t.origin not in ended)
+        endless = [t.origin for t in awaits if t.timeout is None]
         if endless:
             told = "without a timeout they wait for ever"
             yield f"{NOT_LOOKED_AT}whether the messages of {', '.join(endless)} ({net.name}) come: {told}"

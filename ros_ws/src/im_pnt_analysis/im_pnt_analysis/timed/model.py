@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from im_core.errors import nearest
 from im_pnt.errors import NetError
 from im_pnt.execution.jobs import ends
-from im_pnt.model.action import RequestAction
+from im_pnt.model.action import AwaitAction, RequestAction
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.delay import Delay
 from im_pnt.model.net import Net, Place, Role, Transition
@@ -239,6 +239,8 @@ class _Builder:
         self._timed_ends: set[int] = set()
         self._timer_named: dict[str, int] = {}
         self._endings: dict[tuple[Role, str], list[int]] = {}
+        calling_off = (t for t in self.transitions.values() if t.cancels is not None)
+        self._called_off = {place for t in calling_off for place in t.inputs if place.endswith(".active")}
         for name, transition in self.transitions.items():
             if transition.role in (Role.END, Role.FAILED):
                 for place in transition.inputs:
@@ -273,6 +275,8 @@ class _Builder:
     def _never(self, transition: Transition) -> bool:
         if transition.role in _NEVER:
             return True
+        if transition.role is Role.END and all(place.endswith(".cancelling") for place in transition.inputs):
+            return True  # what is asked to end early ends as failed
         if transition.guard is not None and transition.guard.name == "cancelled" and not transition.guard.negated:
             self.assumptions["nobody cancels"] = None
             return True
@@ -296,7 +300,10 @@ class _Builder:
             raise NetError(f"success {success} of transition {name} is not a probability; 0 to 1 is allowed")
         outcomes = ((self._ways(end, active), success), (self._ways(failed, active), 1.0 - success))
         self._probability.update((way, probability) for ways, probability in outcomes for way in ways)
-        if start.delay is not None and start.delay.mean > 0.0:
+        if isinstance(start.action, AwaitAction) and start.delay is None and active in self._called_off:
+            self.assumptions[f"no message for {name} comes: no 'delay' says when"] = None
+            self._timed_ends.update(way for ways, _ in outcomes for way in ways)
+        elif start.delay is not None and start.delay.mean > 0.0:
             self._timed_ends.update(way for ways, _ in outcomes for way in ways)
             known = self._timer_named.setdefault(name, len(self.timers))
             self.timer_of[index] = known

@@ -96,15 +96,21 @@ def steady_state(nets: Sequence[Net], *, seconds: float = 60.0, states: int = 1_
     if not net.timers:
         raise NetError(f"no transition of {net.compiled.net.name} has a delay, so that there is no time to divide by")
     found = reach(net, states=states, seconds=seconds)
-    if found.rivals:
-        raise _not_exponential(found)
+    require_computable(found)
     return _solve(found, begin)
 
 
-def _not_exponential(found: Markings) -> NetError:
+def require_computable(found: Markings) -> None:
+    """Check whether rates, or means alone, decide about each marking.
+
+    Raises:
+        NetError: Delays that are not exponential run beside others; names them.
+    """
+    if not found.rivals:
+        return
     timers = [found.net.timers[timer] for timer in sorted(found.rivals)]
     names = ", ".join(f"{timer.name} ({timer.delay})" for timer in timers)
-    return NetError(
+    raise NetError(
         f"the steady state can be computed for exponential delays only, or where one thing happens at a time; {names} "
         "run beside others. 'scripts/im pnt simulate --summary' estimates it by simulation",
         transitions=[timer.name for timer in timers],

@@ -1,6 +1,6 @@
 """Scenario files: models, and the check against the nets."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -12,6 +12,7 @@ from im_core.config import FieldError, Model, fault_in, load_model
 from im_core.errors import ImError, nearest
 from im_core.files import read_text
 from im_core.text.yamltext import Location, find, read_yaml
+from im_pnt.model.action import AwaitAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 
@@ -22,7 +23,7 @@ MARKS = "+!~?"
 """Marks behind a transition in ``order`` and ``never``: begun, failed, cancelled, in doubt; without one: ended well."""
 
 _LARGEST = 4 * 1024 * 1024
-_KINDS = ("symbol", "request", "cancel", "guards", "objects")
+_KINDS = ("symbol", "request", "cancel", "guards", "objects", "messages")
 
 
 def _as_list(value: object) -> object:
@@ -84,6 +85,7 @@ class StepFile(Model):
         cancel: Symbol or ``net.service`` whose last command or request is cancelled.
         guards: Answers of guards from then on.
         objects: Data objects from then on.
+        messages: Messages that are published, by topic; where a scenario has any of a topic, awaits hear these alone.
         ends: How the command or request ends, ``waiting`` where no transition has taken it; None: ``done``, with drawn
             answers in any way, or waiting.
         reason: Part of the reason of a failure.
@@ -99,6 +101,7 @@ class StepFile(Model):
     cancel: str | None = None
     guards: Guards = Field({})
     objects: Objects = Field({})
+    messages: Objects = Field({})
     ends: Ends | None = None
     reason: str | None = None
     results: Fields = Field({})
@@ -219,6 +222,14 @@ def load_scenarios(path: Path) -> ScenarioSet:
     return ScenarioSet(path, nets, tuple(scenarios))
 
 
+def awaits(nets: Iterable[Net]) -> Iterator[AwaitAction]:
+    """Yield the awaits of nets."""
+    for net in nets:
+        for transition in net.transitions.values():
+            if isinstance(transition.action, AwaitAction):
+                yield transition.action
+
+
 def split_name(name: str, nets: Sequence[Net]) -> tuple[str, str]:
     """Return the net, if given, and the rest of a name ``net.rest`` or ``rest``."""
     before, dot, rest = name.partition(".")
@@ -270,6 +281,10 @@ class _Names:
         if step.during is not None:
             acting = {net.name: [t.name for t in net.transitions.values() if t.action] for net in self._nets}
             self._find((*at, "while"), "transition with an action", step.during, acting)
+        topics = {each.name for each in awaits(self._nets)}
+        for topic in step.messages:
+            if topic not in topics:
+                raise self._unknown((*at, "messages", topic), "awaited topic", topic, topics)
         symbols: dict[str, Iterable[str]] = {net.name: net.symbols() for net in self._nets}
         services: dict[str, Iterable[str]] = {net.name: net.services for net in self._nets}
         self._guards((*at, "guards"), step.guards)

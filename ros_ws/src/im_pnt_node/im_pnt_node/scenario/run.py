@@ -14,7 +14,7 @@ from im_pnt.execution.firing.rule import DOUBT_CODE
 from im_pnt.execution.functions import ActionContext, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity, ActivityState, Command, CommandResult, Job, Request
 from im_pnt.execution.notification import Firing, Observer, Phase
-from im_pnt.execution.timers import Timers
+from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import Done
 from im_pnt.expression.template import Way
 from im_pnt.model.action import (
@@ -149,6 +149,11 @@ class ScenarioRunner(Observer):
         self._asked: dict[tuple[str, str], tuple[int, bool]] = {}
         self._objects = _MockedObjects(self._file.objects)
         self._waiting: dict[tuple[str, str], list[tuple[int, StepFile]]] = defaultdict(list)
+        topics = (topic for step in self._file.steps for topic in step.messages)
+        self._listening: dict[str, list[_Hearing]] = {topic: [] for topic in topics}
+        self._latest: dict[str, Mapping[str, object]] = {}
+        self._heard_at: dict[str, float] = {}
+        self._watches = {(net.name, t.cancels) for net in scenarios.nets for t in net.transitions.values() if t.cancels}
         self._outcome = ScenarioReport()
         self._exchange = _ScenarioExchange(self)
         functions = _WatchedFunctions(self, scenarios.nets)
@@ -232,6 +237,11 @@ class ScenarioRunner(Observer):
             orders = self._outcome.orders.values()
             for order in [each for each in orders if each.name == name and net in ("", each.net)][-1:]:
                 self._cancel(order)
+        elif step.messages:
+            for topic, message in step.messages.items():
+                self._latest[topic], self._heard_at[topic] = message, self._now
+                for hearing in tuple(self._listening[topic]):
+                    hearing.hear(message)
         else:
             self._guards |= step.guards
             self._asked = {key: each for key, each in self._asked.items() if key[1] not in step.guards}
@@ -323,6 +333,10 @@ class ScenarioRunner(Observer):
         """
         transition = self._nets[net].transitions[name]
         action, key = transition.action, f"{net}.{transition.retry_of or name}"
+        if isinstance(action, AwaitAction) and self._written(key) is None:
+            unheard = self._draws is None and (net, name) in self._watches
+            if action.name in self._listening or unheard:
+                return await self._heard(action, context, self._fields_read(transition, context, Draws()))
         answer = self._answer(key, transition, fields, context)
         mean = 0.0 if transition.delay is None else transition.delay.mean
         pause = _Pause()
@@ -345,6 +359,40 @@ class ScenarioRunner(Observer):
             raise ImError(answer.failure, code=answer.code)
         return {**self._fields_read(transition, context, Draws()), **answer.answer}
 
+    async def _heard(
+        self, action: AwaitAction, context: ActionContext, empty: Mapping[str, object]
+    ) -> dict[str, object]:
+        """Wait for a message of the scenario that counts, and return its fields.
+
+        Raises:
+            ImError: The condition has no value, or the wait is cancelled.
+        """
+        hearing = _Hearing(action, context, empty)
+        context.on_cancel(hearing.pause.wake)
+        listening = self._listening.setdefault(action.name, [])
+        listening.append(hearing)
+        if action.latched and action.name in self._latest:
+            hearing.hear(self._latest[action.name])
+        if action.silent is not None:
+            self._listen_for_silence(hearing, action, self._now, action.silent)
+        await hearing.pause
+        self._timers.cancel(hearing.timer)
+        listening.remove(hearing)
+        if hearing.error is not None:
+            raise hearing.error
+        if hearing.fields is None:
+            raise ImError(f"{action} was cancelled", code="cancelled")
+        return hearing.fields
+
+    def _listen_for_silence(self, hearing: "_Hearing", action: AwaitAction, began: float, longest: float) -> None:
+        """Have a wait fail once its topic has been silent for too long."""
+        due = max(began, self._heard_at.get(action.name, began)) + longest
+        if self._now < due:
+            hearing.timer = self._timers.at(due, partial(self._listen_for_silence, hearing, action, began, longest))
+        else:
+            hearing.error = action.silence
+            hearing.pause.wake()
+
     def _doubt(self, executor: Executor, name: str, command: Command, why: ImError) -> None:
         """Bring the action of a command in doubt."""
         for activity in executor.activities:
@@ -362,7 +410,7 @@ class ScenarioRunner(Observer):
     def _answer(
         self, key: str, transition: Transition, fields: Mapping[str, object], context: ActionContext
     ) -> AnswerFile:
-        written = self._file.answers.get(key) or self._file.answers.get(key.partition(".")[2])
+        written = self._written(key)
         if written is None:
             return _BY_ITSELF if self._draws is None else self._drawn(self._draws, key, transition, context)
         given = {**context.request_arguments, **fields}
@@ -373,12 +421,16 @@ class ScenarioRunner(Observer):
         self._used[key] += 1
         return plain[min(self._used[key], len(plain)) - 1]
 
+    def _written(self, key: str) -> Sequence[AnswerFile] | None:
+        return self._file.answers.get(key) or self._file.answers.get(key.partition(".")[2])
+
     def _drawn(self, draws: Draws, key: str, transition: Transition, context: ActionContext) -> AnswerFile:
         """Draw how an action ends, and whether its command is cancelled meanwhile."""
         takes = {} if transition.delay is not None and transition.delay.mean else {"after": 1.0}
         ends: list[dict[str, object]] = [{}, {}, {}, {"failure": "drawn"}]
         ends += [{"doubt": "drawn"}] if transition.on_doubt else []
-        ends += [{"silent": True}] if transition.timeout is not None else []
+        watches = tuple(key.split(".", 1)) in self._watches and isinstance(transition.action, AwaitAction)
+        ends += [{"silent": True}] * (4 if watches else transition.timeout is not None)
         chosen = {**ends[draws.pick(len(ends))], **takes}
         if "failure" in chosen:
             chosen["code"] = [*self._values.texts[1:], "failed"][draws.pick(len(self._values.texts))]
@@ -453,6 +505,40 @@ class _Pause:
         self._over, then, self.then = True, self.then, None
         if then is not None:
             then()
+
+
+class _Hearing:
+    """Wait for a message of a scenario.
+
+    Args:
+        action: The await.
+        context: What its condition is over.
+        empty: The fields that the net reads, empty.
+
+    Attributes:
+        pause: Ends with the first message that counts, or whose condition has no value.
+        fields: Its fields, None: there was none.
+        error: Why the condition has no value, or that its topic is silent.
+        timer: Strikes when it may be.
+    """
+
+    def __init__(self, action: AwaitAction, context: ActionContext, empty: Mapping[str, object]) -> None:
+        self._action, self._context, self._empty = action, context, empty
+        self.pause = _Pause()
+        self.fields: dict[str, object] | None = None
+        self.error: ImError | None = None
+        self.timer: Timer | None = None
+
+    def hear(self, message: Mapping[str, object]) -> None:
+        """Take a message."""
+        fields = {**self._empty, **message}
+        try:
+            if self._action.until is not None and not self._context.holds(self._action.until, fields):
+                return
+            self.fields = fields
+        except ImError as error:
+            self.error = error
+        self.pause.wake()
 
 
 class _WatchedFunctions(Functions):

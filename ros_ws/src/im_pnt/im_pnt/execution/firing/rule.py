@@ -37,7 +37,7 @@ from im_pnt.execution.journal_entries import (
 from im_pnt.execution.marking import Tokens
 from im_pnt.execution.notification import Departure, Notifier, Observer, Outlet, Phase, failure_of
 from im_pnt.execution.values import NetValues, Objects
-from im_pnt.model.action import RequestAction
+from im_pnt.model.action import AwaitAction, RequestAction
 from im_pnt.model.compiled import compile_net
 from im_pnt.model.expand import active_place, cancelling_place, doubt_place, expand, input_place
 from im_pnt.model.net import Net, ObjectScope, ReadFor, Role, Transition
@@ -49,6 +49,8 @@ DOUBT_CODE = "in_doubt"
 """Code of the error of an action of which nobody can tell what became."""
 ABANDONED_CODE = "abandoned"
 """Code of the error of a job that ends at once, though nothing fires."""
+INTERRUPTED_CODE = "interrupted"
+"""Code of the error of an action that a transition has asked to end early."""
 _WAITING_ROLES = (Role.END, Role.FAILED, Role.CANCEL, Role.LOST, Role.GIVEN_UP, Role.WITHDRAWN)
 _PHASE_PLACES = {
     ActivityState.ACTIVE: active_place,
@@ -104,6 +106,7 @@ class FiringRule:
         values: What its expressions are; not for what is done again when a journal is replayed.
         expires: For each symbol that does not wait for ever, how long it does [s].
         choosy: Transitions that tokens alone do not enable: it matters whose they are.
+        cancelling: For each transition that asks an action to end early, the transition of that action.
         begins: Transitions that begin a command where they read a symbol with tokens of nobody.
         held: Numbers of the commands for which nothing is begun, with their scopes as far as these are known; of a
             visit, and of a request that was paused with its caller, the number here, negative.
@@ -131,7 +134,9 @@ class FiringRule:
         self.ledger = Ledger()
         initial = compiled.marking_vector(self.net.initial_marking())
         declared = {place.name for place in self.net.places.values() if place.resource}
-        resources = {self.place[name] for name in declared | resource_places(net)}
+        self.cancelling = {i: t.cancels for i, t in enumerate(self.transitions) if t.cancels is not None}
+        phases = {phase(name) for name in self.cancelling.values() for phase in (active_place, cancelling_place)}
+        resources = {self.place[name] for name in declared | resource_places(net) | phases}
         self.tokens = Tokens(compiled, free, initial, resources)
         self.enabling = self.tokens.enabling
         self._phases = {t.origin: self._phases_of(t) for t in self.transitions if t.role is Role.START}
@@ -146,10 +151,10 @@ class FiringRule:
         self._finishing = frozenset(i for i, t in enumerate(self.transitions) if t.role in ends_service)
         self._withdrawing = frozenset(i for i, t in enumerate(self.transitions) if t.role is Role.WITHDRAWN)
         self._to_commands = frozenset(i for i, t in enumerate(self.transitions) if t.symbol_of is ReadFor.COMMAND)
-        self.choosy = self.tokens.choosy | self._finishing | self._to_commands
+        self.choosy = self.tokens.choosy | self._finishing | self._to_commands | self.cancelling.keys()
         beginning = (i for i in free if self.transitions[i].symbol and self.transitions[i].symbol_of is None)
         self.begins = frozenset(beginning)
-        self._narrowed = self._finishing | self._to_commands | self.begins
+        self._narrowed = self._finishing | self._to_commands | self.begins | self.cancelling.keys()
         self.held: dict[int, str] = {}
         self.replaying = False
         reading = [t for t in self.transitions if t.symbol is not None]
@@ -412,6 +417,8 @@ class FiringRule:
 
     def _narrowed_owners(self, index: int, owners: Sequence[Job | None]) -> Sequence[Job | None]:
         """Narrow the owners of tokens to owners a transition can fire for, where more than tokens decides."""
+        if index in self.cancelling:
+            return [owner for owner in owners if self._cancellable(index, owner) is not None]
         if index in self._finishing:
             return [owner for owner in owners if owner is None or owner.number in self.ledger.serving]
         if index in self._to_commands:
@@ -425,6 +432,13 @@ class FiringRule:
             return None
         owners = self.owners(index)
         return owners[0] if owners else None
+
+    def _cancellable(self, index: int, owner: Job | None) -> Activity | None:
+        """Return the oldest action of a job that a transition can ask to end early, None without one."""
+        name = self.cancelling[index]
+        acting = (each for each in self.activities.values() if each.transition == name and each.state is _ACTIVE)
+        jobs = ((each, each.lineage.job) for each in acting)
+        return next((each for each, job in jobs if job is owner or (owner is None and job and job.closed)), None)
 
     def _symbol_for(self, index: int, owner: Job | None) -> Job | None:
         """Return the oldest symbol on the tape readable by a transition for a command, None without one."""
@@ -449,7 +463,7 @@ class FiringRule:
                 None: tokens of nobody, and the oldest of its symbol.
 
         Returns:
-            The action that is now to begin, for ``t.start``.
+            The action that is now to begin, for ``t.start``; or the one that is to be asked to end early.
         """
         transition = self.transitions[index]
         if self.record is not None:
@@ -458,7 +472,12 @@ class FiringRule:
         word: Job | None = None
         if owner is not None and owner.waiting:
             word, owner = owner, None
+        called_off = self._cancellable(index, owner) if index in self.cancelling else None
         lineage = self.tokens.take_inputs(index, owner)
+        if called_off is not None:
+            self.set_state(called_off, ActivityState.CANCELLING)
+            called_off.cancelled = self.replaying
+            called_off.doubt = interruption(transition, lineage.failure)
         if transition.symbol is not None:
             word = word or self._symbol_for(index, owner)
             assert word is not None
@@ -469,7 +488,7 @@ class FiringRule:
         activity = self._move_on(index, lineage)
         if word is not None and word.symbol not in self._answered:
             self.close(word, None)
-        return activity
+        return called_off or activity
 
     def _move_on(self, index: int, lineage: Lineage) -> Activity | None:
         """Complete a firing after the tokens are taken."""
@@ -615,7 +634,8 @@ class FiringRule:
         failure = None if error is None else self._passed_on(activity, index, error)
         if job is not None and error is not None:
             job.unwanted = False
-        if job is not None and failure is not None and not self._has_another_try(activity, index):
+        only_waited = isinstance(activity.action, AwaitAction) and is_interrupted(activity)
+        if job is not None and failure is not None and not only_waited and not self._has_another_try(activity, index):
             job.last_failure = failure
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
@@ -661,6 +681,20 @@ class FiringRule:
         self.tokens.give_outputs(index, lineage)
         for target, count in self.transitions[index].remote_outputs.items():
             self.outlet.send_token(self.net.name, target, count, self._departure(lineage.job, target.net, count))
+
+
+def interruption(transition: Transition, failure: ImError | None) -> ImError:
+    """Return the failure of an action that a transition asks to end early, perhaps for a failure of its own."""
+    by = transition.title or transition.origin
+    text = f"interrupted by {by}" if failure is None else f"interrupted, for {by} cannot be told: {failure.message}"
+    return ImError(text, code=INTERRUPTED_CODE)
+
+
+def is_interrupted(activity: Activity) -> bool:
+    """Whether a transition has asked an action to end early, and nothing else."""
+    job, why = activity.lineage.job, activity.doubt
+    interrupted = why is not None and why.code == INTERRUPTED_CODE
+    return interrupted and activity.state is ActivityState.CANCELLING and not (job is not None and job.cancelled)
 
 
 def hands_on(activity: Activity) -> bool:

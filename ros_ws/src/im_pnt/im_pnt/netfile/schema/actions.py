@@ -6,7 +6,7 @@ import pydantic
 from pydantic import Field
 
 from im_pnt.netfile.schema.names import MAX_NAME, NAME
-from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, TextForm, Truth, type_form
+from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name, Positive, TextForm, Truth, type_form
 
 _SERVICE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.service")
 
@@ -39,14 +39,20 @@ class TopicFile(_MessageFile):
     message: Fields = Field({}, description="Fields of the message.")
 
 
-class AwaitFile(FilePart):
-    """Awaited message."""
+class WatchedFile(FilePart):
+    """Watched topic."""
 
     name: _RosName = Field(description="Name of the topic.")
     type: Annotated[str, type_form("msg")] = Field(description="Its type, package/msg/Type.")
     latched: Truth = Field(
         False, description="Whether the last message of a latched topic, published before, counts too."
     )
+    silent: Given[Positive] = Field(None, description="Time without any message after which the wait fails [s].")
+
+
+class AwaitFile(WatchedFile):
+    """Awaited message."""
+
     until: Given[Annotated[str, TextForm(r"\$\{.*\}", "is not a condition ${...}")]] = Field(
         None, description="Condition on the message, answers.TRANSITION of its own transition; others are passed over."
     )

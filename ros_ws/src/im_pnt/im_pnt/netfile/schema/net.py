@@ -10,6 +10,7 @@ from pydantic_core import core_schema
 
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.netfile.schema.commands import CommandFile, ServiceFile
+from im_pnt.netfile.schema.interrupts import InterruptFile
 from im_pnt.netfile.schema.names import NAME
 from im_pnt.netfile.schema.places import PlaceFile
 from im_pnt.netfile.schema.templates import TemplateFile, UseFile
@@ -68,6 +69,9 @@ class FragmentFile(FilePart):
     )
     use: Annotated[tuple[UseFile, ...], OneOrMore(), BeforeValidator(_as_uses)] = Field(
         (), description="Copies of templates."
+    )
+    interrupts: Annotated[dict[str, InterruptFile], Named()] = Field(
+        {}, description="Conditions that end actions early, and what is done then, by name."
     )
     places: object = None
     services: object = None

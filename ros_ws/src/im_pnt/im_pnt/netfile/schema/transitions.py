@@ -175,6 +175,11 @@ class TransitionFile(FilePart):
         description="How many of its tokens are worked on at once; inf: all. Without this key all with an action, "
         "and one with a delay alone.",
     )
+    cancels: Given[Text] = Field(
+        None,
+        description="Transition whose running action, of the same command, it asks to end early; it fires only while "
+        "that action runs. It has no action itself.",
+    )
     retry_of: Given[Text] = Field(
         None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
     )
@@ -202,6 +207,12 @@ class TransitionFile(FilePart):
         actions = [key for key in ACTIONS if key in given]
         if len(actions) > 1:
             raise ValueError(f"has {' and '.join(actions)}; one action is allowed")
+        if "cancels" in given:
+            for key in (*_EFFECTS, "delay"):
+                if key in given:
+                    raise WrongKeyError(
+                        ("cancels",), f"does not go together with '{key}'; cancel in a transition of its own"
+                    )
         if not given & set(_EFFECTS):
             for key in _NEED_ACTION:
                 if key in given:

@@ -14,6 +14,7 @@ from rclpy.subscription import Subscription
 
 from im_core.clock import monotonic
 from im_core.errors import ImError
+from im_core.ros.calls import pause
 from im_core.ros.coroutines import Promise
 from im_core.ros.messages.interfaces import decoded, interface_class
 from im_core.ros.node import ManagedNode
@@ -63,7 +64,22 @@ class AwaitActions(RosActions[dict[bool, "_Listener"]]):
                 promise.set_exception(ImError(f"the wait for a {action} was cancelled", code="cancelled"))
 
         activity.when_cancelled(give_up)
+        if action.silent is not None:
+            self._surroundings.node.spawn(self._listen_for_silence(listener, promise, action, action.silent))
         return self._take(promise, activity, action, context)
+
+    async def _listen_for_silence(
+        self, listener: "_Listener", promise: Promise, action: AwaitAction, longest: float
+    ) -> None:
+        """Have a wait fail once its topic has been silent for too long, counted from its begin at the earliest."""
+        began = monotonic()
+        while not promise.done():
+            left = max(began, listener.heard) + longest - monotonic()
+            if left > 0.0:
+                await pause(self._surroundings.node, left)
+            elif not promise.done():
+                listener.drop(promise)
+                promise.set_exception(action.silence)
 
     def ask(self, activity: Activity, _: ActionContext) -> Answer:
         """Return the outcome of a wait after the time: failed, even before the cancellation is known."""
@@ -97,12 +113,16 @@ class _Listener:
         topic: Name of the topic.
         message_type: Its type.
         latched: Whether the last message counts for whoever comes later.
+
+    Attributes:
+        heard: When the last message came (monotonic) [s].
     """
 
     def __init__(self, node: ManagedNode, topic: str, message_type: Any, latched: bool) -> None:
         self._node, self._topic, self._type, self._latched = node, topic, message_type, latched
         self._waiting: dict[Promise, Callable[[Any], bool]] = {}
         self._last: Any = None
+        self.heard = 0.0
         self._reliable, self._durable = True, latched
         self._subscription = self._subscribe()
 
@@ -123,6 +143,7 @@ class _Listener:
         self._node.destroy_subscription(self._subscription)
 
     def _hear(self, data: bytes) -> None:
+        self.heard = monotonic()
         if self._latched or self._waiting:
             message = decoded(data, self._type)
             self._last = message if self._latched else None
