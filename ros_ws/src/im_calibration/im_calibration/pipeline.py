@@ -135,7 +135,7 @@ def _freedom(fit: Fit, used: Mask, layout: ParameterLayout) -> int:
     """Return the degrees of freedom of chi-square; a lens prior adds none, but a share of the knowledge counts."""
     prior = layout.prior(fit.unknowns)
     from_prior = float((covariance_of(fit.information).matrix * prior.lens_information).sum())
-    return round(2 * int(used.sum()) - layout.cameras_size + from_prior)
+    return round(2 * int(used.sum()) - layout.free_size + from_prior)
 
 
 def _describe(
@@ -179,6 +179,7 @@ def _describe(
         led_positions=robot_positions,
         rejections=_rejections(problem, gated),
         verdicts=(),
+        views=0 if problem.placements is None else _views(problem, used),
         arm_error_m=0.0 if problem.arm_error is None else problem.arm_error.standard_deviation,
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         images=tuple(
@@ -195,6 +196,13 @@ def _describe(
     ruled = 1.0 if all(lens is PLUMB_BOB for lens in layout.lenses) else _RULED
     by_data = covariance_of(fit.information - ruled * prior.lens_information)
     return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements, faults))
+
+
+def _views(problem: CalibrationProblem, used: Mask) -> int:
+    """Return how many views of a target count."""
+    assert problem.placements is not None
+    labels = problem.readings or problem.placements.of.astype(str)
+    return len(np.unique(np.array(labels)[used.any(axis=0)]))
 
 
 def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:

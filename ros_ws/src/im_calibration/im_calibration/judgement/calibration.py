@@ -117,6 +117,7 @@ class Calibration:
         cause: What data that fit no camera may be instead, a sentence; empty: nothing is known.
         arm_error_m: Standard deviation of each coordinate of the smooth error of the arm, over the poses [m].
         left_out: Reasons why cameras of the problem are not in `cameras`, one each.
+        views: Views of a target of which points count; 0: of lights.
 
     >>> [round(float(focal)) for focal in np.diag(calibration.cameras[0].model.K)[:2]], calibration.points_used
     ([600, 600], 40)
@@ -146,6 +147,7 @@ class Calibration:
     cause: str
     arm_error_m: float
     left_out: tuple[Verdict, ...] = ()
+    views: int = 0
 
     def moved(self, by: Array) -> "Calibration":
         """Return the same calibration in a world with another origin: all places have ``by`` added, shape (3,) [m].
@@ -228,7 +230,8 @@ class Calibration:
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)
-        text = f"Calibrated {names} from {self.points_used} poses"
+        told = f"{self.points_used} points of a target in {self.views} views" if self.views else f"{self.points_used} poses"
+        text = f"Calibrated {names} from {told}"
         errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
         known = " and ".join(error for error in errors if not error.startswith("nan"))
         return f"{text}; expect {known} RMS in the workspace." if known else f"{text}; none of them sees the workspace."

@@ -165,6 +165,6 @@ def _explains(gated: Gated, problem: CalibrationProblem) -> bool:
     """Check whether a fit agrees with most spots, and the noise explains the residuals."""
     layout = ParameterLayout.of(problem)
     prior = layout.prior(gated.fit.unknowns).lens_chi2
-    dof = 2 * int(gated.used.sum()) - layout.cameras_size
+    dof = 2 * int(gated.used.sum()) - layout.free_size
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     return bool(believed and dof > 0 and scipy.stats.chi2.sf(gated.fit.chi2 - prior, dof) > _UNLIKELY)

@@ -108,11 +108,14 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
     found: tuple[list[Array], Array] | None = None
-    for border in (1, 2):  # Kalibr's tags have a border of two bits
+    bright = cv2.LUT(grey, np.rint(255.0 * (np.arange(256) / 255.0) ** 0.45).astype(np.uint8))
+    for image, border in ((bright, 1), (grey, 1), (bright, 2)):  # Kalibr's tags have a border of two bits
         parameters.markerBorderBits = border
-        corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(grey)
+        corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
         if ids is not None and (found is None or len(ids) > len(found[1])):
             found = [np.reshape(each, (4, 2)).astype(float) for each in corners], np.ravel(ids)
+            if len(ids) >= target.columns * target.rows:
+                break
     if found is None:
         return None
     best, least = None, np.inf
