@@ -227,8 +227,10 @@ def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> Ca
 
 
 def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, ...]:
-    """Return one entry per pose if no spot of the pose counts, else one per spot."""
-    rejections = []
+    """Return one entry per pose if no spot of the pose counts, else one per spot; one per camera's view of a target."""
+    if problem.placements is not None:
+        return _rejected_points(problem, gated)
+    rejections = list[Rejection]()
     for i, pose in enumerate(problem.pose_names):
         out = np.flatnonzero(problem.detected[:, i] & ~gated.used[:, i])
         sigmas = np.sqrt(gated.distances[:, i])
@@ -240,6 +242,22 @@ def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, .
         for c in out:
             reason = f"The spot is {sigmas[c]:.1f} sigma from where the other poses predict it: wrong light?"
             rejections.append(Rejection(pose, problem.camera_names[c], reason, float(sigmas[c])))
+    return tuple(rejections)
+
+
+def _rejected_points(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, ...]:
+    views = np.array([name.rpartition(" point ")[0] for name in problem.pose_names])
+    rejections = []
+    for view in dict.fromkeys(views.tolist()):
+        for c, camera in enumerate(problem.camera_names):
+            seen = (views == view) & problem.detected[c]
+            out = seen & ~gated.used[c]
+            if not out.any():
+                continue
+            worst = float(np.sqrt(gated.distances[c, out].max()))
+            where = f"{out.sum()} of {seen.sum()} points are up to {worst:.1f} sigma from where the others predict them"
+            cause = "stale pose of the robot" if problem.readings and out.sum() == seen.sum() else "hidden, or bent target"
+            rejections.append(Rejection(view, camera, f"{where}: {cause}?", worst))
     return tuple(rejections)
 
 

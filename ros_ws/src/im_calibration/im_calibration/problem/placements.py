@@ -34,22 +34,29 @@ class Placements:
         of: Which target each position is of, -1: of none, shape (n,).
         rotations: Rotations G from the frame of the target's rest to the world, shape (n, 3, 3).
         points: Points q, shape (n, 3) [m].
-        count: Number of targets.
+        places: Places of the targets by the positions, in their frames of rest, shape (m, 4, 4) [-], [m].
         roots: Derivatives of the positions by six errors of unit variance of a reading of the robot, shape (n, 3, 6)
             [m]; None: no robot.
         held: Where the first camera is, whose axes are the world's, shape (3,) [m]; None: the robot's frame is the
             world's.
+        camera_moves: Whether the robot's frame is that of the link with the cameras; if not, it is the base.
     """
 
     of: NDArray[np.intp]
     rotations: Array
     points: Array
-    count: int
+    places: Array
     roots: Array | None = None
     held: Array | None = None
+    camera_moves: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of targets."""
+        return len(self.places)
 
     def displacements(self, placed: Array) -> Array:
-        """Return the displacements of the positions, shape (n, 3) [m], by turns and shifts, shape (count, 3, 4)."""
+        """Return the displacements of the positions, shape (n, 3) [m], by turns and shifts, shape (m, 3, 4)."""
         each = placed[self.of]
         moved = (each[:, :, :3] @ self.points[..., None])[..., 0] + each[:, :, 3] - self.points
         return np.asarray(np.where(self.of[:, None] < 0, 0.0, (self.rotations @ moved[..., None])[..., 0]))

@@ -144,7 +144,13 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         noise_to_estimate=noise_to_estimate,
         readings=() if robot is None else tuple(views.names[view] for view in k),
         placements=Placements(
-            of, frames[:, :3, :3], points, int(of.max()) + 1, roots, np.zeros(3) if robot is None else None
+            of,
+            frames[:, :3, :3],
+            points,
+            placed.places[np.unique(k)] if robot is None else placed.places,
+            roots,
+            np.zeros(3) if robot is None else None,
+            robot is not None and robot.camera_moves,
         ),
         given_intrinsics=given if any(given) else (),
     )
@@ -188,7 +194,7 @@ def _precision(views: TargetViews, c: int) -> GivenIntrinsics | None:
     return GivenIntrinsics(values, scaled * scale[:, None] * scale)
 
 
-def table_of(views: TargetViews, noise_known: bool) -> dict[str, Any]:
+def table_of(views: TargetViews) -> dict[str, Any]:
     """Return the block ``target`` of a data set of some views."""
     spots = [[[None if np.isnan(u[0]) else u.tolist() for u in view] for view in camera] for camera in views.spots]
     filled = np.where(np.isfinite(views.deviations), views.deviations, _median(views.deviations))
@@ -198,7 +204,7 @@ def table_of(views: TargetViews, noise_known: bool) -> dict[str, Any]:
         "points_m": views.points.tolist(),
         "views": list(views.names),
         "u_px": spots,
-        "sigma_u_px": filled.tolist() if noise_known else None,
+        "sigma_u_px": filled.tolist(),
         "robot": robot
         and {
             "poses": robot.poses.tolist(),

@@ -31,7 +31,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         {"pose": pose, "camera": camera, "reason": "The LED was not found."}
         for c, camera in enumerate(problem.camera_names)
         for pose, seen in zip(problem.pose_names, problem.detected[c], strict=True)
-        if not seen
+        if not seen and problem.placements is None
     ]
     deviations = dict(zip(calibration.parameter_names, numbers(calibration.standard_deviations), strict=True))
     return {
