@@ -16,7 +16,7 @@ from im_calibration.estimation.solve import Fit
 from im_calibration.estimation.unknown_noise import find_noise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
-from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
+from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, TargetPlace, chance_of
 from im_calibration.judgement.causes import find_cause, find_slip
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, image_error
@@ -180,6 +180,7 @@ def _describe(
         rejections=_rejections(problem, gated),
         verdicts=(),
         views=0 if problem.placements is None else _views(problem, used),
+        target=_target_place(problem, unknowns, covariance.matrix[layout.placed_slice, layout.placed_slice]),
         arm_error_m=0.0 if problem.arm_error is None else problem.arm_error.standard_deviation,
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         images=tuple(
@@ -203,6 +204,13 @@ def _views(problem: CalibrationProblem, used: Mask) -> int:
     assert problem.placements is not None
     labels = problem.readings or problem.placements.of.astype(str)
     return len(np.unique(np.array(labels)[used.any(axis=0)]))
+
+
+def _target_place(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array) -> TargetPlace | None:
+    if (placements := problem.placements) is None or placements.held is not None:
+        return None
+    moved = np.vstack((unknowns.placements[0], (0.0, 0.0, 0.0, 1.0)))
+    return TargetPlace("base" if placements.camera_moves else "link", moved @ placements.places[0], covariance)
 
 
 def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:

@@ -89,6 +89,21 @@ class CameraEstimate:
 
 
 @dataclass(frozen=True)
+class TargetPlace:
+    """Where the target of a robot and its cameras is.
+
+    Attributes:
+        frame: ``link``, if the target is on it, or ``base``.
+        transform: Target -> frame, shape (4, 4) [-], [m].
+        covariance: Of a turn about the frame's axes and origin [rad] and a shift [m], shape (6, 6).
+    """
+
+    frame: str
+    transform: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Joint estimate of all cameras; arrays are in the order of the problem.
 
@@ -118,6 +133,7 @@ class Calibration:
         arm_error_m: Standard deviation of each coordinate of the smooth error of the arm, over the poses [m].
         left_out: Reasons why cameras of the problem are not in `cameras`, one each.
         views: Views of a target of which points count; 0: of lights.
+        target: Where the target of a robot is; None: there is no robot, or no target.
 
     >>> [round(float(focal)) for focal in np.diag(calibration.cameras[0].model.K)[:2]], calibration.points_used
     ([600, 600], 40)
@@ -148,6 +164,7 @@ class Calibration:
     arm_error_m: float
     left_out: tuple[Verdict, ...] = ()
     views: int = 0
+    target: TargetPlace | None = None
 
     def moved(self, by: Array) -> "Calibration":
         """Return the same calibration in a world with another origin: all places have ``by`` added, shape (3,) [m].

@@ -24,6 +24,7 @@ _FEWEST = 8
 _MANY, _REWEIGHTINGS, _DETECTED_PX = 24, 6, 4.0
 _SHARE_OF_SQUARE, _LEAST_HALF, _LARGEST_HALF = 0.42, 3, 9
 _FIT_STEPS, _MOST_MOVED_PX, _CONTRAST = 8, 1.5, 4.0
+_MODEL_PX = 0.005  # a pixel is a square, and edges behind a lens are bent
 _BLURS = (0.3, 4.0)
 _MISPLACED = 0.3  # of the side of a square: no lens bends so much
 
@@ -34,7 +35,7 @@ class Detection:
 
     Attributes:
         points: Where, NaN where not found, shape (p, 2) [px].
-        standard_deviations: Of each coordinate by the noise of the image alone, NaN where not known, shape (p,) [px].
+        standard_deviations: Of each coordinate by the noise of the image, NaN where not known, shape (p,) [px].
     """
 
     points: Array
@@ -302,7 +303,7 @@ def _fit_corners(image: Array, starts: Array, axes: Array, half: int) -> tuple[A
     noise = np.sqrt(misfit)
     spread = np.linalg.inv(normal + 1e-9 * np.eye(5))
     spread = spread @ np.einsum("kni,n,knj->kij", jacobian, weights**2, jacobian) @ spread
-    deviations = noise * np.sqrt(np.maximum(spread[:, 0, 0] + spread[:, 1, 1], 0.0) / 2.0)
+    deviations = np.sqrt(noise**2 * np.maximum(spread[:, 0, 0] + spread[:, 1, 1], 0.0) / 2.0 + _MODEL_PX**2)
     found = p[:, :2] + held
     good = inside & (np.linalg.norm(found - starts, axis=1) < _MOST_MOVED_PX) & (np.abs(a) > _CONTRAST * noise)
     return np.where(good[:, None], found, starts), np.where(good, deviations, np.nan)
