@@ -1,4 +1,4 @@
-"""Synthetic views of a target with known truth: places of points in images with noise, and poses of a robot with noise."""
+"""Synthetic views of a target with known truth: places of points in images, and poses of a robot, with noise."""
 
 from dataclasses import dataclass
 
@@ -58,7 +58,7 @@ def make_views(
     target = target or target_of("chessboard:7x6:30mm")
     middle = target.points.mean(axis=0)
     robot = job.startswith("eye")
-    camera_world = transform(rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.3, 3) + [0.0, 0.0, 1.0])
+    camera_world = transform(rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.3, 3) + np.array([0.0, 0.0, 1.0]))
     place = transform(rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.1, 3))
     seen = []
     for _ in range(count):
@@ -71,7 +71,9 @@ def make_views(
     relative = [np.eye(4), step][: 2 if job == "two cameras" else 1]
     cameras, spots = [], []
     for each in relative:
-        K = np.array([[600.0 + rng.normal(0.0, 10.0), 0.0, 322.0], [0.0, 602.0, 236.0 + rng.normal(0.0, 5.0)], [0, 0, 1]])
+        K = np.array(
+            [[600.0 + rng.normal(0.0, 10.0), 0.0, 322.0], [0.0, 602.0, 236.0 + rng.normal(0.0, 5.0)], [0, 0, 1]]
+        )
         D = np.array([-0.25, 0.08, 0.001, -0.0005, 0.0])
         camera = CameraModel(*_SIZE, K, D, each[:3, :3], each[:3, 3])
         points = np.array([camera.project(target.points @ pose[:3, :3].T + pose[:3, 3]) for pose in targets])
@@ -125,4 +127,7 @@ def errors_over_expected(found: Calibration, true: TrueViews) -> Array:
 
 def vector_of(rotation: Array) -> Array:
     """Return the rotation vector of a small rotation [rad]."""
-    return np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]) / 2
+    return (
+        np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+        / 2
+    )

@@ -264,7 +264,9 @@ def _rejected_points(problem: CalibrationProblem, gated: Gated) -> tuple[Rejecti
                 continue
             worst = float(np.sqrt(gated.distances[c, out].max()))
             where = f"{out.sum()} of {seen.sum()} points are up to {worst:.1f} sigma from where the others predict them"
-            cause = "stale pose of the robot" if problem.readings and out.sum() == seen.sum() else "hidden, or bent target"
+            cause = (
+                "stale pose of the robot" if problem.readings and out.sum() == seen.sum() else "hidden, or bent target"
+            )
             rejections.append(Rejection(view, camera, f"{where}: {cause}?", worst))
     return tuple(rejections)
 

@@ -55,7 +55,9 @@ def test_intrinsics_and_a_pair(scene, tmp_path, capsys):
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["success"], report["message"]
     left, right = report["cameras"]
-    assert np.abs(np.array(left["K"]) - LEFT.K).max() < 6.0 * max(left["standard_deviations"][n] for n in ("fx", "cx", "cy"))
+    assert np.abs(np.array(left["K"]) - LEFT.K).max() < 6.0 * max(
+        left["standard_deviations"][n] for n in ("fx", "cx", "cy")
+    )
     off = np.array(right["t_cam_base_m"]) - RIGHT.t_cam_base
     assert np.all(np.abs(off) < 6.0 * np.array([right["standard_deviations"][n] for n in ("tx", "ty", "tz")]))
     assert (tmp_path / "left.yaml").is_file()
@@ -82,10 +84,25 @@ def test_a_camera_on_a_robot_with_intrinsics_of_before(scene, tmp_path):
     assert "frame_id: link" in (tmp_path / "hand" / "extrinsics.yaml").read_text()
 
 
+def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
+    chain = tmp_path / "camchain.yaml"
+    chain.write_text(
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [300.0, 301.0, 162.0, 117.0]\n  distortion_model: radtan\n"
+        "  distortion_coeffs: [-0.2, 0.05, 0.0, 0.0]\n  resolution: [320, 240]\n  rostopic: /left\n"
+    )
+    (tmp_path / "cam0").symlink_to(scene / "left")
+    robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw", "--intrinsics", f"cam0={chain}")
+    assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 0
+    (camera,) = json.loads((tmp_path / "results" / "report.json").read_text())["cameras"]
+    np.testing.assert_allclose(camera["K"], LEFT.K, atol=1e-2)
+    chain.write_text(chain.read_text().replace("radtan", "fov"))
+    assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 1
+    assert "cam0.distortion_model" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "target", "told"),
     [
-        ((), "chessboard:5x8:30mm", "As chessboard:8x5:0.03m it is found in 8 of 8: rows and columns are exchanged"),
         ((), "chessboard:9x6:30mm", "As chessboard:8x5:0.03m it is found in 8 of 8: count its inner corners, not its"),
         ((), "charuco:7x5:40mm:30mm:4X4_50", "found in 0 of 8 images: view0.png does not show it"),
         (("--robot", "poses.csv", "--eye-in-hand"), TARGET, "poses.csv:2: tell the order of the quaternions: --order"),

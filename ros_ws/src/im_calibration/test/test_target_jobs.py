@@ -36,7 +36,9 @@ def test_errors_are_as_large_as_stated(job):
 
 def test_unknown_noise_is_found():
     true = make_views("eye-to-hand", 3, target=SMALL)
-    views = replace(true.views, deviations=3.0 * true.views.deviations, robot=replace(true.views.robot, sd_m=2e-3, sd_rad=4e-3))
+    views = replace(
+        true.views, deviations=3.0 * true.views.deviations, robot=replace(true.views.robot, sd_m=2e-3, sd_rad=4e-3)
+    )
     found = calibrate(problem_of_views(views, ("image", "robot")))
     assert found.noise.factors.image.low < 1.0 / 3.0 < found.noise.factors.image.high
     assert found.noise.factors.robot.low < 0.25 < found.noise.factors.robot.high
@@ -88,7 +90,8 @@ def test_held_intrinsics_stay_and_given_ones_keep_their_certainty():
     np.testing.assert_allclose(found.cameras[0].model.K, camera.K, atol=1e-3)
     alone = calibrate(problem_of_views(true.views, ()))
     assert np.all(found.standard_deviations[8:14] < alone.standard_deviations[8:14])
-    given = (values + [0.5, 0.5, 0.3, 0.3, 0, 0, 0, 0], np.diag([0.5, 0.5, 0.3, 0.3, 1e-2, 1e-2, 1e-4, 1e-4]) ** 2)
+    off = np.array([0.5, 0.5, 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+    given = (values + off, np.diag([0.5, 0.5, 0.3, 0.3, 1e-2, 1e-2, 1e-4, 1e-4]) ** 2)
     prior = calibrate(problem_of_views(replace(true.views, given={"camera_0": given}), ()))
     assert np.all(prior.standard_deviations[:8] < np.sqrt(np.diag(given[1])) * 1.001)
     assert np.all(prior.standard_deviations[:8] < alone.standard_deviations[:8])
@@ -119,7 +122,9 @@ def slipped(robot, how):
     if how == "millimetres":
         poses[:, :3, 3] *= 1e3
     elif how == "order":
-        poses[:, :3, :3] = Rotation.from_quat(Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [1, 2, 3, 0]]).as_matrix()
+        poses[:, :3, :3] = Rotation.from_quat(
+            Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [1, 2, 3, 0]]
+        ).as_matrix()
     elif how == "shifted":
         poses = np.roll(poses, 1, axis=0)
     return poses
@@ -162,7 +167,10 @@ def test_what_cannot_be_known_is_told():
     [
         ({"points_m": [[0, 0]]}, "target.points_m.* has 2 elements, 3 are needed"),
         ({"u_px": [[[[1, 2]]]]}, "target.u_px.* has 1 elements"),
-        ({"robot": {"poses": [np.eye(4).tolist()] * 5, "camera_moves": True}}, "target.robot.poses has 5 elements, 6 are"),
+        (
+            {"robot": {"poses": [np.eye(4).tolist()] * 5, "camera_moves": True}},
+            "target.robot.poses has 5 elements, 6 are",
+        ),
         ({"squares": 3}, "target has the field 'squares', which the format does not"),
     ],
 )

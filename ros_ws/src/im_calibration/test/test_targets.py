@@ -1,10 +1,12 @@
 """Targets in rendered images of known truth: points to hundredths of a pixel, in the right order, with their noise."""
 
+import cv2
 import numpy as np
 import pytest
 
 from bench.calibration.boards import Sensor, render
 from im_calibration.targets.detection import detect
+from im_calibration.targets.images import find_target
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
 from im_cell.rotations import matrix_of_vector
@@ -16,7 +18,10 @@ CAMERA = CameraModel(
 )  # fmt: skip
 
 
-def seen(text, sensor=Sensor(), turn=(0.25, -0.2, 0.15), distance=0.5):
+LINEAR = Sensor()
+
+
+def seen(text, sensor=LINEAR, turn=(0.25, -0.2, 0.15), distance=0.5):
     """Detection of a target in its image, and where its points are."""
     target = target_of(text)
     rotation = matrix_of_vector(turn)
@@ -65,7 +70,24 @@ def test_tags_as_kalibr_counts_them(tmp_path):
     file.write_text("target_type: 'aprilgrid'\ntagCols: 4\ntagRows: 3\ntagSize: 0.06\ntagSpacing: 0.3\n")
     target = target_of(str(file))
     assert str(target) == "tags:4x3:0.06m:0.018m:APRILTAG_36H11"
-    np.testing.assert_allclose(target.points[:5, :2], [[0, 0], [0.06, 0], [0.06, 0.06], [0, 0.06], [0.078, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        target.points[:5, :2], [[0, 0.06], [0.06, 0.06], [0.06, 0], [0, 0], [0.078, 0.06]], atol=1e-12
+    )  # y is upwards
+    found, truth = seen(str(file), turn=(np.pi, 0.2, 0.1))
+    assert np.nanmax(np.abs(found.points - truth)) < 0.1
+
+
+@pytest.mark.parametrize(("text", "other"), [
+    ("tags:4x3:60mm:18mm:tag25h9", "tags:3x4:60mm:18mm:tag25h9"),
+    ("charuco:7x5:40mm:30mm:4X4_50", "charuco:5x7:40mm:30mm:4X4_50"),
+])  # fmt: skip
+def test_rows_and_columns_exchanged_are_told(text, other, tmp_path):
+    target, rotation = target_of(text), matrix_of_vector([0.2, 0.1, 0.1])
+    shift = np.array([0.0, 0.0, 0.5]) - rotation @ target.points.mean(axis=0)
+    for i in range(3):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), render(target, CAMERA, rotation, shift, Sensor()))
+    with pytest.raises(DataError, match=f"As {target} it is found in 3 of 3: rows and columns are exchanged"):
+        find_target({"camera": tmp_path}, target_of(other))
 
 
 def test_nothing_is_found_where_nothing_is():

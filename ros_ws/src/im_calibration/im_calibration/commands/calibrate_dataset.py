@@ -93,8 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_images(parser)
     options = parser.parse_args(arguments)
     if options.images or options.target or options.results or options.robot:
-        if wrong := check_images(options) or (options.again or options.input) and "--images stands alone":
-            parser.error(str(wrong))
+        if wrong := check_images(options) or ("--images stands alone" if options.again or options.input else ""):
+            parser.error(wrong)
         return command.run("calibrate_dataset", lambda: _from_images(options))
     if (options.again is None) == (options.output is None) or (options.input is None) != (options.output is None):
         parser.error("IN.json and OUT.json are needed, or --again FOLDER alone")

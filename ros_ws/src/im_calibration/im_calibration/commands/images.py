@@ -2,19 +2,23 @@
 
 import argparse
 import json
+import re
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, RootModel, ValidationError
 
 from im_calibration.problem.dataset import SCHEMA, problems
 from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.reporting.results import OBSERVATIONS
 from im_cell.calibration_files.intrinsics import read_intrinsics
+from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB, lens_of
+from im_core.config import Model, faults, field_name, parse_model
 from im_core.errors import DataError
-from im_core.files import make_folder, write_whole
+from im_core.files import make_folder, read_text, write_whole
 from im_core.text.jsontext import load_json
 
 Array = NDArray[np.float64]
@@ -31,7 +35,7 @@ def add_images(parser: argparse.ArgumentParser) -> None:
     images.add_argument("--results", type=Path, metavar="FOLDER", help="where the results go")
     images.add_argument(
         "--intrinsics", nargs="+", type=named, default=[], metavar="CAMERA=FILE",
-        help="known intrinsics: a camera's YAML, which holds them, or a report.json, with the covariance in it",
+        help="known intrinsics: a camera's YAML or Kalibr's camera chain, which are held, or a report.json",
     )  # fmt: skip
     images.add_argument("--robot", type=Path, metavar="POSES", help="poses of the robot's link in its base")
     images.add_argument("--order", choices=("xyzw", "wxyz"), help="order of quaternions in lines of POSES")
@@ -128,7 +132,7 @@ def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, A
     """Return lens model, values and covariance of known intrinsics; those without covariance are held."""
     if path.suffix == ".json":
         return _from_report(name, path)
-    model = read_intrinsics(path).model
+    model = _model(name, path)
     lens = model.lens
     if lens_model not in (None, lens.name):
         raise DataError(f"{path}: the lens model is {lens.name}, --lens-model says {lens_model}.", file=str(path))
@@ -138,15 +142,55 @@ def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, A
     return lens.name, values, np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2
 
 
+class _Camchain(Model):
+    """A camera of Kalibr's camera chain; other fields of the file are not read."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    camera_model: Literal["pinhole"]
+    intrinsics: Annotated[list[float], Field(min_length=4, max_length=4)]
+    distortion_model: Literal["radtan", "equidistant"]
+    distortion_coeffs: Annotated[list[float], Field(min_length=4, max_length=4)]
+    resolution: Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
+class _Camchains(RootModel[dict[str, dict[str, Any]]]):
+    """Kalibr's camera chain, by name of the camera."""
+
+
+def _model(name: str, path: Path) -> CameraModel:
+    """Return a camera of a file of `camera_info_manager`, or of Kalibr's camera chain, there by its own name."""
+    text = read_text(path)
+    if not re.search(r"^cam\d+:", text, re.MULTILINE):
+        return read_intrinsics(path).model
+    chain = parse_model(text, _Camchains, str(path)).root
+    if name not in chain:
+        raise DataError(f"{path}: has no camera {name}, there are {', '.join(chain)}.", file=str(path))
+    try:
+        camera = _Camchain.model_validate(chain[name])
+    except ValidationError as error:
+        fault = faults(error, _Camchain)[0]
+        raise DataError(f"{path}: {name}.{field_name(fault.location)} {fault.words}.", file=str(path)) from error
+    fx, fy, cx, cy = camera.intrinsics
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    lens = lens_of({"radtan": PLUMB_BOB.name}.get(camera.distortion_model, camera.distortion_model))
+    width, height = camera.resolution
+    return CameraModel(width, height, K, lens.all_of(camera.distortion_coeffs), distortion_model=lens.name)
+
+
 def _from_report(name: str, path: Path) -> tuple[str, Array, Array]:
     report = load_json(path)
     match report:
         case {"cameras": [*cameras]}:
             for camera in cameras:
                 match camera:
-                    case {"name": str() as own, "K": K, "D": D, "covariance": rows, "distortion_model": str() as model} if (
-                        own == name
-                    ):
+                    case {
+                        "name": str() as own,
+                        "K": K,
+                        "D": D,
+                        "covariance": rows,
+                        "distortion_model": str() as model,
+                    } if own == name:
                         size = 4 + lens_of(model).estimated
                         try:
                             values = np.concatenate((np.array(K, dtype=float)[[0, 1, 0, 1], [0, 1, 2, 2]], D))[:size]

@@ -13,7 +13,7 @@ import numpy as np
 from im_calibration.commands import command
 from im_calibration.commands.images import UNITS, named
 from im_calibration.problem.bags import BagTopics, dataset_from_bag
-from im_calibration.problem.convert import dataset_from, read_lines, read_opencv
+from im_calibration.problem.convert import BoardSighting, dataset_from, dataset_from_boards, read_lines, read_opencv
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
 from im_core.files import is_same, write_whole
@@ -24,7 +24,8 @@ _EPILOG = """\
 text    lines  u v x y z  of one camera: where it saw a point [px], and where that point was [--unit], in one frame that
         does not move, nor the camera. Blanks, tabs, commas or semicolons between; # begins a comment.
 opencv  a YAML file of cv::FileStorage with the matrices image_points (n x 2) and object_points (n x 3), and image_width
-        and image_height where --image-size is not given.
+        and image_height where --image-size is not given. Or views of a chessboard, as OpenCV's own sample of a
+        calibration writes them: a row of image_points each, with board_width, board_height and square_size [--unit].
 bag     a rosbag2, MCAP or SQLite: spots as geometry_msgs/PointStamped, x and y in pixels, stamped as their images, and
         poses; `make_dataset bag --help` says more.
 
@@ -128,8 +129,14 @@ def _from_files(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     metres = UNITS[options.unit]
     read = _READERS[options.format]
     sightings = {name: read(Path(path)) for name, path in _once(options.cameras).items()}
+    boards = {name: each for name, each in sightings.items() if isinstance(each, BoardSighting)}
+    points = {name: each for name, each in sightings.items() if not isinstance(each, BoardSighting)}
+    if boards and points:
+        raise DataError(f"{', '.join(boards)} has views of a board, {', '.join(points)} has points at known places.")
+    if boards:
+        return dataset_from_boards(boards, options.image_size, metres, options.sigma_px), ""
     sigma_m = None if options.sigma_position is None else metres * options.sigma_position
-    return dataset_from(sightings, options.image_size, metres, options.sigma_px, sigma_m), ""
+    return dataset_from(points, options.image_size, metres, options.sigma_px, sigma_m), ""
 
 
 def _from_bag(options: argparse.Namespace) -> tuple[dict[str, Any], str]:

@@ -99,8 +99,8 @@ class ParameterLayout:
         prior_mean: Prior means, 0 where there is no prior, shape (size,).
         prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,); of lens terms, those of an
             image that ends at :data:`LENS_RADIUS`.
-        given: Means and precision matrix of the cameras' unknowns as given, shapes (cameras_size,) and its square; None:
-            nothing is given.
+        given: Means and precision matrix of the cameras' unknowns as given, shapes (cameras_size,) and its square;
+            None: nothing is given.
         free_size: Number of unknowns on which nothing but the spots, or the usual lenses, say anything.
     """
 

@@ -247,7 +247,11 @@ class Calibration:
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)
-        told = f"{self.points_used} points of a target in {self.views} views" if self.views else f"{self.points_used} poses"
+        told = (
+            f"{self.points_used} points of a target in {self.views} views"
+            if self.views
+            else f"{self.points_used} poses"
+        )
         text = f"Calibrated {names} from {told}"
         errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
         known = " and ".join(error for error in errors if not error.startswith("nan"))

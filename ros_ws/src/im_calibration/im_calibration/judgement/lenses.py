@@ -151,14 +151,21 @@ def _deviation(gain: Array) -> float:
 
 
 def _losses(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, c: int) -> tuple[Array, float]:
-    """How badly each spot of a camera is predicted from the other poses, shape (m,), and the median error [px]."""
+    """How badly each spot of a camera is predicted from the other poses, shape (m,), and the median error [px].
+
+    Spots of one reading of the robot are off together, and say once what they say: their mean is taken.
+    """
     prediction = predict_from_others(gated.fit, problem, layout, gated.used)
     seen = problem.detected[c]
     errors = prediction.errors[seen, 2 * c : 2 * c + 2]
     spread = camera_blocks(prediction.covariances)[c][seen]
     squared = (errors * np.linalg.solve(spread, errors[..., None])[..., 0]).sum(axis=1)
     error = float(np.sqrt(np.median((errors**2).sum(axis=1))))
-    return np.minimum(squared, _WORST_SPOT) + np.linalg.slogdet(spread)[1], error
+    losses = np.minimum(squared, _WORST_SPOT) + np.linalg.slogdet(spread)[1]
+    if problem.readings:
+        reading = np.unique(np.array(problem.readings)[seen], return_inverse=True)[1]
+        losses = np.bincount(reading, losses) / np.bincount(reading)
+    return losses, error
 
 
 def _explains(gated: Gated, problem: CalibrationProblem) -> bool:

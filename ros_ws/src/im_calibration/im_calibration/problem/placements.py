@@ -77,6 +77,4 @@ class Placements:
     def taking(self, poses: NDArray[np.intp]) -> "Placements":
         """Return the same of some positions."""
         roots = None if self.roots is None else self.roots[poses]
-        return replace(
-            self, of=self.of[poses], rotations=self.rotations[poses], points=self.points[poses], roots=roots
-        )
+        return replace(self, of=self.of[poses], rotations=self.rotations[poses], points=self.points[poses], roots=roots)

@@ -256,7 +256,7 @@ class CalibrationProblem:
 
     @cached_property
     def shared_errors(self) -> Array:
-        """Derivatives of the positions by the vectors of the k readings of several poses, shape (n, 3, 3k) or 6k [m]."""
+        """Derivatives of the positions by the errors of k readings of several poses, shape (n, 3, 3k), or 6k [m]."""
         several = [poses[poses >= 0] for poses in self.poses_of_readings if (poses >= 0).sum() > 1]
         size = self.shared_roots.shape[2]
         shared = np.zeros((len(self.positions), 3, size * len(several)))

@@ -55,7 +55,7 @@ class TargetTable(Model):
     sigma_u_px: Annotated[Array | None, PlainValidator(Lists("c", "k", "p", optional=True))] = None
     views: Annotated[tuple[str, ...] | None, PlainValidator(Names("k"))] = None
     robot: RobotTable | None = None
-    intrinsics: dict[str, GivenTable] = {}
+    intrinsics: dict[str, GivenTable] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _positive(self) -> Self:

@@ -187,7 +187,10 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "parameters": list(result.parameter_names),
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
-        **{key: report[key] for key in ("scale", "target", "noise", "arm_error_m", "neighbours", "checks", "expected_error")},
+        **{
+            key: report[key]
+            for key in ("scale", "target", "noise", "arm_error_m", "neighbours", "checks", "expected_error")
+        },
     }
     if problem.led_offset_prior_sd > 0.0:
         told["led_offset_error_m"] = numbers(result.led_offset_error)

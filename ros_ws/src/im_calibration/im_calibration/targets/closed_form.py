@@ -236,7 +236,7 @@ def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
     yield "With their inverses (base in the wrist)", replace(robot, poses=np.linalg.inv(robot.poses))
     yield "With places in millimetres,", other(turns, 1e-3 * shifts)
     quaternions = Rotation.from_matrix(turns).as_quat()
-    for order, right in (([3, 0, 1, 2], "w, x, y, z"), ([1, 2, 3, 0], "x, y, z, w")):
+    for order, right in (([3, 0, 1, 2], "x, y, z, w"), ([1, 2, 3, 0], "w, x, y, z")):
         yield f"With quaternions read as {right}", other(Rotation.from_quat(quaternions[:, order]).as_matrix(), shifts)
     yield "With the rotations transposed", other(np.swapaxes(turns, 1, 2), shifts)
     moves = not robot.camera_moves

@@ -1,8 +1,8 @@
 """Points of a target in an image: found by OpenCV, then refined where squares meet.
 
-Around a point where two dark squares meet, the image is ``m + a E(d1 / s) E(d2 / s)``, with E the error function, d1 and
-d2 the distances from the two edges, and s the blur. The image is the same when turned by half about the point, whatever
-the blur and the gamma of the sensor, so that neither moves the fitted point. Source: the model of Chen and Zhang,
+Around a point where two dark squares meet, the image is ``m + a E(d1 / s) E(d2 / s)``, with E the error function, d1
+and d2 the distances from the two edges, and s the blur. The image is the same when turned by half about the point,
+whatever the blur and the gamma of the sensor, so that neither moves the fitted point. Source: the model of Chen and Zhang,
 "A new sub-pixel detector for x-corners in camera calibration targets" (2005), here with the edges' own directions.
 """
 
@@ -68,8 +68,8 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
     if points is None or np.isfinite(points[:, 0]).sum() < _FEWEST:
         return None
     homography = _homography(target, points)
-    if homography is None:
-        return None
+    if homography is None or _misfit(target, points) > _MISPLACED * _side(target, homography):
+        return None  # as with rows and columns exchanged
     if target.kind == "chessboard":
         points, homography = _dark_first(grey, target, points, homography)
     if target.kind in ("circles", "asymmetric_circles"):
@@ -176,6 +176,12 @@ def _misfit(target: CalibrationTarget, points: Array) -> float:
     return float(np.nanmean(np.linalg.norm(_through(homography, target.points[:, :2]) - points, axis=1)))
 
 
+def _side(target: CalibrationTarget, homography: Array) -> float:
+    """Return how long a square, tag or distance of circles is in the middle of the image of the target [px]."""
+    middle = target.points[:, :2].mean(axis=0, keepdims=True)
+    return target.size * float(np.linalg.norm(_directions(homography, middle)[0], axis=0).mean())
+
+
 def _through(homography: Array, flat: Array) -> Array:
     moved = np.column_stack((flat, np.ones(len(flat)))) @ homography.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
@@ -260,9 +266,7 @@ def _fit_corners(image: Array, starts: Array, axes: Array, half: int) -> tuple[A
     span = np.arange(-half, half + 1)
     dx, dy = (part.ravel().astype(float) for part in np.meshgrid(span, span))
     held = np.clip(centres, half, np.array([width, height]) - half - 1)
-    values = image[
-        (held[:, 1, None] + dy.astype(int)), (held[:, 0, None] + dx.astype(int))
-    ]
+    values = image[(held[:, 1, None] + dy.astype(int)), (held[:, 0, None] + dx.astype(int))]
     weights = np.exp(-(dx**2 + dy**2) / (2.0 * (0.7 * half) ** 2))
     angles = np.arctan2(axes[:, 1], axes[:, 0]) + np.pi / 2.0  # of the normals of the edges
     p = np.column_stack((starts - held, angles, np.full(len(starts), 0.8)))  # u, v, two angles, blur

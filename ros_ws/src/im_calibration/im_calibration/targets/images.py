@@ -28,8 +28,8 @@ class SeenTarget:
         image_sizes: Width and height of each camera's images [px].
         names: Names of the k views: of images of the same name, without the ending, in any camera.
         spots: Points, NaN where not found, shape (c, k, p, 2) [px].
-        deviations: Standard deviation of each coordinate by the noise of the image, NaN where not known, shape (c, k, p)
-            [px].
+        deviations: Standard deviation of each coordinate by the noise of the image, NaN where not known, shape
+            (c, k, p) [px].
         missing: Images in which the target was not found, each with the reason, by camera.
     """
 

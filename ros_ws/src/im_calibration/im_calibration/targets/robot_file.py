@@ -51,8 +51,8 @@ def read_poses(path: Path, names: Sequence[str], order: str | None, metres: floa
 
     Lines hold, after the name of the image or without any name, ``x y z`` and a quaternion, or 12 or 16 numbers of a
     matrix, row by row; between them are blanks, tabs, commas or semicolons; a # begins a comment. YAML has ``poses``, a
-    list with ``name``, ``position_m`` and ``orientation_xyzw``, or ``matrix``. Without names, poses belong to the images
-    in the order of their names.
+    list with ``name``, ``position_m`` and ``orientation_xyzw``, or ``matrix``. Without names, poses belong to the
+    images in the order of their names.
 
     Args:
         path: The file.
