@@ -109,7 +109,8 @@ def render(
         v = np.arange(camera.height) + (j + (i + 0.5) / _RAYS) / _RAYS - 0.5
         rays = np.stack((lens[0](v, u), lens[1](v, u), np.ones_like(light)), axis=-1) @ plane.T
         light += brightness(target, rays[..., :2] / rays[..., 2:]) / _RAYS**2
-    light = cv2.GaussianBlur(light, (0, 0), sensor.blur)
+    light = np.asarray(cv2.GaussianBlur(light, (0, 0), sensor.blur), dtype=np.float64)
     rng, full = np.random.default_rng(seed), 2.0**sensor.bits - 1.0
     numbers = full * (np.clip(light, 0.0, 1.0) ** (1.0 / sensor.gamma) + rng.normal(0.0, sensor.noise, light.shape))
-    return np.clip(np.rint(numbers), 0.0, full).astype(np.uint8 if sensor.bits == 8 else np.uint16)
+    whole = np.clip(np.rint(numbers), 0.0, full)
+    return whole.astype(np.uint8) if sensor.bits == 8 else whole.astype(np.uint16)

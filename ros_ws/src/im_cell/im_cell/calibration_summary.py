@@ -80,7 +80,9 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
     ]
     if target := report.get("target"):
         lines[-1] = "target [mm]         " + _vector(
-            [row[3] for row in target["transform"][:3]], np.sqrt(np.diag(target["covariance"])[3:]), 1e3
+            [row[3] for row in target["transform"][:3]],
+            [float(target["covariance"][k][k]) ** 0.5 for k in (3, 4, 5)],
+            1e3,
         )
         lines[-1] += f" in the {target['frame']}"
     if report["scale"]:

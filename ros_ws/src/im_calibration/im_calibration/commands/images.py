@@ -142,7 +142,7 @@ def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, A
     return lens.name, values, np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2
 
 
-class _Camchain(Model):
+class _KalibrCamera(Model):
     """A camera of Kalibr's camera chain; other fields of the file are not read."""
 
     model_config = ConfigDict(extra="ignore")
@@ -154,7 +154,7 @@ class _Camchain(Model):
     resolution: Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
-class _Camchains(RootModel[dict[str, dict[str, Any]]]):
+class _KalibrCameras(RootModel[dict[str, dict[str, Any]]]):
     """Kalibr's camera chain, by name of the camera."""
 
 
@@ -163,13 +163,13 @@ def _model(name: str, path: Path) -> CameraModel:
     text = read_text(path)
     if not re.search(r"^cam\d+:", text, re.MULTILINE):
         return read_intrinsics(path).model
-    chain = parse_model(text, _Camchains, str(path)).root
+    chain = parse_model(text, _KalibrCameras, str(path)).root
     if name not in chain:
         raise DataError(f"{path}: has no camera {name}, there are {', '.join(chain)}.", file=str(path))
     try:
-        camera = _Camchain.model_validate(chain[name])
+        camera = _KalibrCamera.model_validate(chain[name])
     except ValidationError as error:
-        fault = faults(error, _Camchain)[0]
+        fault = faults(error, _KalibrCamera)[0]
         raise DataError(f"{path}: {name}.{field_name(fault.location)} {fault.words}.", file=str(path)) from error
     fx, fy, cx, cy = camera.intrinsics
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

@@ -148,7 +148,7 @@ class NoiseLikelihood:
         moved = np.linalg.solve(lower, pull)
         constant = float(np.log(variances).sum()) - self._unused * float(logs[0])
         quadratic = float((self._residuals**2 / variances).sum() - moved @ moved) + self._beside / np.exp(logs[0])
-        return constant + self._scaled + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
+        return float(constant + self._scaled + 2.0 * np.log(np.diag(lower)).sum() + quadratic)
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
         """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""

@@ -167,7 +167,8 @@ def read_opencv(path: Path) -> Sighting | BoardSighting:
         return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)
     columns, rows = int(found.board_width or 0), int(found.board_height or 0)
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
-    points = float(found.square_size or 0.0) * np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
+    flat = np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
+    points = np.asarray(float(found.square_size or 0.0) * flat, dtype=np.float64)
     return BoardSighting(found.image_points.vectors(2).reshape(-1, columns * rows, 2), points, size)
 
 

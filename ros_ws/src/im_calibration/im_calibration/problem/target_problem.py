@@ -81,9 +81,10 @@ class TargetTable(Model):
             DataError: A value cannot be.
         """
         robot = self.robot
-        poses = robot and RobotPoses(
-            robot.poses, robot.camera_moves, robot.sd_m or _UNSTATED_M, robot.sd_rad or _UNSTATED_RAD
-        )
+        poses = None
+        if robot is not None:
+            noise = robot.sd_m or _UNSTATED_M, robot.sd_rad or _UNSTATED_RAD
+            poses = RobotPoses(robot.poses, robot.camera_moves, *noise)
         unknown = set(noise_to_estimate)
         unknown |= {"image"} if self.sigma_u_px is None else set()
         unknown |= {"robot"} if robot and None in (robot.sd_m, robot.sd_rad) else set()

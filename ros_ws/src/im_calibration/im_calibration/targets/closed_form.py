@@ -7,6 +7,7 @@ OpenCV. Of the solutions for robot and camera the one with the least median misf
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ _FEWEST_POSES = 3
 _HAND_EYE = (cv2.CALIB_HAND_EYE_TSAI, cv2.CALIB_HAND_EYE_PARK, cv2.CALIB_HAND_EYE_DANIILIDIS)
 _ROBOT_WORLD = (cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH, cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI)
 _BETTER, _WRONG_SHARE = 5.0, 0.02
+_DIGITS = 5
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,16 @@ def place_target(views: TargetViews) -> PlacedTarget:
     """
     seen = [_targets_in_camera(views, c) for c in range(len(views.camera_names))]
     if views.robot is None:
-        return PlacedTarget(np.tile(np.eye(4), (len(views.names), 1, 1)), _together(views, seen))
+        places = _together(views, seen)
+        return PlacedTarget(np.tile(np.eye(4), (len(views.names), 1, 1)), np.array([_rounded(place) for place in places]))
     world, place = _with_robot(views.robot, seen)
-    return PlacedTarget(world, place[None])
+    return PlacedTarget(world, _rounded(place)[None])
+
+
+def _rounded(place: Array) -> Array:
+    """Return a place to start from without its last digits, which OpenCV's threads leave to chance."""
+    turn = np.round(np.ravel(cv2.Rodrigues(place[:3, :3])[0]), _DIGITS)
+    return _transform(np.asarray(cv2.Rodrigues(turn)[0]), np.round(place[:3, 3], _DIGITS))
 
 
 def _targets_in_camera(views: TargetViews, c: int) -> dict[int, Array]:
@@ -83,7 +92,7 @@ def _targets_in_camera(views: TargetViews, c: int) -> dict[int, Array]:
         ideal = camera.undistort(views.spots[c, k, here])
         solved, turn, shift = cv2.solvePnP(views.points[here], ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
         if solved:
-            found[int(k)] = _transform(cv2.Rodrigues(turn)[0], shift.ravel())
+            found[int(k)] = _transform(np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift))
     return found
 
 
@@ -96,8 +105,8 @@ def _intrinsics(views: TargetViews, c: int, usable: NDArray[np.intp]) -> tuple[A
     try:
         if lens is EQUIDISTANT:
             flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW
-            parts = [[each[None] for each in some] for some in (points, spots)]
-            error, K, D, _, _ = cv2.fisheye.calibrate(*parts, size, np.eye(3), np.zeros(4), flags=flags)
+            inside = [each[None] for each in points], [each[None] for each in spots]
+            error, K, D, _, _ = cv2.fisheye.calibrate(inside[0], inside[1], size, np.eye(3), np.zeros(4), flags=flags)
         else:
             flags = cv2.CALIB_RATIONAL_MODEL if lens is RATIONAL_POLYNOMIAL else cv2.CALIB_FIX_K3
             error, K, D, _, _ = cv2.calibrateCamera(points, spots, size, np.eye(3), np.zeros(5), flags=flags)
@@ -127,7 +136,7 @@ def _together(views: TargetViews, seen: list[dict[int, Array]]) -> Array:
                 parameters=(f"{views.camera_names[b]}.pose",),
                 camera=views.camera_names[b],
             )
-        steps = [seen[a][k] @ np.linalg.inv(seen[b][k]) for k in sorted(seen[a].keys() & seen[b].keys())]
+        steps = [seen[a][k] @ _inverse(seen[b][k]) for k in sorted(seen[a].keys() & seen[b].keys())]
         in_first[b] = in_first[a] @ _typical(np.array(steps))
         known.add(b)
     places = np.tile(np.eye(4), (len(views.names), 1, 1))
@@ -174,7 +183,7 @@ def frames_of(robot: RobotPoses) -> Array:
 
     The world is the base of the robot, or the wrist if the cameras are on it.
     """
-    return np.asarray(np.linalg.inv(robot.poses) if robot.camera_moves else robot.poses)
+    return np.asarray(_inverse(robot.poses) if robot.camera_moves else robot.poses)
 
 
 def _one_axis(turns: Array) -> bool:
@@ -201,26 +210,27 @@ def _least(frames: Array, targets: Array, views: NDArray[np.intp]) -> tuple[floa
 
 
 def _solutions(g: Array, targets: Array) -> Iterator[tuple[Array, Array]]:
-    inverse = np.linalg.inv(g)
+    inverse = _inverse(g)
     for method in _HAND_EYE:
         try:
-            turn, shift = cv2.calibrateHandEye(
-                inverse[:, :3, :3], inverse[:, :3, 3], targets[:, :3, :3], targets[:, :3, 3], method=method
-            )
+            turn, shift = cv2.calibrateHandEye(*_listed(inverse), *_listed(targets), method=method)
         except cv2.error:
             continue
-        x = np.linalg.inv(_transform(turn, shift.ravel()))
+        x = _inverse(_transform(turn, np.ravel(shift)))
         if np.isfinite(x).all():
-            yield x, _typical(inverse @ np.linalg.inv(x) @ targets)
+            yield x, _typical(inverse @ _inverse(x) @ targets)
     for method in _ROBOT_WORLD:
         try:
-            turn, shift, turn_x, shift_x = cv2.calibrateRobotWorldHandEye(
-                targets[:, :3, :3], targets[:, :3, 3], g[:, :3, :3], g[:, :3, 3], method=method
-            )
+            turn, shift, turn_x, shift_x = cv2.calibrateRobotWorldHandEye(*_listed(targets), *_listed(g), method=method)
         except cv2.error:
             continue
-        z = np.linalg.inv(_transform(turn, shift.ravel()))
-        yield _transform(turn_x, shift_x.ravel()), z
+        z = _inverse(_transform(turn, np.ravel(shift)))
+        yield _transform(turn_x, np.ravel(shift_x)), z
+
+
+def _listed(transforms: Array) -> tuple[list[Array], list[Array]]:
+    """Return rotations and translations as OpenCV takes them."""
+    return list(transforms[:, :3, :3]), list(transforms[:, :3, 3])
 
 
 def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
@@ -233,7 +243,7 @@ def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
         return replace(robot, poses=poses)
 
     turns, shifts = robot.poses[:, :3, :3], robot.poses[:, :3, 3]
-    yield "With their inverses (base in the wrist)", replace(robot, poses=np.linalg.inv(robot.poses))
+    yield "With their inverses (base in the wrist)", replace(robot, poses=_inverse(robot.poses))
     yield "With places in millimetres,", other(turns, 1e-3 * shifts)
     quaternions = Rotation.from_matrix(turns).as_quat()
     for order, right in (([3, 0, 1, 2], "x, y, z, w"), ([1, 2, 3, 0], "w, x, y, z")):
@@ -258,7 +268,11 @@ def _matrix(values: Array) -> Array:
     return np.array([[values[0], 0.0, values[2]], [0.0, values[1], values[3]], [0.0, 0.0, 1.0]])
 
 
-def _transform(turn: Array, shift: Array) -> Array:
+def _inverse(transforms: Array) -> Array:
+    return np.asarray(np.linalg.inv(transforms), dtype=np.float64)
+
+
+def _transform(turn: NDArray[Any], shift: NDArray[Any]) -> Array:
     whole = np.eye(4)
     whole[:3, :3], whole[:3, 3] = turn, shift
     return whole

@@ -2,8 +2,8 @@
 
 Around a point where two dark squares meet, the image is ``m + a E(d1 / s) E(d2 / s)``, with E the error function, d1
 and d2 the distances from the two edges, and s the blur. The image is the same when turned by half about the point,
-whatever the blur and the gamma of the sensor, so that neither moves the fitted point. Source: the model of Chen and Zhang,
-"A new sub-pixel detector for x-corners in camera calibration targets" (2005), here with the edges' own directions.
+whatever the blur and the gamma of the sensor, so that neither moves the fitted point. Compare Chen and Zhang, "A new
+sub-pixel detector for x-corners in camera calibration targets" (2005), who fit the saddle of the blurred image.
 """
 
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
     """
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
         raise DataError(f"An image has shape {image.shape} of {image.dtype}, a grey image of 8 or 16 bits is needed.")
-    grey = image if image.dtype == np.uint8 else _eight_bits(image)
+    grey = np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else _eight_bits(image)
     finders = {"chessboard": _chessboard, "charuco": _charuco, "tags": _tags}
     points = finders.get(target.kind, _circles)(grey, target)
     if points is None or np.isfinite(points[:, 0]).sum() < _FEWEST:
@@ -97,7 +97,7 @@ def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None
         board.setLegacyPattern(legacy)
         corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         if ids is not None and len(ids) >= _FEWEST:
-            points[np.ravel(ids)] = np.reshape(corners, (-1, 2))
+            points[np.ravel(ids)] = np.reshape(np.asarray(corners), (-1, 2))
             return points
         if target.rows % 2:
             break
@@ -122,9 +122,9 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
     best, least = None, np.inf
     for turn in range(4):
         points = np.full((target.columns * target.rows, 4, 2), np.nan)
-        for corners, number in zip(*found, strict=True):
+        for tag, number in zip(*found, strict=True):
             if number < len(points):
-                points[number] = np.roll(corners, turn, axis=0)
+                points[number] = np.roll(tag, turn, axis=0)
         flat = points.reshape(-1, 2)
         off = _misfit(target, flat)
         if off < least:
@@ -201,7 +201,7 @@ def _dark_first(
         found = _homography(target, points)
         homography = homography if found is None else found
         squares = np.stack(np.meshgrid(np.arange(target.columns - 1), np.arange(target.rows - 1)), axis=-1)
-        middles = target.size * (squares.reshape(-1, 2) + 0.5)
+        middles = np.asarray(target.size * (squares.reshape(-1, 2) + 0.5), dtype=np.float64)
         u, v = np.rint(_through(homography, middles)).astype(int).T
         inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
         dark = np.where(squares.reshape(-1, 2).sum(axis=1) % 2 == 0, 1.0, -1.0)[inside]

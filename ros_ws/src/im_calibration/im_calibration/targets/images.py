@@ -53,7 +53,7 @@ def read_image(path: Path) -> Image:
     image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(data) else None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise DataError(f"{path}: is no image of 8 or 16 bits.", file=str(path))
-    return np.asarray(image)
+    return np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else np.asarray(image, dtype=np.uint16)
 
 
 def find_target(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenTarget:

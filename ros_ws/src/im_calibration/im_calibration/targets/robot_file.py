@@ -88,7 +88,7 @@ def read_poses(path: Path, names: Sequence[str], order: str | None, metres: floa
 
 
 def _lines(path: Path, order: str | None) -> list[tuple[str, list[float], str]]:
-    rows = []
+    rows = list[tuple[str, list[float], str]]()
     for number, line in enumerate(read_text(path, _LARGEST_FILE).splitlines(), 1):
         words = re.split(r"[\s,;]+", line.partition("#")[0].strip())
         if words == [""]:

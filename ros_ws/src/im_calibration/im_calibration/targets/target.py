@@ -159,12 +159,12 @@ def target_of(text: str) -> CalibrationTarget:
     if counts is None or len(parts) != len(names):
         raise DataError(f"'{text}' is not of the form {_FORMS[kind]}.", target=text)
     columns, rows = int(counts[1]), int(counts[2])
-    lengths = [_length(part, text) for part in parts[1:3]]
+    size, part = _length(parts[1], text), _length(parts[2], text) if len(parts) > 2 else 0.0
     dictionary = parts[3].upper().removeprefix("DICT_") if len(parts) > 3 else ""
     dictionary = re.sub(r"\ATAG(\d+H\d+)\Z", r"APRILTAG_\1", dictionary)
     if dictionary and dictionary not in DICTIONARIES:
         raise DataError(f"'{parts[3]}' is no dictionary of markers; there are {', '.join(DICTIONARIES)}.", target=text)
-    return CalibrationTarget(kind, columns, rows, *lengths, **({"dictionary": dictionary} if dictionary else {}))
+    return CalibrationTarget(kind, columns, rows, size, part, dictionary)
 
 
 def _length(text: str, whole: str) -> float:
