@@ -2,6 +2,8 @@
 
 from im_core.errors import DataError
 
+_ADVICE = "Check that the spots belong to these poses, and the units and axes of the data [m, px]."
+
 
 class DegenerateDataError(DataError):
     """The observations cannot determine the cameras at all, so there is no estimate to judge (verdict UNOBSERVABLE).
@@ -27,13 +29,14 @@ class InconsistentDataError(DataError):
 
     Args:
         reason: A sentence naming what cannot be explained.
+        advice: A sentence saying what to do about it.
         camera: Name of the camera; empty: it is not one alone.
     """
 
     default_code = "misfit"
 
-    def __init__(self, reason: str, *, camera: str = "") -> None:
+    def __init__(self, reason: str, advice: str = _ADVICE, *, camera: str = "") -> None:
         self.reason = reason
-        self.advice = "Check that the spots belong to these poses, and the units and axes of the data [m, px]."
+        self.advice = advice
         super().__init__(f"{self.reason} {self.advice}", code=self.default_code, camera=camera)
         self.parameters: tuple[str, ...] = ()

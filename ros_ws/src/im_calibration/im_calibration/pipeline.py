@@ -16,7 +16,7 @@ from im_calibration.estimation.solve import Fit
 from im_calibration.estimation.unknown_noise import find_noise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.judgement.agreement import CameraAgreement, camera_agreements
-from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, chance_of
+from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, TargetPlace, chance_of
 from im_calibration.judgement.causes import find_cause, find_slip
 from im_calibration.judgement.checks import Checks, check
 from im_calibration.judgement.expected import expected_error, image_error
@@ -135,7 +135,7 @@ def _freedom(fit: Fit, used: Mask, layout: ParameterLayout) -> int:
     """Return the degrees of freedom of chi-square; a lens prior adds none, but a share of the knowledge counts."""
     prior = layout.prior(fit.unknowns)
     from_prior = float((covariance_of(fit.information).matrix * prior.lens_information).sum())
-    return round(2 * int(used.sum()) - layout.cameras_size + from_prior)
+    return round(2 * int(used.sum()) - layout.free_size + from_prior)
 
 
 def _describe(
@@ -179,6 +179,8 @@ def _describe(
         led_positions=robot_positions,
         rejections=_rejections(problem, gated),
         verdicts=(),
+        views=0 if problem.placements is None else _views(problem, used),
+        target=_target_place(problem, unknowns, covariance.matrix[layout.placed_slice, layout.placed_slice]),
         arm_error_m=0.0 if problem.arm_error is None else problem.arm_error.standard_deviation,
         expected=expected_error(unknowns, covariance.matrix, problem.image_sizes, problem.workspace),
         images=tuple(
@@ -195,6 +197,20 @@ def _describe(
     ruled = 1.0 if all(lens is PLUMB_BOB for lens in layout.lenses) else _RULED
     by_data = covariance_of(fit.information - ruled * prior.lens_information)
     return replace(calibration, verdicts=judge(calibration, problem, layout, by_data, agreements, faults))
+
+
+def _views(problem: CalibrationProblem, used: Mask) -> int:
+    """Return how many views of a target count."""
+    assert problem.placements is not None
+    labels = problem.readings or problem.placements.of.astype(str)
+    return len(np.unique(np.array(labels)[used.any(axis=0)]))
+
+
+def _target_place(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array) -> TargetPlace | None:
+    if (placements := problem.placements) is None or placements.held is not None:
+        return None
+    moved = np.vstack((unknowns.placements[0], (0.0, 0.0, 0.0, 1.0)))
+    return TargetPlace("base" if placements.camera_moves else "link", moved @ placements.places[0], covariance)
 
 
 def _scale(problem: CalibrationProblem, unknowns: Unknowns, covariance: Array, used: Mask) -> Scale | None:
@@ -219,8 +235,10 @@ def _camera_model(unknowns: Unknowns, c: int, image_size: tuple[int, int]) -> Ca
 
 
 def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, ...]:
-    """Return one entry per pose if no spot of the pose counts, else one per spot."""
-    rejections = []
+    """Return one entry per pose if no spot of the pose counts, else one per spot; one per camera's view of a target."""
+    if problem.placements is not None:
+        return _rejected_points(problem, gated)
+    rejections = list[Rejection]()
     for i, pose in enumerate(problem.pose_names):
         out = np.flatnonzero(problem.detected[:, i] & ~gated.used[:, i])
         sigmas = np.sqrt(gated.distances[:, i])
@@ -232,6 +250,24 @@ def _rejections(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, .
         for c in out:
             reason = f"The spot is {sigmas[c]:.1f} sigma from where the other poses predict it: wrong light?"
             rejections.append(Rejection(pose, problem.camera_names[c], reason, float(sigmas[c])))
+    return tuple(rejections)
+
+
+def _rejected_points(problem: CalibrationProblem, gated: Gated) -> tuple[Rejection, ...]:
+    views = np.array([name.rpartition(" point ")[0] for name in problem.pose_names])
+    rejections = []
+    for view in dict.fromkeys(views.tolist()):
+        for c, camera in enumerate(problem.camera_names):
+            seen = (views == view) & problem.detected[c]
+            out = seen & ~gated.used[c]
+            if not out.any():
+                continue
+            worst = float(np.sqrt(gated.distances[c, out].max()))
+            where = f"{out.sum()} of {seen.sum()} points are up to {worst:.1f} sigma from where the others predict them"
+            cause = (
+                "stale pose of the robot" if problem.readings and out.sum() == seen.sum() else "hidden, or bent target"
+            )
+            rejections.append(Rejection(view, camera, f"{where}: {cause}?", worst))
     return tuple(rejections)
 
 

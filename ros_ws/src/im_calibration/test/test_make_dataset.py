@@ -6,9 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from bench.calibration.target_views import make_views
 from im_calibration.commands import command, make_dataset
 from im_calibration.problem.convert import read_opencv
 from im_calibration.problem.dataset import load_problems
+from im_calibration.targets.target import target_of
 
 RNG = np.random.default_rng(1)
 POSITIONS = RNG.uniform(-300.0, 300.0, (12, 3)).round(3)
@@ -141,3 +143,25 @@ def test_what_is_read_is_not_written_over(tmp_path, monkeypatch, capsys):
     assert "b=b.txt: the file to write comes last; this names a camera" in capsys.readouterr().err
     assert (tmp_path / "a.txt").read_text() == "0 0 0 1 1\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "b.txt"]
+
+
+def test_what_the_sample_of_opencv_writes_is_read(tmp_path, capsys):
+    views = make_views("two cameras", 1, target=target_of("chessboard:5x4:45mm"), count=8).views
+    spots = np.where(np.isfinite(views.spots), views.spots, 5000.0)
+    for name, camera in zip(("left", "right"), spots, strict=True):
+        storage = cv2.FileStorage(str(tmp_path / f"{name}.yml"), cv2.FILE_STORAGE_WRITE)
+        for key, value in (("image_width", 640), ("image_height", 480), ("board_width", 5), ("board_height", 4)):
+            storage.write(key, value)
+        storage.write("square_size", 45.0)
+        storage.write("image_points", camera.astype(np.float32))
+        storage.release()
+    cameras = [f"{name}={tmp_path / name}.yml" for name in ("left", "right")]
+    assert make_dataset.main(["opencv", *cameras, str(tmp_path / "out.json"), "--unit", "mm"]) == command.OK
+    (problem,) = load_problems(tmp_path / "out.json")
+    assert problem.camera_names == ("left", "right")
+    assert problem.placements.count == 8
+    np.testing.assert_allclose(problem.spots, spots.reshape(2, -1, 2), atol=1e-3)
+    text = (tmp_path / "left.yml").read_text().replace("board_width: 5", "board_width: 6")
+    (tmp_path / "left.yml").write_text(text)
+    assert make_dataset.main(["opencv", *cameras, str(tmp_path / "out.json")]) == command.BAD_INPUT
+    assert "is 8 x 20 of dt 2f; a row of 24 elements of 2 for each view is needed" in capsys.readouterr().err

@@ -78,6 +78,13 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         f"error of the arm    {1e3 * report['arm_error_m']:.3g} mm in each coordinate",
         "LED offset [mm]     " + _vector(report["led_offset_m"], report["led_offset_standard_deviation_m"], 1e3),
     ]
+    if target := report.get("target"):
+        lines[-1] = "target [mm]         " + _vector(
+            [row[3] for row in target["transform"][:3]],
+            [float(target["covariance"][k][k]) ** 0.5 for k in (3, 4, 5)],
+            1e3,
+        )
+        lines[-1] += f" in the {target['frame']}"
     if report["scale"]:
         scale = report["scale"]
         lines.append(

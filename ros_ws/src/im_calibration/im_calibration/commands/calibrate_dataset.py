@@ -1,6 +1,7 @@
 """``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set.
 
 ``calibrate_dataset --again FOLDER``, or ``im calibrate --again FOLDER``: those of a folder of results once more.
+``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``: from images of a target.
 """
 
 import argparse
@@ -11,11 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from im_calibration.commands import command
+from im_calibration.commands.images import add_images, check_images, problem_of_images
 from im_calibration.problem.dataset import load_problems
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
 from im_calibration.reporting.report import answer
 from im_calibration.reporting.results import OBSERVATIONS, write_results
 from im_calibration.selection import calibrate_possible
+from im_cell.calibration_files import CameraPose
 from im_cell.lens import LENSES
 from im_core.clock import monotonic
 from im_core.errors import DataError
@@ -87,7 +90,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         choices=tuple(LENSES),
         help="lens model of all cameras (default: distortion_model in IN.json, else plumb_bob)",
     )
+    add_images(parser)
     options = parser.parse_args(arguments)
+    if options.images or options.target or options.results or options.robot:
+        if wrong := check_images(options) or ("--images stands alone" if options.again or options.input else ""):
+            parser.error(wrong)
+        return command.run("calibrate_dataset", lambda: _from_images(options))
     if (options.again is None) == (options.output is None) or (options.input is None) != (options.output is None):
         parser.error("IN.json and OUT.json are needed, or --again FOLDER alone")
     return command.run("calibrate_dataset", lambda: _again(options) if options.again else _calibrate(options))
@@ -107,8 +115,22 @@ def _again(options: argparse.Namespace) -> None:
     for name in problem.camera_names:
         if Path(name).name != name:  # it becomes that of a file
             raise DataError(f"{options.again / OBSERVATIONS}: camera_names has {name!r}, which is no name of a file.")
+    _write(target, problem)
+
+
+def _from_images(options: argparse.Namespace) -> None:
+    problem, told = problem_of_images(options)
+    print(told)
+    _write(options.results, problem)
+
+
+def _write(target: Path, problem: CalibrationProblem) -> None:
     calibration = calibrate_possible(problem)
-    write_results(target, calibration, problem)
+    poses = None
+    if (placements := problem.placements) is not None:
+        frame = "link" if placements.camera_moves else "base" if placements.held is None else problem.camera_names[0]
+        poses = {camera.name: CameraPose.of(frame, camera.model) for camera in calibration.cameras}
+    write_results(target, calibration, problem, poses)
     print(f"{target}: {calibration.message}")
 
 

@@ -11,20 +11,21 @@ from typing import Any
 import numpy as np
 
 from im_calibration.commands import command
+from im_calibration.commands.images import UNITS, named
 from im_calibration.problem.bags import BagTopics, dataset_from_bag
-from im_calibration.problem.convert import dataset_from, read_lines, read_opencv
+from im_calibration.problem.convert import BoardSighting, dataset_from, dataset_from_boards, read_lines, read_opencv
 from im_calibration.problem.dataset import problems
 from im_core.errors import DataError
 from im_core.files import is_same, write_whole
 
 _READERS = {"text": read_lines, "opencv": read_opencv}
-_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 
 _EPILOG = """\
 text    lines  u v x y z  of one camera: where it saw a point [px], and where that point was [--unit], in one frame that
         does not move, nor the camera. Blanks, tabs, commas or semicolons between; # begins a comment.
 opencv  a YAML file of cv::FileStorage with the matrices image_points (n x 2) and object_points (n x 3), and image_width
-        and image_height where --image-size is not given.
+        and image_height where --image-size is not given. Or views of a chessboard, as OpenCV's own sample of a
+        calibration writes them: a row of image_points each, with board_width, board_height and square_size [--unit].
 bag     a rosbag2, MCAP or SQLite: spots as geometry_msgs/PointStamped, x and y in pixels, stamped as their images, and
         poses; `make_dataset bag --help` says more.
 
@@ -70,8 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     formats = parser.add_subparsers(dest="format", required=True, metavar="{text,opencv,bag}")
     for name in _READERS:
         files = formats.add_parser(name, description=f"Make a data set from {name} files.")
-        files.add_argument("cameras", nargs="+", type=_named, metavar="CAMERA=FILE", help="camera and its file")
-        files.add_argument("--unit", choices=sorted(_UNITS), default="m", help="unit of the positions (%(default)s)")
+        files.add_argument("cameras", nargs="+", type=named, metavar="CAMERA=FILE", help="camera and its file")
+        files.add_argument("--unit", choices=sorted(UNITS), default="m", help="unit of the positions (%(default)s)")
         _add_common(files, "--unit")
     bag = formats.add_parser(
         "bag",
@@ -95,7 +96,7 @@ def _add_common(parser: argparse.ArgumentParser, unit: str) -> None:
 
 def _add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag, or its one file")
-    a_topic: Any = {"nargs": "+", "type": _named, "metavar": "CAMERA=TOPIC"}
+    a_topic: Any = {"nargs": "+", "type": named, "metavar": "CAMERA=TOPIC"}
     parser.add_argument("--spots", required=True, help="camera and the topic of its spots", **a_topic)
     parser.add_argument("--poses", required=True, metavar="TOPIC", help="poses of the tool, or of the light")
     parser.add_argument("--frames", nargs=2, metavar=("BASE", "TOOL"), help="frames of transforms on --poses")
@@ -125,11 +126,17 @@ def _convert(options: argparse.Namespace) -> None:
 
 
 def _from_files(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
-    metres = _UNITS[options.unit]
+    metres = UNITS[options.unit]
     read = _READERS[options.format]
     sightings = {name: read(Path(path)) for name, path in _once(options.cameras).items()}
+    boards = {name: each for name, each in sightings.items() if isinstance(each, BoardSighting)}
+    points = {name: each for name, each in sightings.items() if not isinstance(each, BoardSighting)}
+    if boards and points:
+        raise DataError(f"{', '.join(boards)} has views of a board, {', '.join(points)} has points at known places.")
+    if boards:
+        return dataset_from_boards(boards, options.image_size, metres, options.sigma_px), ""
     sigma_m = None if options.sigma_position is None else metres * options.sigma_position
-    return dataset_from(sightings, options.image_size, metres, options.sigma_px, sigma_m), ""
+    return dataset_from(points, options.image_size, metres, options.sigma_px, sigma_m), ""
 
 
 def _from_bag(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
@@ -163,13 +170,6 @@ def _once(named: list[tuple[str, str]]) -> dict[str, str]:
     if len(dict(named)) != len(named):
         raise DataError("Each camera may be given once.")
     return dict(named)
-
-
-def _named(text: str) -> tuple[str, str]:
-    name, equals, path = text.partition("=")
-    if not (name and equals and path):
-        raise argparse.ArgumentTypeError(f"'{text}' is not of the form CAMERA=...")
-    return name, path
 
 
 def _size(text: str) -> tuple[int, int]:

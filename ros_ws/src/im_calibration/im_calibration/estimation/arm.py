@@ -57,6 +57,8 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
+    if problem.placements is not None:  # a target's own place takes up what is alike at neighbours
+        return Explanation(problem, ParameterLayout.of(problem), gated)
     whole = ArmError.largest(problem.positions)
     factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
     found = Explanation(problem, ParameterLayout.of(problem), gated)
@@ -114,7 +116,7 @@ def _factor(found: Explanation, whole: ArmError, *, robot_known: bool) -> float:
     z2 = (axes.T @ (pull[arm] - cross.T @ shift[:, -1])) ** 2
     squared = float(np.einsum("ni,nij,nj->", residuals, np.linalg.inv(line.covariances), residuals))
     squared -= float((pull[rest] + prior.gradient[rest]) * scale @ shift[:, -1])
-    freedom = max(1, 2 * int(found.gated.used.sum()) - layout.cameras_size)
+    freedom = max(1, 2 * int(found.gated.used.sum()) - layout.free_size)
     d = np.maximum(d, 0.0)
     t2 = np.concatenate(([0.0], _FACTORS**2))[:, None]  # over the variance of the noise
     left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)

@@ -170,20 +170,19 @@ def predict_from_others(fit: Fit, problem: CalibrationProblem, layout: Parameter
     blocks = [slice(start, start + width) for start in range(0, covariances.shape[1], width)]
     for poses, block in zip(table.T, blocks, strict=True):
         covariances[:, block, block] += line.covariances[poses]
-    jacobians = np.where(rows[..., None], all_jacobians, 0.0)
     both = rows[:, :, None] & rows[:, None, :]
-    weights = np.linalg.inv(np.where(both, covariances, np.eye(rows.shape[1])))
-    weighted = np.swapaxes(jacobians, 1, 2) @ weights
     across = fit.information[kept, shared]
     information = fit.information[np.ix_(kept, kept)]
     information = information - across @ np.linalg.solve(fit.information[shared, shared], across.T)
     diagonal = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = (information - weighted @ jacobians) / diagonal[:, None] / diagonal[None, :]
-    without = np.linalg.inv(scaled + _RIDGE * np.eye(len(kept))) / diagonal[:, None] / diagonal[None, :]
-    spread = all_jacobians @ without
-    gradient = weighted @ np.where(rows, residuals, 0.0)[..., None]
-    errors = residuals + (spread @ gradient)[..., 0]
-    covariances = covariances + spread @ np.swapaxes(all_jacobians, 1, 2)
+    whole = np.linalg.inv(information / diagonal[:, None] / diagonal[None, :] + _RIDGE * np.eye(len(kept)))
+    spread = (all_jacobians @ (whole / diagonal[:, None] / diagonal[None, :])) @ np.swapaxes(all_jacobians, 1, 2)
+    from_used = np.where(rows[:, None, :], spread, 0.0)
+    # without the reading, J P' J^T = B + B (S - B)^-1 B with B = J P J^T: no inverse as large as the unknowns are many
+    left = np.where(both, covariances - spread, np.eye(rows.shape[1]))
+    gain = from_used @ np.linalg.inv(left)
+    errors = residuals + (gain @ np.where(rows, residuals, 0.0)[..., None])[..., 0]
+    covariances = covariances + spread + gain @ np.swapaxes(from_used, 1, 2)
     own_errors, own_covariances = np.empty_like(line.residuals), np.empty_like(line.covariances)
     for poses, block in zip(table.T, blocks, strict=True):
         own_errors[poses[poses >= 0]] = errors[poses >= 0, block]
@@ -260,7 +259,7 @@ def _own_distances(prediction: Prediction) -> Array:
 
 def _enough(chosen: Mask, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Check whether each camera keeps more coordinates than unknowns."""
-    return bool(np.all(chosen.sum(axis=1) > problem.fewest_spots)) and 2 * int(chosen.sum()) > layout.cameras_size
+    return bool(np.all(chosen.sum(axis=1) > problem.fewest_spots)) and 2 * int(chosen.sum()) > layout.free_size
 
 
 @cache

@@ -106,6 +106,8 @@ class NoiseLikelihood:
         self._residuals = np.concatenate((self._residuals, -unknowns.shared_errors))
         jacobians = np.concatenate((jacobians, np.eye(layout.size)[shared]))
         known[shared, shared], pull[shared] = 0.0, 0.0
+        self._beside = 0.0
+        jacobians = self._compressed(jacobians)
         weighted = jacobians / (self._image + self._robot)[:, None]
         scale = 1.0 / np.sqrt(np.maximum((weighted * jacobians).sum(axis=0) + np.diag(known), 1e-300))
         self._jacobians = jacobians * scale
@@ -113,6 +115,21 @@ class NoiseLikelihood:
         self._pull = pull * scale
         self._scaled = -2.0 * float(np.log(scale).sum())
         self._ridge = 1e-12 * np.eye(len(scale))  # directions that no data determine carry no noise either
+
+    def _compressed(self, jacobians: Array) -> Array:
+        """Replace the many rows that the noise of the image alone makes by as many as there are unknowns, and a sum."""
+        alone = (self._robot == 0.0) & (self._image == 1.0)
+        rows, size = jacobians[alone], jacobians.shape[1]
+        if len(rows) <= size:
+            return jacobians
+        q, r = np.linalg.qr(rows)
+        residuals = q.T @ self._residuals[alone]
+        self._beside = float((self._residuals[alone] ** 2).sum() - residuals @ residuals)
+        self._unused -= len(rows) - size
+        self._robot = np.concatenate((np.zeros(size), self._robot[~alone]))
+        self._image = np.concatenate((np.ones(size), self._image[~alone]))
+        self._residuals = np.concatenate((residuals, self._residuals[~alone]))
+        return np.concatenate((r, jacobians[~alone]))
 
     @property
     def robot_matters(self) -> bool:
@@ -130,8 +147,8 @@ class NoiseLikelihood:
         lower = np.linalg.cholesky(information)
         moved = np.linalg.solve(lower, pull)
         constant = float(np.log(variances).sum()) - self._unused * float(logs[0])
-        quadratic = float((self._residuals**2 / variances).sum() - moved @ moved)
-        return constant + self._scaled + 2.0 * float(np.log(np.diag(lower)).sum()) + quadratic
+        quadratic = float((self._residuals**2 / variances).sum() - moved @ moved) + self._beside / np.exp(logs[0])
+        return float(constant + self._scaled + 2.0 * np.log(np.diag(lower)).sum() + quadratic)
 
     def slope(self, logs: Array) -> tuple[Array, Array]:
         """Return the gradient of the deviance, shape (2,), and the expected second derivatives, shape (2, 2)."""
@@ -145,6 +162,7 @@ class NoiseLikelihood:
         counts = shares.sum(axis=1) - np.array([self._unused, 0.0])
         taken = np.array([np.trace(part) for part in spread])
         gradient = counts - taken - (shares / variances * left**2).sum(axis=1)
+        gradient[0] -= self._beside / np.exp(logs[0])
         expected = np.zeros((2, 2))
         for k in range(2):
             for m in range(2):

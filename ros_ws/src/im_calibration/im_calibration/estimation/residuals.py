@@ -75,6 +75,11 @@ def linearise(
         jacobians[:, :, layout.arm_slice] = stacked @ problem.arm_error.jacobians
     if layout.shared:
         jacobians[:, :, layout.shared_slice] = stacked @ problem.shared_errors
+    if problem.placements is not None:
+        local = stacked @ problem.placements.jacobians(unknowns.placements)
+        poses = np.flatnonzero(problem.placements.of >= 0)
+        columns = layout.placed_slice.start + 6 * problem.placements.of[poses, None] + np.arange(6)
+        jacobians[poses[:, None, None], np.arange(2 * c)[:, None], columns[:, None, :]] = local[poses]
 
     covariances = stacked @ problem.own_covariances @ np.swapaxes(stacked, 1, 2)
     noise = problem.spot_covariances if image_covariances is None else image_covariances

@@ -82,13 +82,13 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
 def plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> bool:
     """Check whether most spots are believed and explained by the noise; if not, a further search is worthwhile."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
-    freedom = max(1, 2 * int(gated.used.sum()) - layout.cameras_size)
+    freedom = max(1, 2 * int(gated.used.sum()) - layout.free_size)
     return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
 
 
 def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:
     """Return the robust fit from a linear start; with unknown offsets, refit from found ones and keep the better."""
-    fits = [robust_fit(start(problem, layout), problem, layout, problem.detected)]
+    fits = [robust_fit(_held(start(problem, layout), problem), problem, layout, problem.detected)]
     if layout.led or layout.joints:
         again = start(problem, layout, fits[0].unknowns)
         fits.append(robust_fit(again, problem, layout, problem.detected))
@@ -106,6 +106,21 @@ def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknow
                 )
             raise InconsistentDataError(f"No camera explains where {camera} saw the LED.", camera=camera)
     return best
+
+
+def _held(unknowns: Unknowns, problem: CalibrationProblem) -> Unknowns:
+    """Return the unknowns with the first camera where it is held, and intrinsics as they are given."""
+    if problem.placements is not None and problem.placements.held is not None:
+        rotations, translations = unknowns.rotations.copy(), unknowns.translations.copy()
+        rotations[0], translations[0] = np.eye(3), -problem.placements.held
+        unknowns = replace(unknowns, rotations=rotations, translations=translations)
+    if problem.given_intrinsics:
+        intrinsics = unknowns.intrinsics.copy()
+        for row, given in zip(intrinsics, problem.given_intrinsics, strict=True):
+            if given is not None:
+                row[: len(given.values)] = given.values
+        unknowns = replace(unknowns, intrinsics=intrinsics)
+    return unknowns
 
 
 def _starts_from_parts(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknowns) -> Iterator[Unknowns]:

@@ -73,7 +73,13 @@ def start(problem: CalibrationProblem, layout: ParameterLayout, offsets: Unknown
         np.zeros_like(problem.positions),
         np.zeros(layout.arm),
         np.zeros(layout.shared),
+        no_placements(layout.placed // 6),
     )
+
+
+def no_placements(count: int) -> Array:
+    """Return the placements of targets that are where the positions have them, shape (count, 3, 4)."""
+    return np.tile(np.eye(3, 4), (count, 1, 1))
 
 
 def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: float) -> PinholeStart:

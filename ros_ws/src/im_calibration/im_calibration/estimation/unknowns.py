@@ -31,6 +31,10 @@ LENS_RADIUS = 0.6
 image if that is nearer. Farther out the terms of a wide lens are large and cancel each other."""
 
 
+HELD_SD = 1e-9
+"""Standard deviation of the pose of a camera that is the world's frame [rad], [m]."""
+
+
 def camera_parameters(lens: LensModel) -> tuple[str, ...]:
     """Order of a camera's parameters: [px] x 4, lens [-], rotation vector in the camera frame [rad] x 3, [m] x 3."""
     return (*_PINHOLE, *lens.coefficients[: lens.estimated], *_POSE)
@@ -82,28 +86,35 @@ class Prior:
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Which unknowns a problem has, and where: cameras, LED offset, joint offsets, readings, error of the arm.
+    """Which unknowns a problem has, and where: cameras, LED and joint offsets, readings, placements, error of the arm.
 
     Attributes:
         lenses: Lens models of the cameras.
         led: Whether the LED offset is estimated.
         joints: Number of joint offsets that are estimated.
         shared: Number of errors of readings that several poses share, three a reading.
+        placed: Number of unknowns of the placements of targets, six each.
         arm: Number of coefficients of the arm's error.
         image_sizes: Width and height of each image [px].
         prior_mean: Prior means, 0 where there is no prior, shape (size,).
         prior_precision: Inverse prior variances, 0 where there is no prior, shape (size,); of lens terms, those of an
             image that ends at :data:`LENS_RADIUS`.
+        given: Means and precision matrix of the cameras' unknowns as given, shapes (cameras_size,) and its square;
+            None: nothing is given.
+        free_size: Number of unknowns on which nothing but the spots, or the usual lenses, say anything.
     """
 
     lenses: tuple[LensModel, ...]
     led: bool
     joints: int
     shared: int
+    placed: int
     arm: int
     image_sizes: tuple[tuple[int, int], ...]
     prior_mean: Array
     prior_precision: Array
+    given: tuple[Array, Array] | None
+    free_size: int
 
     @staticmethod
     def of(problem: CalibrationProblem) -> "ParameterLayout":
@@ -120,12 +131,25 @@ class ParameterLayout:
             precisions += [0.0, 0.0, *[(CENTRE_PRIOR_SD * width) ** -2] * 2]
             precisions += [LENS_PRIOR_SD[power] ** -2 for power in lens.powers[: lens.estimated]] + [0.0] * len(_POSE)
         shared = problem.shared_errors.shape[2]
-        means += [0.0] * (3 * led + joints + shared + arm)
+        cameras_size, placed = len(means), 0 if problem.placements is None else 6 * problem.placements.count
+        means += [0.0] * (3 * led + joints + shared + placed + arm)
         precisions += [problem.led_offset_prior_sd**-2] * 3 if led else []
         precisions += [problem.joint_offset_prior_sd**-2] * joints if joints else []
-        precisions += [1.0] * (shared + arm)
-        sizes = problem.image_sizes
-        return ParameterLayout(problem.lenses, led, joints, shared, arm, sizes, np.array(means), np.array(precisions))
+        precisions += [1.0] * shared + [0.0] * placed + [1.0] * arm
+        given, known = _given(problem, cameras_size)
+        return ParameterLayout(
+            problem.lenses,
+            led,
+            joints,
+            shared,
+            placed,
+            arm,
+            problem.image_sizes,
+            np.array(means),
+            np.array(precisions),
+            given,
+            cameras_size + placed - known,
+        )
 
     @property
     def cameras(self) -> int:
@@ -140,7 +164,7 @@ class ParameterLayout:
     @cached_property
     def cameras_size(self) -> int:
         """Number of unknowns of all cameras, which are the first."""
-        return self.size - 3 * self.led - self.joints - self.shared - self.arm
+        return self.size - 3 * self.led - self.joints - self.shared - self.placed - self.arm
 
     @cached_property
     def stated_precision(self) -> Array:
@@ -160,14 +184,34 @@ class ParameterLayout:
         gradient = -precision * deviation - cross.T @ deviation
         chi2, stated = _chi2(deviation, precision), self.stated_precision
         lens_chi2 = chi2 - float(deviation @ (stated * deviation))
-        return Prior(chi2, gradient, information, lens_chi2, information - np.diag(stated))
+        lens_information = information - np.diag(stated)
+        if self.given is not None:
+            cameras, off = slice(0, self.cameras_size), self._from_given(unknowns)
+            information[cameras, cameras] += self.given[1]
+            gradient[cameras] -= self.given[1] @ off
+            chi2 += float(off @ self.given[1] @ off)
+        return Prior(chi2, gradient, information, lens_chi2, lens_information)
 
     def prior_chi2(self, unknowns: "Unknowns") -> float:
         """The first part of :meth:`prior`, without the others."""
         precision = self.prior_precision.copy()
         for _, term, power, reach in self._reaching(unknowns):
             precision[term] *= reach ** (2 * power)
-        return _chi2(unknowns.prior_vector(self), precision)
+        chi2 = _chi2(unknowns.prior_vector(self), precision)
+        if self.given is not None:
+            off = self._from_given(unknowns)
+            chi2 += float(off @ self.given[1] @ off)
+        return chi2
+
+    def _from_given(self, unknowns: "Unknowns") -> Array:
+        """Return intrinsics less those that are given; poses that are given are never left, shape (cameras_size,)."""
+        assert self.given is not None
+        off = np.zeros(self.cameras_size)
+        for c in range(self.cameras):
+            block = self.camera_slice(c)
+            size = block.stop - block.start - len(_POSE)
+            off[block.start : block.start + size] = unknowns.intrinsics[c, :size]
+        return np.where(np.diag(self.given[1]) > 0.0, off - self.given[0], 0.0)
 
     def _reaching(self, unknowns: "Unknowns") -> Iterator[tuple[int, int, int, float]]:
         """Yield camera, place and power of terms with effect not judged at :data:`LENS_RADIUS`, and the reach there."""
@@ -193,7 +237,12 @@ class ParameterLayout:
     @property
     def shared_slice(self) -> slice:
         """Place of the errors of shared readings; empty without."""
-        return slice(self.arm_slice.start - self.shared, self.arm_slice.start)
+        return slice(self.placed_slice.start - self.shared, self.placed_slice.start)
+
+    @property
+    def placed_slice(self) -> slice:
+        """Place of the placements of targets, a turn [rad] and a shift [m] each; empty without."""
+        return slice(self.arm_slice.start - self.placed, self.arm_slice.start)
 
     @property
     def arm_slice(self) -> slice:
@@ -234,7 +283,8 @@ class Unknowns:
         joint_offsets: Constant errors of the joint readings, shape (k,) [rad].
         displacements: LED positions minus where the robot's readings, offsets corrected, put them, shape (n, 3) [m].
         arm_error: Coefficients of the arm's error, shape (m,) [-].
-        shared_errors: Errors of shared readings, in standard deviations, shape (3r,) [-].
+        shared_errors: Errors of shared readings, in standard deviations, shape (3r,) or (6r,) [-].
+        placements: Rotations and translations of targets from where the positions have them, shape (m, 3, 4) [-], [m].
     """
 
     lenses: tuple[LensModel, ...]
@@ -246,6 +296,7 @@ class Unknowns:
     displacements: Array
     arm_error: Array = field(default_factory=lambda: np.zeros(0))
     shared_errors: Array = field(default_factory=lambda: np.zeros(0))
+    placements: Array = field(default_factory=lambda: np.zeros((0, 3, 4)))
 
     def coefficients(self, c: int) -> Array:
         """Return the lens coefficients of camera `c`."""
@@ -261,6 +312,8 @@ class Unknowns:
             positions = positions + problem.arm_error.jacobians @ self.arm_error
         if len(self.shared_errors):
             positions = positions + problem.shared_errors @ self.shared_errors
+        if problem.placements is not None:
+            positions = positions + problem.placements.displacements(self.placements)
         return np.asarray(positions)
 
     def led_positions(self, problem: CalibrationProblem) -> Array:
@@ -289,6 +342,7 @@ class Unknowns:
             displacements,
             self.arm_error + step[layout.arm_slice],
             self.shared_errors + step[layout.shared_slice],
+            _placed_anew(self.placements, step[layout.placed_slice].reshape(-1, 6)),
         )
 
     def prior_vector(self, layout: ParameterLayout) -> Array:
@@ -307,6 +361,31 @@ class Unknowns:
 
 def _chi2(deviation: Array, precision: Array) -> float:
     return float(deviation @ (precision * deviation))
+
+
+def _placed_anew(placements: Array, steps: Array) -> Array:
+    """Return placements after steps, turn [rad] and shift [m], shape (m, 6)."""
+    moved = placements.copy()
+    moved[:, :, :3] = rotation_exp(steps[:, :3]) @ placements[:, :, :3]
+    moved[:, :, 3] += steps[:, 3:]
+    return moved
+
+
+def _given(problem: CalibrationProblem, size: int) -> tuple[tuple[Array, Array] | None, int]:
+    """Return means and precisions of the given unknowns of cameras, and how many they are."""
+    means, precision, known, start = np.zeros(size), np.zeros((size, size)), 0, 0
+    for c, lens in enumerate(problem.lenses):
+        count = len(_PINHOLE) + lens.estimated
+        if problem.given_intrinsics and (given := problem.given_intrinsics[c]) is not None:
+            block = slice(start, start + count)
+            means[block], precision[block, block] = given.values, given.precision
+            known += count
+        if c == 0 and problem.placements is not None and problem.placements.held is not None:
+            pose = np.arange(start + count, start + count + len(_POSE))
+            precision[pose, pose] = HELD_SD**-2
+            known += len(_POSE)
+        start += count + len(_POSE)
+    return ((means, precision) if known else None), known
 
 
 def _count(lens: LensModel) -> int:

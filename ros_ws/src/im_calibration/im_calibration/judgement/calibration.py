@@ -89,6 +89,21 @@ class CameraEstimate:
 
 
 @dataclass(frozen=True)
+class TargetPlace:
+    """Where the target of a robot and its cameras is.
+
+    Attributes:
+        frame: ``link``, if the target is on it, or ``base``.
+        transform: Target -> frame, shape (4, 4) [-], [m].
+        covariance: Of a turn about the frame's axes and origin [rad] and a shift [m], shape (6, 6).
+    """
+
+    frame: str
+    transform: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class Calibration:
     """Joint estimate of all cameras; arrays are in the order of the problem.
 
@@ -117,6 +132,8 @@ class Calibration:
         cause: What data that fit no camera may be instead, a sentence; empty: nothing is known.
         arm_error_m: Standard deviation of each coordinate of the smooth error of the arm, over the poses [m].
         left_out: Reasons why cameras of the problem are not in `cameras`, one each.
+        views: Views of a target of which points count; 0: of lights.
+        target: Where the target of a robot is; None: there is no robot, or no target.
 
     >>> [round(float(focal)) for focal in np.diag(calibration.cameras[0].model.K)[:2]], calibration.points_used
     ([600, 600], 40)
@@ -146,6 +163,8 @@ class Calibration:
     cause: str
     arm_error_m: float
     left_out: tuple[Verdict, ...] = ()
+    views: int = 0
+    target: TargetPlace | None = None
 
     def moved(self, by: Array) -> "Calibration":
         """Return the same calibration in a world with another origin: all places have ``by`` added, shape (3,) [m].
@@ -228,7 +247,12 @@ class Calibration:
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)
-        text = f"Calibrated {names} from {self.points_used} poses"
+        told = (
+            f"{self.points_used} points of a target in {self.views} views"
+            if self.views
+            else f"{self.points_used} poses"
+        )
+        text = f"Calibrated {names} from {told}"
         errors = [f"{self.expected.reprojection_rms_px:.3f} px", f"{self.expected.triangulation_rms_mm:.2f} mm"]
         known = " and ".join(error for error in errors if not error.startswith("nan"))
         return f"{text}; expect {known} RMS in the workspace." if known else f"{text}; none of them sees the workspace."

@@ -92,7 +92,7 @@ def find_slip(problem: CalibrationProblem) -> str:
     Args:
         problem: The observations, in the order in which they were made.
     """
-    return _slip(problem, _fit(problem, thoroughly=True))
+    return "" if problem.placements is not None else _slip(problem, _fit(problem, thoroughly=True))
 
 
 def find_cause(problem: CalibrationProblem) -> str:
@@ -101,6 +101,8 @@ def find_cause(problem: CalibrationProblem) -> str:
     Args:
         problem: The observations, in the order in which they were made.
     """
+    if problem.placements is not None:  # slips of targets and robots are looked for before the start
+        return ""
     found = _fit(problem, thoroughly=True)
     if sentence := _slip(problem, found) or strange_units(problem) or _led_elsewhere(problem, found):
         return sentence

@@ -49,6 +49,9 @@ def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) ->
     held_out, expected = np.sqrt(2.0) * rms(prediction.errors[rows]), np.sqrt(2.0) * rms(np.sqrt(variances))
     used = gated.used.any(axis=0)
     away = problem.positions - np.median(problem.positions[used], axis=0)
+    alone = problem.placements is not None and problem.placements.held is not None
+    if alone:  # no half of the views knows anything of where the target is in the other
+        return Checks(float(held_out), float(expected), np.nan, np.nan, np.nan)
     halves = [side for axis in np.linalg.svd(away[used])[2] for side in (away @ axis > 0.0, away @ axis <= 0.0)]
     found = [_half(gated, problem, side) for side in halves]
     chance, far, far_expected = min(found, key=lambda half: half[0] if np.isfinite(half[0]) else np.inf)

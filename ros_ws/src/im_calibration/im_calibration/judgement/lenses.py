@@ -151,20 +151,27 @@ def _deviation(gain: Array) -> float:
 
 
 def _losses(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout, c: int) -> tuple[Array, float]:
-    """How badly each spot of a camera is predicted from the other poses, shape (m,), and the median error [px]."""
+    """How badly each spot of a camera is predicted from the other poses, shape (m,), and the median error [px].
+
+    Spots of one reading of the robot are off together, and say once what they say: their mean is taken.
+    """
     prediction = predict_from_others(gated.fit, problem, layout, gated.used)
     seen = problem.detected[c]
     errors = prediction.errors[seen, 2 * c : 2 * c + 2]
     spread = camera_blocks(prediction.covariances)[c][seen]
     squared = (errors * np.linalg.solve(spread, errors[..., None])[..., 0]).sum(axis=1)
     error = float(np.sqrt(np.median((errors**2).sum(axis=1))))
-    return np.minimum(squared, _WORST_SPOT) + np.linalg.slogdet(spread)[1], error
+    losses = np.minimum(squared, _WORST_SPOT) + np.linalg.slogdet(spread)[1]
+    if problem.readings:
+        reading = np.unique(np.array(problem.readings)[seen], return_inverse=True)[1]
+        losses = np.bincount(reading, losses) / np.bincount(reading)
+    return losses, error
 
 
 def _explains(gated: Gated, problem: CalibrationProblem) -> bool:
     """Check whether a fit agrees with most spots, and the noise explains the residuals."""
     layout = ParameterLayout.of(problem)
     prior = layout.prior(gated.fit.unknowns).lens_chi2
-    dof = 2 * int(gated.used.sum()) - layout.cameras_size
+    dof = 2 * int(gated.used.sum()) - layout.free_size
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     return bool(believed and dof > 0 and scipy.stats.chi2.sf(gated.fit.chi2 - prior, dof) > _UNLIKELY)

@@ -111,7 +111,7 @@ def _flat(calibration: Calibration, problem: CalibrationProblem, c: int, misfit:
     extent = robust_extent(calibration.led_positions[calibration.used[c]])
     if extent[2] >= FLAT * extent[0] and misfit:
         extent = core_extent(problem.positions[problem.detected[c]])
-    if extent[2] >= FLAT * extent[0]:
+    if extent[2] >= FLAT * extent[0] or problem.placements is not None:  # turned targets tell it all the same
         return None
     return Verdict(
         UNOBSERVABLE,

@@ -36,6 +36,21 @@ class Sighting:
     image_size: tuple[int, int] | None = None
 
 
+@dataclass(frozen=True)
+class BoardSighting:
+    """Views of a chessboard by one camera.
+
+    Attributes:
+        spots: Corners, row by row, shape (k, p, 2) [px].
+        points: Places on the board, shape (p, 3), in the unit of the file.
+        image_size: Width and height [px]; None where the file does not say.
+    """
+
+    spots: Array
+    points: Array
+    image_size: tuple[int, int] | None
+
+
 def read_lines(path: Path) -> Sighting:
     """Lines ``u v x y z``, separated by blanks, tabs, commas or semicolons; a # begins a comment.
 
@@ -96,17 +111,30 @@ class _Matrix(Model):
 
 
 class _OpenCvFile(Model):
-    """OpenCV file of one camera: image points and the imaged points; other fields of the file are not read."""
+    """OpenCV file of one camera: image points with the imaged points, or with the size of a board, a view a row."""
 
     model_config = ConfigDict(extra="ignore")
 
     image_width: Annotated[int, Field(ge=1)] | None = None
     image_height: Annotated[int, Field(ge=1)] | None = None
     image_points: _Matrix
-    object_points: _Matrix
+    object_points: _Matrix | None = None
+    board_width: Annotated[int, Field(ge=2, le=100)] | None = None
+    board_height: Annotated[int, Field(ge=2, le=100)] | None = None
+    square_size: Annotated[float, Field(gt=0)] | None = None
 
     @model_validator(mode="after")
     def _fit(self) -> Self:
+        if self.object_points is None:
+            if None in (self.board_width, self.board_height, self.square_size):
+                told = "is missing, and so are board_width, board_height and square_size of OpenCV's sample"
+                raise FieldError(("object_points",), told)
+            corners = int(self.board_width or 0) * int(self.board_height or 0)
+            if not self.image_points.holds(2) or self.image_points.cols != corners:
+                shape = f"{self.image_points.rows} x {self.image_points.cols} of dt {self.image_points.dt}"
+                told = f"is {shape}; a row of {corners} elements of 2 for each view is needed"
+                raise FieldError(("image_points", "cols"), told)
+            return self
         for name, matrix, size in (("image_points", self.image_points, 2), ("object_points", self.object_points, 3)):
             if not matrix.holds(size):
                 shape = f"{matrix.rows} x {matrix.cols} of dt {matrix.dt}"
@@ -119,8 +147,11 @@ class _OpenCvFile(Model):
         return self
 
 
-def read_opencv(path: Path) -> Sighting:
+def read_opencv(path: Path) -> Sighting | BoardSighting:
     """Read YAML of ``cv::FileStorage`` with ``image_points``, ``object_points``, ``image_width``, ``image_height``.
+
+    In place of ``object_points`` may be ``board_width``, ``board_height`` and ``square_size``, as OpenCV's own sample
+    of a calibration writes.
 
     Args:
         path: The file.
@@ -132,7 +163,13 @@ def read_opencv(path: Path) -> Sighting:
     text = re.sub(r"\A%YAML[: ]", "#YAML ", read_text(path, _LARGEST_FILE)).replace("!!opencv-matrix", "")
     found = parse_model(text, _OpenCvFile, str(path))
     size = (found.image_width, found.image_height) if found.image_width and found.image_height else None
-    return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)
+    if found.object_points is not None:
+        return Sighting(found.image_points.vectors(2), found.object_points.vectors(3), size)
+    columns, rows = int(found.board_width or 0), int(found.board_height or 0)
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    flat = np.column_stack((x.ravel(), y.ravel(), np.zeros(x.size)))
+    points = np.asarray(float(found.square_size or 0.0) * flat, dtype=np.float64)
+    return BoardSighting(found.image_points.vectors(2).reshape(-1, columns * rows, 2), points, size)
 
 
 def dataset_from(
@@ -163,6 +200,36 @@ def dataset_from(
     sizes = {name: sighting.image_size or image_size for name, sighting in sightings.items()}
     positions = [[metres * value for value in pose[:3]] for pose in poses]
     return {**dataset_head(sizes, len(poses), sigma_px, sigma_m), "trials": [{"x_base_m": positions, "u_px": seen}]}
+
+
+def dataset_from_boards(
+    sightings: Mapping[str, BoardSighting],
+    image_size: tuple[int, int] | None,
+    metres: float,
+    sigma_px: float | None,
+) -> dict[str, Any]:
+    """Build a data set from views of one board; views of several cameras belong together by their number.
+
+    Args:
+        sightings: By name of the camera.
+        image_size: Width and height of images whose file does not say it [px].
+        metres: Length of the unit of the board [m].
+        sigma_px: Standard deviation of each image coordinate [px]; None: not known.
+
+    Raises:
+        DataError: The size of an image is not known, the boards differ, or the cameras have not the same views.
+    """
+    first, *others = sightings.values()
+    for other in others:
+        if not np.array_equal(first.points, other.points) or first.spots.shape != other.spots.shape:
+            raise DataError("The files of the cameras have boards of different sizes, or not the same number of views.")
+    head = dataset_head(
+        {name: each.image_size or image_size for name, each in sightings.items()}, 0, sigma_px, sigma_m=None
+    )
+    spots = np.stack([each.spots for each in sightings.values()])
+    sigma = None if sigma_px is None else np.full(spots.shape[:3], sigma_px).tolist()
+    target = {"points_m": (metres * first.points).tolist(), "u_px": spots.tolist(), "sigma_u_px": sigma}
+    return {name: head[name] for name in ("schema", "camera_names", "image_size")} | {"target": target}
 
 
 def dataset_head(

@@ -23,7 +23,8 @@ from pydantic import (
 
 from im_calibration.problem.fields import Lists, Names, kind_of, number, positive
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem, KnownLengths
-from im_cell.lens import lens_of
+from im_calibration.problem.target_problem import TargetTable
+from im_cell.lens import PLUMB_BOB, lens_of
 from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
 from im_core.errors import DataError, nearest
@@ -247,6 +248,34 @@ class DataSet(_Section):
         return KnownLengths(known.length_m, known.sd_m, spots, known.spot_covariances)
 
 
+class TargetDataSet(_Section):
+    """Data set of views of a target, in place of positions of a light."""
+
+    schema_name: Annotated[str, PlainValidator(_same_schema), Field(alias="schema")]
+    target: TargetTable
+    image_size: Annotated[Array, PlainValidator(_image_size)]
+    distortion_model: Annotated[tuple[str, ...], PlainValidator(_lens_models)] = (PLUMB_BOB.name,)
+    camera_names: Annotated[tuple[str, ...] | None, PlainValidator(Names("c"))] = None
+    noise_to_estimate: tuple[Literal["image", "robot"], ...] = ()
+    name: Any = None
+    description: Any = None
+    truth: Any = None
+
+    @property
+    def problem(self) -> CalibrationProblem:
+        """The problem.
+
+        Raises:
+            DataError: A value cannot be, or the views do not determine where to start.
+        """
+        c = len(self.target.u_px)
+        sizes = np.broadcast_to(self.image_size, (c, 2)).astype(int)
+        names = self.camera_names or tuple(f"camera_{j}" for j in range(c))
+        lenses = self.distortion_model * c if len(self.distortion_model) == 1 else self.distortion_model
+        size = tuple((int(width), int(height)) for width, height in sizes)
+        return self.target.problem(names, size, lenses, self.noise_to_estimate)
+
+
 def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
     """The problems of a file.
 
@@ -272,10 +301,11 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
     Raises:
         DataError: A field is missing, or has the wrong shape or an impossible value; field, trial and pose are named.
     """
+    model = TargetDataSet if isinstance(content, Mapping) and "target" in content else DataSet
     try:
-        data = DataSet.model_validate(content, context={})
+        data = model.model_validate(content, context={})
     except ValidationError as error:
-        first = _first_fault(faults(error, DataSet))
+        first = _first_fault(faults(error, model))
         place = field_name(first.location) or "the data set"
         above = field_name(first.location[:-1]) or "the data set"
         sentence = f"{place} {first.words}"
@@ -289,6 +319,8 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
         elif first.kind in ("literal_error", "tuple_type"):
             sentence = f"{place} is {first.value!r}, a list of {' and '.join(map(repr, NOISE_SOURCES))} is needed"
         raise DataError(f"{sentence}.", field=field_name(first.location)) from error
+    if isinstance(data, TargetDataSet):
+        return (data.problem,)
     found = []
     for i, trial in enumerate(data.trials):
         try:

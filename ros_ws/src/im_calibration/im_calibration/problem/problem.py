@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.problem.arm_error import ArmError
+from im_calibration.problem.placements import GivenIntrinsics, Placements
 from im_cell.lens import PLUMB_BOB, LensModel, lens_of
 from im_cell.workspace import Workspace
 from im_core.errors import DataError
@@ -103,6 +104,8 @@ class CalibrationProblem:
         arm_error: Smooth error of the arm, beside the noise; None: there is none.
         readings: Label of each pose's reading of the robot: the positions of one reading are off together; empty: each
             pose has its own.
+        placements: Targets among the positions whose places are unknown; None: there are none.
+        given_intrinsics: What is known of each camera's intrinsics beforehand; empty: nothing.
 
     >>> problem.lens_models, problem.pose_names[:3], problem.fewest_spots.tolist(), int(problem.detected.sum())
     (('plumb_bob',), ('0', '1', '2'), [7], 40)
@@ -126,6 +129,8 @@ class CalibrationProblem:
     noise_to_estimate: tuple[str, ...] = ()
     arm_error: ArmError | None = None
     readings: tuple[str, ...] = ()
+    placements: Placements | None = None
+    given_intrinsics: tuple[GivenIntrinsics | None, ...] = ()
 
     def __post_init__(self) -> None:
         """Check shapes and values.
@@ -235,9 +240,12 @@ class CalibrationProblem:
     def shared_roots(self) -> Array:
         """Roots of the covariances of positions with a reading of several poses, 0 of the others, shape (n, 3, 3) [m].
 
+        Of the points of a target on a robot, whose place and turn are both read, shape (n, 3, 6).
         The positions of a reading are off by their root times one vector of unit covariance: by the same, where the
         covariances are the same.
         """
+        if self.placements is not None and self.placements.roots is not None:
+            return self.placements.roots
         roots = np.zeros_like(self.position_covariances)
         table = self.poses_of_readings
         poses = table[(table >= 0).sum(axis=1) > 1]
@@ -248,11 +256,12 @@ class CalibrationProblem:
 
     @cached_property
     def shared_errors(self) -> Array:
-        """Derivatives of the positions by the vectors of the k readings of several poses, shape (n, 3, 3k) [m]."""
+        """Derivatives of the positions by the errors of k readings of several poses, shape (n, 3, 3k), or 6k [m]."""
         several = [poses[poses >= 0] for poses in self.poses_of_readings if (poses >= 0).sum() > 1]
-        shared = np.zeros((len(self.positions), 3, 3 * len(several)))
+        size = self.shared_roots.shape[2]
+        shared = np.zeros((len(self.positions), 3, size * len(several)))
         for number, poses in enumerate(several):
-            shared[poses, :, 3 * number : 3 * number + 3] = self.shared_roots[poses]
+            shared[poses, :, size * number : size * (number + 1)] = self.shared_roots[poses]
         return shared
 
     @cached_property
@@ -278,11 +287,14 @@ class CalibrationProblem:
             self,
             spot_covariances=image**2 * self.spot_covariances,
             position_covariances=robot**2 * self.position_covariances,
+            placements=self.placements and self.placements.with_noise(robot),
         )
 
     def moved(self, by: Array) -> "CalibrationProblem":
         """Return the problem in a world with another origin: all places have ``by`` added, shape (3,) [m]."""
-        return replace(self, positions=self.positions + by, workspace=self.workspace.moved(by))
+        placements = self.placements and self.placements.moved(by)
+        moved = self.positions + by
+        return replace(self, positions=moved, workspace=self.workspace.moved(by), placements=placements)
 
     def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
         """The problem of some poses, in the order given.
@@ -301,6 +313,7 @@ class CalibrationProblem:
             pose_names=tuple(self.pose_names[i] for i in poses),
             arm_error=None if self.arm_error is None else self.arm_error.taking(poses),
             readings=tuple(self.readings[i] for i in poses) if self.readings else (),
+            placements=self.placements and self.placements.taking(poses),
         )
 
     def of_cameras(self, names: Sequence[str]) -> "CalibrationProblem":
@@ -323,6 +336,7 @@ class CalibrationProblem:
             spot_covariances=self.spot_covariances[chosen],
             lengths=lengths,
             lens_models=tuple(self.lens_models[c] for c in chosen),
+            given_intrinsics=tuple(self.given_intrinsics[c] for c in chosen) if self.given_intrinsics else (),
         )
 
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.estimation.unknowns import camera_parameters
-from im_calibration.judgement.calibration import Calibration, CameraEstimate
+from im_calibration.judgement.calibration import Calibration, CameraEstimate, TargetPlace
 from im_calibration.judgement.checks import Checks
 from im_calibration.judgement.expected import ImageError
 from im_calibration.judgement.neighbours import Neighbours
@@ -31,7 +31,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         {"pose": pose, "camera": camera, "reason": "The LED was not found."}
         for c, camera in enumerate(problem.camera_names)
         for pose, seen in zip(problem.pose_names, problem.detected[c], strict=True)
-        if not seen
+        if not seen and problem.placements is None
     ]
     deviations = dict(zip(calibration.parameter_names, numbers(calibration.standard_deviations), strict=True))
     return {
@@ -65,6 +65,7 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
         "scale": None if calibration.scale is None else _plain(calibration.scale),
         "noise": _noise(calibration.noise),
         "arm_error_m": calibration.arm_error_m,
+        "target": None if calibration.target is None else _target(calibration.target),
         "neighbours": _plain(calibration.neighbours),
         "checks": _plain(calibration.checks),
         "expected_error": {
@@ -78,6 +79,14 @@ def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str
             "workspace_low_m": list(problem.workspace.low),
             "workspace_high_m": list(problem.workspace.high),
         },
+    }
+
+
+def _target(target: TargetPlace) -> dict[str, Any]:
+    return {
+        "frame": target.frame,
+        "transform": [numbers(row) for row in target.transform],
+        "covariance": [numbers(row) for row in target.covariance],
     }
 
 
@@ -178,7 +187,10 @@ def answer(problem: CalibrationProblem) -> dict[str, Any]:
         "parameters": list(result.parameter_names),
         "standard_deviations": numbers(result.standard_deviations),
         "covariance": [numbers(row) for row in np.asarray(result.covariance)],
-        **{key: report[key] for key in ("scale", "noise", "arm_error_m", "neighbours", "checks", "expected_error")},
+        **{
+            key: report[key]
+            for key in ("scale", "target", "noise", "arm_error_m", "neighbours", "checks", "expected_error")
+        },
     }
     if problem.led_offset_prior_sd > 0.0:
         told["led_offset_error_m"] = numbers(result.led_offset_error)

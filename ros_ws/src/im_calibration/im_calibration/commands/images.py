@@ -1,0 +1,202 @@
+"""Calibration from images of a target: ``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``."""
+
+import argparse
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, RootModel, ValidationError
+
+from im_calibration.problem.dataset import SCHEMA, problems
+from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.reporting.results import OBSERVATIONS
+from im_cell.calibration_files.intrinsics import read_intrinsics
+from im_cell.camera_model import CameraModel
+from im_cell.lens import PLUMB_BOB, lens_of
+from im_core.config import Model, faults, field_name, parse_model
+from im_core.errors import DataError
+from im_core.files import make_folder, read_text, write_whole
+from im_core.text.jsontext import load_json
+
+Array = NDArray[np.float64]
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
+"""Units of length [m]."""
+
+
+def add_images(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a calibration from images."""
+    images = parser.add_argument_group("from images of a target, instead of IN.json OUT.json")
+    images.add_argument("--images", nargs="+", type=named, metavar="CAMERA=FOLDER", help="images of each camera")
+    images.add_argument("--target", metavar="TARGET", help="such as chessboard:9x6:25mm, or a file of Kalibr")
+    images.add_argument("--results", type=Path, metavar="FOLDER", help="where the results go")
+    images.add_argument(
+        "--intrinsics", nargs="+", type=named, default=[], metavar="CAMERA=FILE",
+        help="known intrinsics: a camera's YAML or Kalibr's camera chain, which are held, or a report.json",
+    )  # fmt: skip
+    images.add_argument("--robot", type=Path, metavar="POSES", help="poses of the robot's link in its base")
+    images.add_argument("--order", choices=("xyzw", "wxyz"), help="order of quaternions in lines of POSES")
+    images.add_argument("--unit", choices=sorted(UNITS), default="m", help="unit of places in POSES (%(default)s)")
+    eye = images.add_mutually_exclusive_group()
+    eye.add_argument("--eye-in-hand", action="store_true", help="the cameras are on the link, the target is at rest")
+    eye.add_argument("--eye-to-hand", action="store_true", help="the target is on the link, the cameras are at rest")
+    images.add_argument(
+        "--sd-robot", nargs=2, type=float, metavar=("MM", "MRAD"), help="noise of POSES (default: unknown)"
+    )
+
+
+def check_images(options: argparse.Namespace) -> str:
+    """Return what is wrong with the options of a calibration from images; empty if nothing is."""
+    if not (options.images and options.target and options.results):
+        return "--images needs --target and --results"
+    if bool(options.robot) != (options.eye_in_hand or options.eye_to_hand):
+        return "--robot needs --eye-in-hand or --eye-to-hand, and they need --robot"
+    if options.sd_robot and not (options.robot and all(0.0 < value < 1e3 for value in options.sd_robot)):
+        return "--sd-robot needs --robot, and two numbers > 0"
+    if len(dict(options.images)) < len(options.images):
+        return "each camera may be given once"
+    return ""
+
+
+def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, str]:
+    """Find the target in the images, and write the observations.
+
+    Args:
+        options: Of the command line.
+
+    Returns:
+        The problem, and sentences on images in which the target was not found.
+
+    Raises:
+        DataError: A file cannot be used, the target is in too few images, or the views do not belong together.
+    """
+    from im_calibration.problem.target_problem import table_of
+    from im_calibration.targets.images import find_target
+    from im_calibration.targets.robot_file import read_poses
+    from im_calibration.targets.target import target_of
+    from im_calibration.targets.views import RobotPoses, TargetViews
+
+    target = target_of(options.target)
+    folders = {name: Path(folder) for name, folder in options.images}
+    given = {name: _given(name, Path(path), options.lens_model) for name, path in options.intrinsics}
+    if foreign := given.keys() - folders.keys():
+        raise DataError(f"--intrinsics names {', '.join(sorted(foreign))}, --images {', '.join(folders)}.")
+    seen = find_target(folders, target)
+    lenses = tuple(given[name][0] if name in given else options.lens_model or PLUMB_BOB.name for name in folders)
+    robot = None
+    if options.robot:
+        poses = read_poses(options.robot, seen.names, options.order, UNITS[options.unit])
+        mm, mrad = options.sd_robot or (1.0, 2.0)
+        robot = RobotPoses(poses, options.eye_in_hand, 1e-3 * mm, 1e-3 * mrad)
+    known = {name: (values, covariance) for name, (_, values, covariance) in given.items()}
+    views = TargetViews(
+        str(target), target.points, tuple(folders), seen.image_sizes, lenses, seen.names, seen.spots, seen.deviations,
+        robot, known,
+    )  # fmt: skip
+    unknown = ["image"] + ["robot"] * bool(robot and not options.sd_robot)
+    content: dict[str, Any] = {
+        "schema": SCHEMA,
+        "camera_names": list(folders),
+        "image_size": [list(size) for size in seen.image_sizes],
+        "distortion_model": list(lenses),
+        "noise_to_estimate": unknown,
+        "target": table_of(views),
+    }
+    try:
+        make_folder(options.results)
+        write_whole(options.results / OBSERVATIONS, json.dumps(content, allow_nan=False) + "\n")
+    except OSError as error:
+        raise DataError(f"The results cannot be written to {options.results}: {error.strerror}.") from error
+    told = []
+    for c, name in enumerate(folders):
+        here = np.isfinite(seen.spots[c, :, :, 0]).any(axis=1).sum()
+        told.append(f"{name}: {target} found in {here} of {here + len(seen.missing[name])} images")
+        told += [f"  {reason}" for reason in seen.missing[name]]
+    return problems(content)[0], "\n".join(told)
+
+
+def named(text: str) -> tuple[str, str]:
+    """Return name and value of ``NAME=VALUE``."""
+    name, equals, path = text.partition("=")
+    if not (name and equals and path):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form CAMERA=...")
+    if Path(name).name != name:
+        raise argparse.ArgumentTypeError(f"'{name}' is no name of a camera, it becomes that of a file")
+    return name, path
+
+
+def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, Array]:
+    """Return lens model, values and covariance of known intrinsics; those without covariance are held."""
+    if path.suffix == ".json":
+        return _from_report(name, path)
+    model = _model(name, path)
+    lens = model.lens
+    if lens_model not in (None, lens.name):
+        raise DataError(f"{path}: the lens model is {lens.name}, --lens-model says {lens_model}.", file=str(path))
+    if np.any(model.D[lens.estimated :] != 0.0):
+        raise DataError(f"{path}: {lens.coefficients[lens.estimated]} is not 0, as it is here for {lens.name}.")
+    values = np.concatenate((model.K[[0, 1, 0, 1], [0, 1, 2, 2]], model.D[: lens.estimated]))
+    return lens.name, values, np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2
+
+
+class _KalibrCamera(Model):
+    """A camera of Kalibr's camera chain; other fields of the file are not read."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    camera_model: Literal["pinhole"]
+    intrinsics: Annotated[list[float], Field(min_length=4, max_length=4)]
+    distortion_model: Literal["radtan", "equidistant"]
+    distortion_coeffs: Annotated[list[float], Field(min_length=4, max_length=4)]
+    resolution: Annotated[list[int], Field(min_length=2, max_length=2)]
+
+
+class _KalibrCameras(RootModel[dict[str, dict[str, Any]]]):
+    """Kalibr's camera chain, by name of the camera."""
+
+
+def _model(name: str, path: Path) -> CameraModel:
+    """Return a camera of a file of `camera_info_manager`, or of Kalibr's camera chain, there by its own name."""
+    text = read_text(path)
+    if not re.search(r"^cam\d+:", text, re.MULTILINE):
+        return read_intrinsics(path).model
+    chain = parse_model(text, _KalibrCameras, str(path)).root
+    if name not in chain:
+        raise DataError(f"{path}: has no camera {name}, there are {', '.join(chain)}.", file=str(path))
+    try:
+        camera = _KalibrCamera.model_validate(chain[name])
+    except ValidationError as error:
+        fault = faults(error, _KalibrCamera)[0]
+        raise DataError(f"{path}: {name}.{field_name(fault.location)} {fault.words}.", file=str(path)) from error
+    fx, fy, cx, cy = camera.intrinsics
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    lens = lens_of({"radtan": PLUMB_BOB.name}.get(camera.distortion_model, camera.distortion_model))
+    width, height = camera.resolution
+    return CameraModel(width, height, K, lens.all_of(camera.distortion_coeffs), distortion_model=lens.name)
+
+
+def _from_report(name: str, path: Path) -> tuple[str, Array, Array]:
+    report = load_json(path)
+    match report:
+        case {"cameras": [*cameras]}:
+            for camera in cameras:
+                match camera:
+                    case {
+                        "name": str() as own,
+                        "K": K,
+                        "D": D,
+                        "covariance": rows,
+                        "distortion_model": str() as model,
+                    } if own == name:
+                        size = 4 + lens_of(model).estimated
+                        try:
+                            values = np.concatenate((np.array(K, dtype=float)[[0, 1, 0, 1], [0, 1, 2, 2]], D))[:size]
+                            covariance = np.array(rows, dtype=float)[:size, :size]
+                            np.linalg.cholesky(covariance)
+                        except (ValueError, TypeError, IndexError, np.linalg.LinAlgError) as error:
+                            raise DataError(f"{path}: K, D or covariance of {name} are not whole.") from error
+                        return model, values, covariance
+    raise DataError(f"{path}: has no camera {name} with K, D and covariance.", file=str(path))

@@ -1,0 +1,1 @@
+"""Calibration targets: their geometry, and their points in images."""

@@ -1,0 +1,313 @@
+"""Points of a target in an image: found by OpenCV, then refined where squares meet.
+
+Around a point where two dark squares meet, the image is ``m + a E(d1 / s) E(d2 / s)``, with E the error function, d1
+and d2 the distances from the two edges, and s the blur. The image is the same when turned by half about the point,
+whatever the blur and the gamma of the sensor, so that neither moves the fitted point. Compare Chen and Zhang, "A new
+sub-pixel detector for x-corners in camera calibration targets" (2005), who fit the saddle of the blurred image.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from im_calibration.targets.target import CalibrationTarget
+from im_core.errors import DataError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+_FEWEST = 8
+_MANY, _REWEIGHTINGS, _DETECTED_PX = 24, 6, 4.0
+_SHARE_OF_SQUARE, _LEAST_HALF, _LARGEST_HALF = 0.42, 3, 9
+_FIT_STEPS, _MOST_MOVED_PX, _CONTRAST = 8, 1.5, 4.0
+_MODEL_PX = 0.005  # a pixel is a square, and edges behind a lens are bent
+_BLURS = (0.3, 4.0)
+_MISPLACED = 0.3  # of the side of a square: no lens bends so much
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Points of a target in one image.
+
+    Attributes:
+        points: Where, NaN where not found, shape (p, 2) [px].
+        standard_deviations: Of each coordinate by the noise of the image, NaN where not known, shape (p,) [px].
+    """
+
+    points: Array
+    standard_deviations: Array
+
+    @property
+    def count(self) -> int:
+        """How many points were found."""
+        return int(np.isfinite(self.points[:, 0]).sum())
+
+
+def detect(image: Image, target: CalibrationTarget) -> Detection | None:
+    """Find a target in an image.
+
+    Args:
+        image: Grey image of 8 or 16 bits, shape (height, width).
+        target: The target.
+
+    Returns:
+        Its points; None: it was not found, or with fewer than 8 points.
+
+    Raises:
+        DataError: The image is no grey image.
+    """
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise DataError(f"An image has shape {image.shape} of {image.dtype}, a grey image of 8 or 16 bits is needed.")
+    grey = np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else _eight_bits(image)
+    finders = {"chessboard": _chessboard, "charuco": _charuco, "tags": _tags}
+    points = finders.get(target.kind, _circles)(grey, target)
+    if points is None or np.isfinite(points[:, 0]).sum() < _FEWEST:
+        return None
+    homography = _homography(target, points)
+    if homography is None or _misfit(target, points) > _MISPLACED * _side(target, homography):
+        return None  # as with rows and columns exchanged
+    if target.kind == "chessboard":
+        points, homography = _dark_first(grey, target, points, homography)
+    if target.kind in ("circles", "asymmetric_circles"):
+        return Detection(points, np.full(len(points), np.nan))
+    return _refined(np.asarray(image, dtype=float), target, points, homography)
+
+
+def _eight_bits(image: Image) -> NDArray[np.uint8]:
+    low, high = np.percentile(image, (0.5, 99.5))
+    return np.asarray(np.clip((image - low) * (255.0 / max(high - low, 1.0)), 0.0, 255.0), dtype=np.uint8)
+
+
+def _chessboard(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
+    size = (target.columns, target.rows)
+    found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        found, corners = cv2.findChessboardCorners(grey, size)
+    return corners.reshape(-1, 2).astype(float) if found else None
+
+
+def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
+    board = cv2.aruco.CharucoBoard((target.columns, target.rows), target.size, target.part, _dictionary(target))
+    points = np.full((len(target.points), 2), np.nan)
+    for legacy in (False, True):  # boards with an even number of rows changed with OpenCV 4.6
+        board.setLegacyPattern(legacy)
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+        if ids is not None and len(ids) >= _FEWEST:
+            points[np.ravel(ids)] = np.reshape(np.asarray(corners), (-1, 2))
+            return points
+        if target.rows % 2:
+            break
+    return None
+
+
+def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
+    """Return the corners of tags; which corner is the first of a tag is a matter of its maker, and found by trial."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
+    found: tuple[list[Array], Array] | None = None
+    bright = cv2.LUT(grey, np.rint(255.0 * (np.arange(256) / 255.0) ** 0.45).astype(np.uint8))
+    for image, border in ((bright, 1), (grey, 1), (bright, 2)):  # Kalibr's tags have a border of two bits
+        parameters.markerBorderBits = border
+        corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
+        if ids is not None and (found is None or len(ids) > len(found[1])):
+            found = [np.reshape(each, (4, 2)).astype(float) for each in corners], np.ravel(ids)
+            if len(ids) >= target.columns * target.rows:
+                break
+    if found is None:
+        return None
+    best, least = None, np.inf
+    for turn in range(4):
+        points = np.full((target.columns * target.rows, 4, 2), np.nan)
+        for tag, number in zip(*found, strict=True):
+            if number < len(points):
+                points[number] = np.roll(tag, turn, axis=0)
+        flat = points.reshape(-1, 2)
+        off = _misfit(target, flat)
+        if off < least:
+            best, least = flat, off
+        if len(points) == 1:
+            break
+    return best if best is None else _smoothed(target, best)
+
+
+def _smoothed(target: CalibrationTarget, points: Array) -> Array:
+    """Return points of a flat target behind a lens, from all of them: a homography, and what bends it."""
+    homography, seen = _homography(target, points), np.isfinite(points[:, 0])
+    if homography is None or seen.sum() < _MANY:
+        return points
+    flat = _through(homography, target.points[:, :2])
+    x, y = ((flat - flat[seen].mean(axis=0)) / np.std(flat[seen], axis=0).max()).T
+    terms = np.column_stack([x**i * y**j for i in range(4) for j in range(4 - i)])
+    weights = np.ones(int(seen.sum()))
+    for _ in range(_REWEIGHTINGS):
+        bent, *_ = np.linalg.lstsq(terms[seen] * weights[:, None], (points - flat)[seen] * weights[:, None])
+        left = np.linalg.norm((points - flat)[seen] - terms[seen] @ bent, axis=1)
+        weights = 1.0 / (1.0 + left / max(float(np.median(left)), 1e-3))
+    near = np.linalg.norm(flat + terms @ bent - points, axis=1) < _DETECTED_PX
+    return np.where((seen & near)[:, None], flat + terms @ bent, points)
+
+
+def _circles(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
+    shape = cv2.CALIB_CB_ASYMMETRIC_GRID if target.kind == "asymmetric_circles" else cv2.CALIB_CB_SYMMETRIC_GRID
+    found, centres = cv2.findCirclesGrid(grey, (target.columns, target.rows), flags=shape)
+    return centres.reshape(-1, 2).astype(float) if found else None
+
+
+def _dictionary(target: CalibrationTarget) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{target.dictionary}"))
+
+
+def _homography(target: CalibrationTarget, points: Array) -> Array | None:
+    seen = np.isfinite(points[:, 0])
+    if seen.sum() < 4:
+        return None
+    found, _ = cv2.findHomography(target.points[seen, :2], points[seen])
+    return None if found is None else np.asarray(found, dtype=float)
+
+
+def _misfit(target: CalibrationTarget, points: Array) -> float:
+    homography = _homography(target, points)
+    if homography is None:
+        return float("inf")
+    return float(np.nanmean(np.linalg.norm(_through(homography, target.points[:, :2]) - points, axis=1)))
+
+
+def _side(target: CalibrationTarget, homography: Array) -> float:
+    """Return how long a square, tag or distance of circles is in the middle of the image of the target [px]."""
+    middle = target.points[:, :2].mean(axis=0, keepdims=True)
+    return target.size * float(np.linalg.norm(_directions(homography, middle)[0], axis=0).mean())
+
+
+def _through(homography: Array, flat: Array) -> Array:
+    moved = np.column_stack((flat, np.ones(len(flat)))) @ homography.T
+    return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+def _dark_first(
+    grey: NDArray[np.uint8], target: CalibrationTarget, points: Array, homography: Array
+) -> tuple[Array, Array]:
+    """Number the corners from the one whose outer square is dark, if turning the board by half exchanges the colours.
+
+    The numbers also run so that x, y and the view from the front are right-handed.
+    """
+    if np.linalg.det(_directions(homography, target.points[:1, :2])[0]) < 0.0:
+        grid = points.reshape(target.rows, target.columns, 2)[:, ::-1]
+        points = grid.reshape(-1, 2)
+    if not target.turns_to_itself:
+        found = _homography(target, points)
+        homography = homography if found is None else found
+        squares = np.stack(np.meshgrid(np.arange(target.columns - 1), np.arange(target.rows - 1)), axis=-1)
+        middles = np.asarray(target.size * (squares.reshape(-1, 2) + 0.5), dtype=np.float64)
+        u, v = np.rint(_through(homography, middles)).astype(int).T
+        inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
+        dark = np.where(squares.reshape(-1, 2).sum(axis=1) % 2 == 0, 1.0, -1.0)[inside]
+        if float((dark * grey[v[inside], u[inside]]).sum()) > 0.0:
+            points = points[::-1]
+    found = _homography(target, points)
+    return points, homography if found is None else found
+
+
+def _directions(homography: Array, flat: Array) -> Array:
+    """Return the derivatives of image points by the target's coordinates, shape (p, 2, 2) [px/m]."""
+    moved = np.column_stack((flat, np.ones(len(flat)))) @ homography.T
+    pixels = moved[:, :2] / moved[:, 2:]
+    return np.asarray((homography[None, :2, :2] - pixels[:, :, None] * homography[2, :2]) / moved[:, 2, None, None])
+
+
+def _refined(image: Array, target: CalibrationTarget, points: Array, homography: Array) -> Detection:
+    """Fit the model of an x-corner around each point; where none fits, keep the point of the detector."""
+    seen = np.flatnonzero(np.isfinite(points[:, 0]))
+    axes = _directions(homography, target.points[seen, :2])
+    sides = _clear(target) * np.linalg.norm(axes, axis=1).min(axis=1)
+    deviations = np.full(len(points), np.nan)
+    refined = points.copy()
+    for half in range(_LEAST_HALF, _LARGEST_HALF + 1):
+        wanted = np.clip(np.floor(sides), _LEAST_HALF, _LARGEST_HALF) == half
+        group = seen[wanted]
+        if len(group):
+            refined[group], deviations[group] = _fit_corners(image, points[group], axes[wanted], half)
+    if target.kind == "tags" and not np.isfinite(deviations).any():
+        return Detection(points, deviations)
+    off = np.linalg.norm(_through(homography, target.points[:, :2]) - refined, axis=1)
+    lost = np.zeros(len(points), dtype=bool)
+    lost[seen] = off[seen] > _MISPLACED * target.size * np.linalg.norm(axes, axis=1).max(axis=1)
+    refined[lost] = np.nan
+    return Detection(refined, deviations)
+
+
+def _clear(target: CalibrationTarget) -> float:
+    """Return how far from a point there is nothing but its two edges [m]."""
+    if target.kind == "charuco":
+        return 0.5 * (target.size - target.part)
+    if target.kind == "tags":
+        return min(target.size / (_dictionary(target).markerSize + 2), target.part)
+    return _SHARE_OF_SQUARE * target.size
+
+
+def _fit_corners(image: Array, starts: Array, axes: Array, half: int) -> tuple[Array, Array]:
+    """Fit x-corners by Gauss and Newton's method, all of a window's size at once.
+
+    Args:
+        image: The image.
+        starts: Where they are about, shape (k, 2) [px].
+        axes: Directions of the edges, in columns, shape (k, 2, 2).
+        half: Half the side of the windows [px].
+
+    Returns:
+        Points, shape (k, 2), and standard deviations, NaN where the start was kept, shape (k,) [px].
+    """
+    height, width = image.shape
+    centres = np.rint(starts).astype(int)
+    inside = np.all((centres >= half) & (centres < np.array([width, height]) - half), axis=1)
+    span = np.arange(-half, half + 1)
+    dx, dy = (part.ravel().astype(float) for part in np.meshgrid(span, span))
+    held = np.clip(centres, half, np.array([width, height]) - half - 1)
+    values = image[(held[:, 1, None] + dy.astype(int)), (held[:, 0, None] + dx.astype(int))]
+    weights = np.exp(-(dx**2 + dy**2) / (2.0 * (0.7 * half) ** 2))
+    angles = np.arctan2(axes[:, 1], axes[:, 0]) + np.pi / 2.0  # of the normals of the edges
+    p = np.column_stack((starts - held, angles, np.full(len(starts), 0.8)))  # u, v, two angles, blur
+    m = a = np.zeros(len(starts))
+    normal = np.tile(np.eye(5), (len(starts), 1, 1))
+    misfit = np.full(len(starts), np.inf)
+    for _ in range(_FIT_STEPS):
+        x, y = dx - p[:, :1], dy - p[:, 1:2]
+        cos, sin = np.cos(p[:, 2:4]), np.sin(p[:, 2:4])
+        s = p[:, 4:]
+        d = [cos[:, k : k + 1] * x + sin[:, k : k + 1] * y for k in (0, 1)]
+        along = [-sin[:, k : k + 1] * x + cos[:, k : k + 1] * y for k in (0, 1)]
+        e = [scipy.special.erf(each / (np.sqrt(2.0) * s)) for each in d]
+        g = [np.exp(-0.5 * (each / s) ** 2) * np.sqrt(2.0 / np.pi) / s for each in d]
+        product = e[0] * e[1]
+        mean_p, mean_v = ((weights * each).sum(axis=1) / weights.sum() for each in (product, values))
+        centred = product - mean_p[:, None]
+        a = (weights * centred * values).sum(axis=1) / np.maximum((weights * centred**2).sum(axis=1), 1e-12)
+        m = mean_v - a * mean_p
+        residual = values - m[:, None] - a[:, None] * product
+        slopes = [g[0] * e[1], g[1] * e[0]]
+        columns = [
+            -(cos[:, :1] * slopes[0] + cos[:, 1:] * slopes[1]),
+            -(sin[:, :1] * slopes[0] + sin[:, 1:] * slopes[1]),
+            slopes[0] * along[0],
+            slopes[1] * along[1],
+            -(slopes[0] * d[0] + slopes[1] * d[1]) / s,
+        ]
+        jacobian = a[:, None, None] * np.stack(columns, axis=-1)
+        normal = np.einsum("kni,n,knj->kij", jacobian, weights, jacobian)
+        gradient = np.einsum("kni,n,kn->ki", jacobian, weights, residual)
+        scale = 1.0 / np.sqrt(np.maximum(np.einsum("kii->ki", normal), 1e-12))
+        scaled = normal * scale[:, :, None] * scale[:, None, :] + 1e-6 * np.eye(5)
+        step = scale * np.linalg.solve(scaled, (scale * gradient)[..., None])[..., 0]
+        p = p + np.clip(step, -0.5, 0.5)
+        p[:, 4] = np.clip(p[:, 4], *_BLURS)
+        misfit = (weights * residual**2).sum(axis=1) / weights.sum()
+    noise = np.sqrt(misfit)
+    spread = np.linalg.inv(normal + 1e-9 * np.eye(5))
+    spread = spread @ np.einsum("kni,n,knj->kij", jacobian, weights**2, jacobian) @ spread
+    deviations = np.sqrt(noise**2 * np.maximum(spread[:, 0, 0] + spread[:, 1, 1], 0.0) / 2.0 + _MODEL_PX**2)
+    found = p[:, :2] + held
+    good = inside & (np.linalg.norm(found - starts, axis=1) < _MOST_MOVED_PX) & (np.abs(a) > _CONTRAST * noise)
+    return np.where(good[:, None], found, starts), np.where(good, deviations, np.nan)

@@ -1,0 +1,138 @@
+"""Images of a folder, and the views of a target that cameras have in them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from im_calibration.targets.detection import Image, detect
+from im_calibration.targets.target import CalibrationTarget
+from im_core.errors import DataError
+from im_core.files import MEBIBYTE, read_bytes
+
+Array = NDArray[np.float64]
+
+_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+_LARGEST_IMAGE, _MOST_IMAGES = 200 * MEBIBYTE, 5_000
+_BLANK, _FEWEST_VIEWS, _TRIED = 6.0, 3, 6
+
+
+@dataclass(frozen=True)
+class SeenTarget:
+    """Points of a target in the images of some cameras.
+
+    Attributes:
+        image_sizes: Width and height of each camera's images [px].
+        names: Names of the k views: of images of the same name, without the ending, in any camera.
+        spots: Points, NaN where not found, shape (c, k, p, 2) [px].
+        deviations: Standard deviation of each coordinate by the noise of the image, NaN where not known, shape
+            (c, k, p) [px].
+        missing: Images in which the target was not found, each with the reason, by camera.
+    """
+
+    image_sizes: tuple[tuple[int, int], ...]
+    names: tuple[str, ...]
+    spots: Array
+    deviations: Array
+    missing: Mapping[str, Sequence[str]]
+
+
+def read_image(path: Path) -> Image:
+    """Return a grey image of 8 or 16 bits from a file of any usual kind.
+
+    Args:
+        path: The file.
+
+    Raises:
+        DataError: It cannot be read, or is no image.
+    """
+    data = np.frombuffer(read_bytes(path, _LARGEST_IMAGE), dtype=np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE) if len(data) else None
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise DataError(f"{path}: is no image of 8 or 16 bits.", file=str(path))
+    return np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else np.asarray(image, dtype=np.uint16)
+
+
+def find_target(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenTarget:
+    """Find a target in the images of a folder for each camera.
+
+    Args:
+        folders: Folder of each camera.
+        target: The target.
+
+    Raises:
+        DataError: A folder has no images, or images of two sizes; or the target is in too few of them: told is what
+            may be wrong, and with which other rows and columns it is found.
+    """
+    files = {name: _images(folder) for name, folder in folders.items()}
+    names = sorted({path.stem for paths in files.values() for path in paths})
+    count = (len(folders), len(names), len(target.points))
+    spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
+    sizes, missing = [], {}
+    for c, (name, paths) in enumerate(files.items()):
+        size: tuple[int, int] | None = None
+        missing[name] = list[str]()
+        for path in paths:
+            image = read_image(path)
+            here = (image.shape[1], image.shape[0])
+            size = size or here
+            if here != size:
+                raise DataError(
+                    f"{path} has {here[0]} x {here[1]} px, {paths[0].name} {size[0]} x {size[1]}: images of one camera "
+                    "have one size.",
+                    file=str(path),
+                )
+            if float(np.ptp(np.percentile(image, (1.0, 99.0)))) < _BLANK * (1.0 if image.dtype == np.uint8 else 257.0):
+                missing[name].append(f"{path.name} is blank")
+            elif found := detect(image, target):
+                spots[c, names.index(path.stem)] = found.points
+                deviations[c, names.index(path.stem)] = found.standard_deviations
+            else:
+                missing[name].append(f"{path.name} does not show it")
+        sizes.append(size or (0, 0))
+        seen = len(paths) - len(missing[name])
+        if seen < min(_FEWEST_VIEWS, len(paths)):
+            raise DataError(
+                f"{name}: the target {target} was found in {seen} of {len(paths)} images"
+                f"{': ' + ', '.join(missing[name][:3])}. {_advice(paths, target)}",
+                camera=name,
+            )
+    return SeenTarget(tuple(sizes), tuple(names), spots, deviations, missing)
+
+
+def _images(folder: Path) -> list[Path]:
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _ENDINGS)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be read: {error.strerror}.", file=str(folder)) from error
+    if not paths:
+        raise DataError(f"{folder}: has no images; known are {', '.join(_ENDINGS)}.", file=str(folder))
+    if len(paths) > _MOST_IMAGES:
+        raise DataError(f"{folder}: has {len(paths)} images, at most {_MOST_IMAGES} are read.", file=str(folder))
+    stems = [path.stem for path in paths]
+    if len(set(stems)) < len(stems):
+        double = next(stem for stem in stems if stems.count(stem) > 1)
+        raise DataError(f"{folder}: has two images named {double}; which is which?", file=str(folder))
+    return paths
+
+
+def _advice(paths: list[Path], target: CalibrationTarget) -> str:
+    """Return what to try; the sizes that such targets are mistaken for are tried."""
+    columns, rows, most = target.columns, target.rows, max(1, len(paths) // _TRIED)
+    tries = [(rows, columns, "rows and columns are exchanged")]
+    if target.kind == "chessboard":
+        tries.append((columns - 1, rows - 1, "count its inner corners, not its squares"))
+    for other_columns, other_rows, meaning in tries:
+        if (other_columns, other_rows) == (columns, rows) or min(other_columns, other_rows) < 2:
+            continue
+        other = CalibrationTarget(
+            target.kind, other_columns, other_rows, target.size, target.part, target.dictionary, target.upwards
+        )
+        tried = [read_image(path) for path in paths[::most]]
+        found = sum(detect(image, other) is not None for image in tried)
+        if found > len(tried) // 2:
+            return f"As {other} it is found in {found} of {len(tried)}: {meaning}."
+    return "Check its rows, columns and dictionary, that it is whole, flat and sharp, with a bright rim around it."

@@ -1,0 +1,148 @@
+"""``im calibrate --images``: from folders of rendered images to files of cameras, and what is told of bad ones."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bench.calibration.boards import Sensor, render
+from bench.calibration.target_views import transform
+from im_calibration.commands.calibrate_dataset import main
+from im_calibration.targets.target import target_of
+from im_cell.camera_model import CameraModel
+
+TARGET = "chessboard:8x5:30mm"
+D = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
+LEFT = CameraModel(320, 240, np.array([[300.0, 0.0, 162.0], [0.0, 301.0, 117.0], [0.0, 0.0, 1.0]]), D)
+STEP = transform(np.array([0.02, 0.08, 0.01]), np.array([-0.06, 0.0, 0.01]))
+RIGHT = CameraModel(320, 240, LEFT.K, D, STEP[:3, :3], STEP[:3, 3])
+LINK_CAMERA = transform(np.array([0.2, -0.3, 0.1]), np.array([0.02, 0.05, 0.1]))
+BASE_TARGET = transform(np.array([0.1, 0.1, 1.0]), np.array([0.4, 0.1, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A folder of images of each of two cameras, and the poses of a link with both cameras on it."""
+    folder = tmp_path_factory.mktemp("images")
+    target, rng, lines = target_of(TARGET), np.random.default_rng(3), ["image,x,y,z,qx,qy,qz,qw"]
+    for name in ("left", "right"):
+        (folder / name).mkdir()
+    for i in range(8):
+        pose = transform(rng.normal(0.0, 0.3, 3), np.zeros(3))
+        pose[:3, 3] = [*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.4, 0.55)] - pose[:3, :3] @ target.points.mean(axis=0)
+        for k, (name, camera) in enumerate((("left", LEFT), ("right", RIGHT))):
+            image = render(target, camera, pose[:3, :3], pose[:3, 3], Sensor(), 10 * i + k)
+            cv2.imwrite(str(folder / name / f"view{i}.png"), image)
+        link = BASE_TARGET @ np.linalg.inv(LINK_CAMERA @ pose)
+        link[:3, 3] += rng.normal(0.0, 2e-4, 3)
+        numbers = [*link[:3, 3], *Rotation.from_matrix(link[:3, :3]).as_quat()]
+        lines.append(f"view{i}.png," + ",".join(f"{number:.9g}" for number in numbers))
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def calibrate(scene, results, *more, cameras=("left",), target=TARGET):
+    """Exit code of the command."""
+    images = [f"{name}={scene / name}" for name in cameras]
+    return main(["--images", *images, "--target", target, "--results", str(results), *map(str, more)])
+
+
+def test_intrinsics_and_a_pair(scene, tmp_path, capsys):
+    assert calibrate(scene, tmp_path, cameras=("left", "right")) == 0
+    assert f"left: {target_of(TARGET)} found in 8 of 8 images" in capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["success"], report["message"]
+    left, right = report["cameras"]
+    assert np.abs(np.array(left["K"]) - LEFT.K).max() < 6.0 * max(
+        left["standard_deviations"][n] for n in ("fx", "cx", "cy")
+    )
+    off = np.array(right["t_cam_base_m"]) - RIGHT.t_cam_base
+    assert np.all(np.abs(off) < 6.0 * np.array([right["standard_deviations"][n] for n in ("tx", "ty", "tz")]))
+    assert (tmp_path / "left.yaml").is_file()
+    assert main(["--again", str(tmp_path)]) == 0
+    again = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert again["cameras"] == report["cameras"]
+
+
+def test_a_camera_on_a_robot_with_intrinsics_of_before(scene, tmp_path):
+    assert calibrate(scene, tmp_path / "boards") == 0
+    robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw")
+    known = ("--intrinsics", f"left={tmp_path / 'boards' / 'report.json'}")
+    assert calibrate(scene, tmp_path / "hand", *robot, *known) == 0
+    report = json.loads((tmp_path / "hand" / "report.json").read_text())
+    assert report["success"], report["message"]
+    (camera,) = report["cameras"]
+    truth = np.linalg.inv(LINK_CAMERA)  # link -> camera
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = camera["R_cam_base"], camera["t_cam_base_m"]
+    deviations = np.array([camera["standard_deviations"][n] for n in ("tx", "ty", "tz")])
+    assert np.all(np.abs((found - truth)[:3, 3]) < 6.0 * deviations)
+    assert report["target"]["frame"] == "base"
+    np.testing.assert_allclose(np.array(report["target"]["transform"])[:3, 3], BASE_TARGET[:3, 3], atol=2e-3)
+    assert "frame_id: link" in (tmp_path / "hand" / "extrinsics.yaml").read_text()
+
+
+def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
+    chain = tmp_path / "camchain.yaml"
+    chain.write_text(
+        "cam0:\n  camera_model: pinhole\n  intrinsics: [300.0, 301.0, 162.0, 117.0]\n  distortion_model: radtan\n"
+        "  distortion_coeffs: [-0.2, 0.05, 0.0, 0.0]\n  resolution: [320, 240]\n  rostopic: /left\n"
+    )
+    (tmp_path / "cam0").symlink_to(scene / "left")
+    robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw", "--intrinsics", f"cam0={chain}")
+    assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 0
+    (camera,) = json.loads((tmp_path / "results" / "report.json").read_text())["cameras"]
+    np.testing.assert_allclose(camera["K"], LEFT.K, atol=1e-2)
+    chain.write_text(chain.read_text().replace("radtan", "fov"))
+    assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 1
+    assert "cam0.distortion_model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "target", "told"),
+    [
+        ((), "chessboard:9x6:30mm", "As chessboard:8x5:0.03m it is found in 8 of 8: count its inner corners, not its"),
+        ((), "charuco:7x5:40mm:30mm:4X4_50", "found in 0 of 8 images: view0.png does not show it"),
+        (("--robot", "poses.csv", "--eye-in-hand"), TARGET, "poses.csv:2: tell the order of the quaternions: --order"),
+        (("--robot", "poses.csv", "--eye-in-hand", "--order", "wxyz"), TARGET, "With quaternions read as x, y, z, w"),
+        (("--robot", "poses.csv", "--eye-to-hand", "--order", "xyzw"), TARGET, "With"),
+        (("--intrinsics", "right=poses.csv"), TARGET, "poses.csv"),
+    ],
+)
+def test_what_is_wrong_is_told(scene, tmp_path, capsys, monkeypatch, more, target, told):
+    monkeypatch.chdir(scene)
+    assert calibrate(scene, tmp_path / "results", *more, target=target) == 1
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "results" / "report.json").exists()
+
+
+def test_images_that_cannot_be_used_are_told(scene, tmp_path, capsys):
+    for name in ("a", "b", "c"):
+        (tmp_path / name).mkdir()
+    assert calibrate(tmp_path, tmp_path / "results", cameras=("a",)) == 1
+    assert "has no images" in capsys.readouterr().err
+    for i in range(4):
+        content = (scene / "left" / f"view{i}.png").read_bytes()
+        (tmp_path / "b" / f"{i}.png").write_bytes(content)
+    cv2.imwrite(str(tmp_path / "b" / "4.png"), np.zeros((240, 320), dtype=np.uint8))
+    assert calibrate(tmp_path, tmp_path / "results", cameras=("b",)) == 0
+    assert "4.png is blank" in capsys.readouterr().out
+    cv2.imwrite(str(tmp_path / "b" / "5.png"), np.zeros((480, 640), dtype=np.uint8))
+    assert calibrate(tmp_path, tmp_path / "results", cameras=("b",)) == 1
+    assert "5.png has 640 x 480 px, 0.png 320 x 240: images of one camera have one size" in capsys.readouterr().err
+    (tmp_path / "c" / "0.png").write_bytes(b"no image")
+    assert calibrate(tmp_path, tmp_path / "results", cameras=("c",)) == 1
+    assert "0.png: is no image of 8 or 16 bits" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["--target", TARGET], ["--images", "a=b"], ["--images", "a=b", "a=c", "--target", TARGET, "--results", "r"],
+     ["--images", "a=b", "--target", TARGET, "--results", "r", "--robot", "p.csv"]],
+)  # fmt: skip
+def test_wrong_arguments_are_refused(words):
+    with pytest.raises(SystemExit) as refused:
+        main(words)
+    assert refused.value.code == 2

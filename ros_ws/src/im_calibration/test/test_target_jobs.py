@@ -1,0 +1,181 @@
+"""Jobs with a target: closed form and one adjustment, whose errors are those that it states; slips are named."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bench.calibration.target_views import JOBS, errors_over_expected, make_views
+from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.residuals import image_residuals, linearise
+from im_calibration.estimation.search import robust_start
+from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.pipeline import calibrate
+from im_calibration.problem.dataset import SCHEMA, problems
+from im_calibration.problem.target_problem import problem_of_views, table_of
+from im_calibration.targets.target import target_of
+from im_core.errors import DataError
+
+SMALL = target_of("chessboard:5x4:45mm")
+
+
+@pytest.mark.parametrize("job", JOBS)
+def test_errors_are_as_large_as_stated(job):
+    ratios = []
+    for seed in range(6):
+        true = make_views(job, seed, target=SMALL)
+        found = calibrate(problem_of_views(true.views, ()))
+        assert found.success, found.message
+        ratios.append(errors_over_expected(found, true))
+    ratios = np.array(ratios)
+    assert 0.75 < np.sqrt(np.mean(ratios**2)) < 1.3
+    assert np.mean(np.abs(ratios) < 1.96) > 0.88
+
+
+def test_unknown_noise_is_found():
+    true = make_views("eye-to-hand", 3, target=SMALL)
+    views = replace(
+        true.views, deviations=3.0 * true.views.deviations, robot=replace(true.views.robot, sd_m=2e-3, sd_rad=4e-3)
+    )
+    found = calibrate(problem_of_views(views, ("image", "robot")))
+    assert found.noise.factors.image.low < 1.0 / 3.0 < found.noise.factors.image.high
+    assert found.noise.factors.robot.low < 0.25 < found.noise.factors.robot.high
+
+
+@pytest.mark.parametrize("job", ["two cameras", "eye-in-hand"])
+def test_jacobian_of_placements_by_finite_differences(job):
+    problem = problem_of_views(make_views(job, 1, target=SMALL, count=5).views, ())
+    layout = ParameterLayout.of(problem)
+    at = robust_start(problem, layout)
+    still = np.zeros_like(problem.positions)
+    at = replace(at, displacements=still)
+    line = linearise(at, problem, layout, problem.detected)
+    for k in range(layout.placed_slice.start, layout.placed_slice.stop):
+        step = np.zeros(layout.size)
+        step[k] = 1e-6
+        ahead = image_residuals(at.moved(step, layout, still), problem, problem.detected)
+        behind = image_residuals(at.moved(-step, layout, still), problem, problem.detected)
+        np.testing.assert_allclose(line.jacobians[:, :, k], (behind - ahead) / 2e-6, rtol=1e-4, atol=1e-3)
+
+
+def test_a_point_found_wrongly_is_left_out():
+    true = make_views("one camera", 5, target=SMALL)
+    spots = true.views.spots.copy()
+    spots[0, 4, 7] += 5.0
+    found = calibrate(problem_of_views(replace(true.views, spots=spots), ()))
+    assert found.success, found.message
+    (rejection,) = (each for each in found.rejections if each.pose == "view_4")
+    assert "1 of 20 points" in rejection.reason
+
+
+def test_a_stale_pose_of_the_robot_is_left_out():
+    true = make_views("eye-in-hand", 6, target=SMALL)
+    poses = true.views.robot.poses.copy()
+    poses[3, :3, 3] += 0.05
+    found = calibrate(problem_of_views(replace(true.views, robot=replace(true.views.robot, poses=poses)), ()))
+    assert found.success, found.message
+    (rejection,) = (each for each in found.rejections if each.pose == "view_3")
+    assert "stale pose of the robot?" in rejection.reason
+
+
+def test_held_intrinsics_stay_and_given_ones_keep_their_certainty():
+    true = make_views("eye-to-hand", 2, target=SMALL)
+    camera = true.cameras[0]
+    values = np.concatenate((camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], camera.D[:4]))
+    held = (values, np.diag(1e-7 * np.maximum(np.abs(values), 1e-3)) ** 2)
+    found = calibrate(problem_of_views(replace(true.views, given={"camera_0": held}), ()))
+    assert found.success, found.message
+    np.testing.assert_allclose(found.cameras[0].model.K, camera.K, atol=1e-3)
+    alone = calibrate(problem_of_views(true.views, ()))
+    assert np.all(found.standard_deviations[8:14] < alone.standard_deviations[8:14])
+    off = np.array([0.5, 0.5, 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+    given = (values + off, np.diag([0.5, 0.5, 0.3, 0.3, 1e-2, 1e-2, 1e-4, 1e-4]) ** 2)
+    prior = calibrate(problem_of_views(replace(true.views, given={"camera_0": given}), ()))
+    assert np.all(prior.standard_deviations[:8] < np.sqrt(np.diag(given[1])) * 1.001)
+    assert np.all(prior.standard_deviations[:8] < alone.standard_deviations[:8])
+    assert np.sqrt(np.mean(errors_over_expected(prior, true) ** 2)) < 2.0
+
+
+def test_the_block_of_a_data_set_holds_everything():
+    for job in ("two cameras", "eye-in-hand"):
+        views = make_views(job, 4, target=SMALL, count=6).views
+        content = {
+            "schema": SCHEMA,
+            "camera_names": list(views.camera_names),
+            "image_size": [640, 480],
+            "target": json.loads(json.dumps(table_of(views))),
+        }
+        (read,) = problems(content)
+        made = problem_of_views(views, ())
+        np.testing.assert_array_equal(read.spots, made.spots)
+        np.testing.assert_array_equal(read.positions, made.positions)
+        assert read.readings == made.readings
+
+
+def slipped(robot, how):
+    """The poses of a robot with a slip."""
+    poses = robot.poses.copy()
+    if how == "inverse":
+        return np.linalg.inv(poses)
+    if how == "millimetres":
+        poses[:, :3, 3] *= 1e3
+    elif how == "order":
+        poses[:, :3, :3] = Rotation.from_quat(
+            Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [1, 2, 3, 0]]
+        ).as_matrix()
+    elif how == "shifted":
+        poses = np.roll(poses, 1, axis=0)
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ("inverse", "With their inverses"),
+        ("millimetres", "With places in millimetres"),
+        ("order", "With quaternions read as"),
+        ("shifted", "With the poses taken one image earlier"),
+    ],
+)
+def test_slips_of_the_robot_are_named(how, told):
+    views = make_views("eye-to-hand", 7, target=SMALL).views
+    wrong = replace(views, robot=replace(views.robot, poses=slipped(views.robot, how)))
+    with pytest.raises(InconsistentDataError, match=told):
+        problem_of_views(wrong, ())
+
+
+def test_what_cannot_be_known_is_told():
+    views = make_views("one camera", 8, target=SMALL, count=2).views
+    with pytest.raises(DegenerateDataError, match="saw the target in 2 images, at least 3 are needed"):
+        problem_of_views(views, ())
+    pair = make_views("two cameras", 8, target=SMALL, count=8).views
+    spots = pair.spots.copy()
+    spots[0, :4] = spots[1, 4:] = np.nan
+    with pytest.raises(DegenerateDataError, match="No image of camera_1 has the target where another camera has it"):
+        problem_of_views(replace(pair, spots=spots), ())
+    arm = make_views("eye-in-hand", 8, target=SMALL, count=6).views
+    poses = arm.robot.poses.copy()
+    poses[:, :3, :3] = [Rotation.from_rotvec([0.0, 0.0, 0.2 * k]).as_matrix() for k in range(6)]
+    with pytest.raises(DegenerateDataError, match="The robot turns about one axis only"):
+        problem_of_views(replace(arm, robot=replace(arm.robot, poses=poses)), ())
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"points_m": [[0, 0]]}, "target.points_m.* has 2 elements, 3 are needed"),
+        ({"u_px": [[[[1, 2]]]]}, "target.u_px.* has 1 elements"),
+        (
+            {"robot": {"poses": [np.eye(4).tolist()] * 5, "camera_moves": True}},
+            "target.robot.poses has 5 elements, 6 are",
+        ),
+        ({"squares": 3}, "target has the field 'squares', which the format does not"),
+    ],
+)
+def test_a_wrong_block_is_told_with_its_place(change, told):
+    views = make_views("one camera", 4, target=SMALL, count=6).views
+    content = {"schema": SCHEMA, "image_size": [640, 480], "target": {**table_of(views), **change}}
+    with pytest.raises(DataError, match=told):
+        problems(content)
