@@ -1,6 +1,6 @@
 """Configuration of MCS: ``config/mcs.yaml`` as frozen, checked models."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
@@ -302,7 +302,7 @@ class McsConfig(Model):
         check_slots(self.testbed, self.slots)
         self._check_laws()
         if self.presets and self.slots:
-            self._check_groups(self.presets, [slot.name for slot in self.joint_slots])
+            self._check_groups(self.presets, {slot.name: slot.interface for slot in self.joint_slots})
         return self
 
     def _check_laws(self) -> None:
