@@ -133,7 +133,7 @@ class TestbedInterface:
         self._each(lambda part: part.driver.write(part.drive(drive)))
 
     def faults(self) -> list[str]:
-        """Return the faults reported by hardware, e.g. ``brake_open of left_j2``.
+        """Return the faults reported by hardware, e.g. ``brake_open of elbow``.
 
         Raises:
             LinkError: Some does not answer.
