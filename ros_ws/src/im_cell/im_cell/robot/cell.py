@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import RobotDescription, UrdfGeometry, parse_description
+from im_cell.robot.description import UrdfGeometry, UrdfTree, parse_description
 from im_cell.robot.parameters import (
     Box,
     BrakeSpec,
@@ -98,7 +98,7 @@ class Cell(Model):
         self._check_frames()
         return self
 
-    def _check_groups(self, description: RobotDescription) -> None:
+    def _check_groups(self, description: UrdfTree) -> None:
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
@@ -176,7 +176,7 @@ class Cell(Model):
         return self.model_copy(update={"period": period, "substeps": substeps})
 
     @cached_property
-    def description(self) -> RobotDescription:
+    def description(self) -> UrdfTree:
         """The robot as the URDF has it.
 
         Raises:
@@ -189,7 +189,7 @@ class Cell(Model):
 
     @cached_property
     def tree(self) -> Tree:
-        """The moving joints and links of the cell, and the links fixed to these."""
+        """The moving joints and links of the cell, with fixed links."""
         moving = [joint for name in self.groups for joint in self.joints_of(name)]
         return Tree(self.description, moving, self.standing, (self.mount.xyz, self.mount.rpy))
 
@@ -200,22 +200,23 @@ class Cell(Model):
     def joints_of(self, group: str) -> tuple[str, ...]:
         """Return the names of a group's joints."""
         given = self.groups[group]
-        return given.joints or self.chain("", given.tip)
+        return given.joints or self.carriers_of(given.tip)
 
     def arm_of(self, group: str) -> tuple[str, ...]:
         """Return the names of the joints between a group's base and its tip."""
         given = self.groups[group]
-        return self.chain(given.base, given.tip)
+        below = self.carriers_of(given.base)
+        return tuple(joint for joint in self.carriers_of(given.tip) if joint not in below)
 
-    def chain(self, base: str, tip: str) -> tuple[str, ...]:
-        """Return the joints between a link and another one, in order, without those that follow others."""
-        links: list[str] = []
+    def carriers_of(self, link: str) -> tuple[str, ...]:
+        """Return the names of the joints that move a link, in order, mimic joints left out."""
+        names: list[str] = []
         of = {joint.child: joint for joint in self.description.joints}
-        while tip in of and tip != base:
-            joint = of[tip]
-            links += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
-            tip = joint.parent
-        return tuple(reversed(links))
+        while link in of:
+            joint = of[link]
+            names += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
+            link = joint.parent
+        return tuple(reversed(names))
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:
@@ -282,7 +283,7 @@ class Cell(Model):
         return {f"{name}_{suffix}": group.tip for name, group in self.groups.items() if getattr(group, kind)}
 
     def color_of(self, link: str) -> Vector:
-        """Return the colour of a moving link, that of the first group whose joints carry it."""
+        """Return the colour of a moving link, by the first group with a joint that carries the link."""
         carriers = {joint.child: joint.name for joint in self.joints}
         moved = carriers.get(link, "")
         return next((g.color for n, g in self.groups.items() if moved in self.joints_of(n)), _GREY)
@@ -304,7 +305,7 @@ class Cell(Model):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of groups, their devices and cameras, and ``laser`` if there is one: needs of tasks are among these."""
+        """Names of groups, devices and cameras, and ``laser``: needs of tasks are among the names."""
         devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
         return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
 
