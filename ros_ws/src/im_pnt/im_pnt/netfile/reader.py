@@ -129,7 +129,8 @@ class _Reader:
         for section, names in sections:
             for name in names:
                 first, _, last = name.rpartition(".")
-                of_part = last in MADE and (first in net.transitions or first in net.places)
+                acts = first in net.transitions and net.transitions[first].action is not None
+                of_part = last in MADE and (acts or (first in net.places and bool(net.places[first].on_invalid)))
                 if of_part or (first in MADE_OF_SERVICES and last in net.services):
                     sentence = (
                         f"'{shown_name(name)}' is the name of a part that is made of '{first if of_part else last}'"
@@ -312,6 +313,7 @@ class _Reader:
             title=file.title,
             says=file.says,
             servers=file.servers,
+            keeps_failure=file.keeps_failure,
             cancels=self._cancelled((*here, "cancels"), file.cancels),
         )
 
