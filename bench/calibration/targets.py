@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -88,5 +89,5 @@ def _rms(errors: list[Array]) -> float:
 
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    for line in (*corners(count), *coverage(count)):
+    for line in chain(corners(count), coverage(count)):
         print(line, flush=True)

@@ -55,7 +55,8 @@ def place_target(views: TargetViews) -> PlacedTarget:
     seen = [_targets_in_camera(views, c) for c in range(len(views.camera_names))]
     if views.robot is None:
         places = _together(views, seen)
-        return PlacedTarget(np.tile(np.eye(4), (len(views.names), 1, 1)), np.array([_rounded(place) for place in places]))
+        still = np.tile(np.eye(4), (len(views.names), 1, 1))
+        return PlacedTarget(still, np.array([_rounded(place) for place in places]))
     world, place = _with_robot(views.robot, seen)
     return PlacedTarget(world, _rounded(place)[None])
 

@@ -87,7 +87,14 @@ def _chessboard(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | N
     found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:
         found, corners = cv2.findChessboardCorners(grey, size)
-    return corners.reshape(-1, 2).astype(float) if found else None
+    if not found:
+        return None
+    flat = corners.reshape(-1, 2)
+    apart = float(np.linalg.norm(np.diff(flat.reshape(target.rows, target.columns, 2), axis=1), axis=2).min())
+    half = int(np.clip(_SHARE_OF_SQUARE * apart, _LEAST_HALF, _LARGEST_HALF))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+    better = cv2.cornerSubPix(grey, np.ascontiguousarray(corners, dtype=np.float32), (half, half), (-1, -1), stop)
+    return np.asarray(better, dtype=np.float64).reshape(-1, 2)
 
 
 def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
@@ -230,8 +237,10 @@ def _refined(image: Array, target: CalibrationTarget, points: Array, homography:
         group = seen[wanted]
         if len(group):
             refined[group], deviations[group] = _fit_corners(image, points[group], axes[wanted], half)
-    if target.kind == "tags" and not np.isfinite(deviations).any():
-        return Detection(points, deviations)
+    fitted = np.isfinite(deviations)
+    if 2 * fitted.sum() < len(seen):  # these are no x-corners, as those of tags without squares between them
+        return Detection(points, np.full(len(points), np.nan))
+    refined[~fitted] = np.nan
     off = np.linalg.norm(_through(homography, target.points[:, :2]) - refined, axis=1)
     lost = np.zeros(len(points), dtype=bool)
     lost[seen] = off[seen] > _MISPLACED * target.size * np.linalg.norm(axes, axis=1).max(axis=1)
