@@ -1,4 +1,4 @@
-"""Targets measured: ``python -m bench.calibration.targets [SEEDS]``: corners beside OpenCV's, and coverage of each job."""
+"""Targets measured, ``python -m bench.calibration.targets [SEEDS]``: corners beside OpenCV's, coverage of each job."""
 
 import sys
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ _SENSORS = {
 
 
 def corners(seeds: int) -> Iterator[str]:
-    """Yield lines on the errors of corners of a chessboard [px], ours and OpenCV's two, and ours over the told noise."""
+    """Yield lines on errors of corners of a chessboard [px], ours and OpenCV's two, and ours over the told noise."""
     target = target_of("chessboard:9x6:25mm")
     for name, sensor in _SENSORS.items():
         ours, sectors, saddles, ratios = (list[Array]() for _ in range(4))
