@@ -112,7 +112,7 @@ def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None
 
 
 def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
-    """Return the corners of tags; which corner is the first of a tag is a matter of its maker, and found by trial."""
+    """Return the corners of tags; find the first corner of a tag, a matter of the maker, by trial."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
     found: tuple[list[Array], Array] | None = None
@@ -142,7 +142,7 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
 
 
 def _smoothed(target: CalibrationTarget, points: Array) -> Array:
-    """Return points of a flat target behind a lens, from all of them: a homography, and what bends it."""
+    """Return points of a flat target behind a lens, smoothed: a homography, and a polynomial beside."""
     homography, seen = _homography(target, points), np.isfinite(points[:, 0])
     if homography is None or seen.sum() < _MANY:
         return points
@@ -197,7 +197,7 @@ def _through(homography: Array, flat: Array) -> Array:
 def _dark_first(
     grey: NDArray[np.uint8], target: CalibrationTarget, points: Array, homography: Array
 ) -> tuple[Array, Array]:
-    """Number the corners from the one whose outer square is dark, if turning the board by half exchanges the colours.
+    """Number the corners from the one with a dark outer square, if turning the board by half exchanges the colours.
 
     The numbers also run so that x, y and the view from the front are right-handed.
     """
@@ -249,7 +249,7 @@ def _refined(image: Array, target: CalibrationTarget, points: Array, homography:
 
 
 def _clear(target: CalibrationTarget) -> float:
-    """Return how far from a point there is nothing but its two edges [m]."""
+    """Return the distance from a point within which there is nothing but two edges [m]."""
     if target.kind == "charuco":
         return 0.5 * (target.size - target.part)
     if target.kind == "tags":
