@@ -7,7 +7,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_cell.link import JawObject
-from im_cell.robot import Cell, urdf
+from im_cell.robot import PALM_KGM2, Cell, urdf
+from im_sim.world import Contact
 
 
 class Dynamics:
@@ -28,6 +29,12 @@ class Dynamics:
         self.wrists = [(int(frame.parentJoint), frame.placement.copy()) for frame in frames]
         self._reach = cell.gripper.reach
         self.bare = pin.buildModelFromXML(urdf(cell, shapes=False, frames=False))
+        if cell.objects:  # pybullet has jaws then
+            for joint, wrist in self.wrists:
+                jaws = pin.Inertia(
+                    2.0 * cell.gripper.jaw_mass, np.array([0.0, 0.0, self._reach]), PALM_KGM2 * np.eye(3)
+                )
+                self.bare.inertias[joint] = self.bare.inertias[joint] + wrist.act(jaws)
         self.bare.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
         self.bare_data = self.bare.createData()
         self._held: tuple[JawObject | None, ...] = (None,) * len(self.wrists)
@@ -58,6 +65,30 @@ class Dynamics:
                 model.inertias[joint] = model.inertias[joint] + jaws.act(cube)
         self._use(model, model.createData())
 
+    def contact_torques(self, q: NDArray[np.float64], contacts: Sequence[list[Contact]]) -> NDArray[np.float64] | None:
+        """Return the torques at the joints by which contacts on the last links are felt, shape (n,); None without any.
+
+        Args:
+            q: Positions, shape (n,) [rad or m].
+            contacts: Of each side.
+        """
+        if not any(contacts):
+            return None
+        torques = np.zeros(self.bare.nv)
+        pin.forwardKinematics(self.bare, self.bare_data, q)
+        for (joint, _), touched in zip(self.wrists, contacts, strict=True):
+            if touched:
+                wrench = contact_wrench(self.bare_data.oMi[joint], touched)
+                torques += pin.computeJointJacobian(self.bare, self.bare_data, q, joint).T @ wrench.vector
+        return torques
+
     def _use(self, model: pin.Model, data: pin.Data) -> None:
         self.model, self.data = model, data
         self.wrist_forces = [data.f[joint] for joint, _ in self.wrists]
+
+
+def contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:
+    """Return the wrench of contacts on a link at ``pose``, in the frame."""
+    force = sum((contact.force for contact in contacts), np.zeros(3))
+    torque = sum((np.cross(contact.position, contact.force) for contact in contacts), np.zeros(3))
+    return pose.actInv(pin.Force(force, torque))

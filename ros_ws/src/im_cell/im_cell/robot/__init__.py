@@ -8,18 +8,21 @@ what the simulated cell is really like, is not part of the public face: only who
 """
 
 from im_cell.robot.cell import SIDES, Cell, load_cell
+from im_cell.robot.objects import FreeBody
 from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Intrinsics, Led, Limits, SensorSpec, Vector
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia, far_end
-from im_cell.robot.urdf import robot_description, urdf
+from im_cell.robot.urdf import PALM_KGM2, robot_description, urdf
 
 __all__ = [
     "ORIGIN",
+    "PALM_KGM2",
     "SIDES",
     "Box",
     "Camera",
     "Capsule",
     "Cell",
+    "FreeBody",
     "Gripper",
     "Intrinsics",
     "Joint",

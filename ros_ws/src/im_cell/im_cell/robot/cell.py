@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from im_cell.robot.objects import Objects
 from im_cell.robot.parameters import (
     ArmModel,
     Box,
@@ -28,9 +29,9 @@ from im_cell.robot.parameters import (
 )
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import CART_LINKS, Joint, LinkInertia, joints_of, links_of
-from im_core.config import FieldError, Model, load_model, package_file
+from im_core.config import FieldError, load_model, package_file
 from im_core.errors import ConfigError
-from im_core.names import CELL
+from im_core.names import CELL, OBJECTS
 from im_core.text.yamltext import Location
 
 SIDES = ("left", "right")
@@ -41,7 +42,7 @@ _SHORTEST_S = 1e-4
 """Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
 
 
-class Cell(Model):
+class Cell(Objects):
     """Everything known about the cell before calibration.
 
     >>> cell.home[:3].tolist(), cell.per_joint("limits.torque")[:3].tolist()
@@ -182,7 +183,8 @@ def load_cell(path: Path | str | None = None) -> Cell:
     """Read a cell's parameter file.
 
     Args:
-        path: The file; None: the one named by the environment variable ``IM_CELL``, else the shipped one.
+        path: The file; None: the one named by the environment variable ``IM_CELL``, else the shipped one, with the
+            free bodies of the file named by ``IM_OBJECTS``, if there is one.
 
     Raises:
         ConfigError: The file is missing or wrong; the message names file, line and value.
@@ -192,4 +194,7 @@ def load_cell(path: Path | str | None = None) -> Cell:
     im_core.errors.ConfigError: nowhere.yaml: cannot be read: No such file or directory
     """
     named = path or os.environ.get(CELL)
-    return load_model(Path(named) if named else package_file("im_cell", "robot/cell.yaml"), Cell)
+    cell = load_model(Path(named) if named else package_file("im_cell", "robot/cell.yaml"), Cell)
+    if path is None and (beside := os.environ.get(OBJECTS)):
+        return cell.model_copy(update={"objects": load_model(Path(beside), Objects).objects})
+    return cell

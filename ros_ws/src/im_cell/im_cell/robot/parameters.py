@@ -211,6 +211,7 @@ class Gripper(Model):
         reach: From the wrist frame along its z axis to the middle of the jaws [m].
         palm, jaw: Edge lengths of the body and of a jaw in the axes of the wrist frame, jaws open along x [m].
         force_sensor: Between the jaws.
+        jaw_mass: Of each jaw, in cells with free bodies [kg].
     """
 
     stroke: Positive
@@ -221,6 +222,7 @@ class Gripper(Model):
     palm: Size
     jaw: Size
     force_sensor: SensorSpec
+    jaw_mass: Positive = 0.03
 
     @model_validator(mode="after")
     def _opens(self) -> Self:

@@ -11,9 +11,12 @@ from im_cell.rotations import rpy_of_matrix
 
 _METAL: Vector = (0.62, 0.63, 0.65)
 _DARK: Vector = (0.12, 0.12, 0.14)
+#: The palm's mass is part of the last link's, its inertia about its middle is not; pybullet takes 1 kg for none.
+_PAST_STROKE_M = 1e-3  # a joint at its limit takes pybullet time
+_PALM_KG, PALM_KGM2, _JAW_KGM2 = 1e-3, 3e-4, 1e-5
 
 
-def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
+def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool = False) -> str:
     """The cell as physics and control load it, as URDF, one element a line (pybullet does not parse one long line).
 
     Args:
@@ -21,17 +24,29 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
         frames: With the massless frames ``<side>_base``, ``<side>_wrist``, ``<side>_led``. pybullet gives a link
             without inertia a mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
+        grippers: With palms and jaws, which have mass then, and are drawn instead of the last links.
     """
     lines = ['<link name="world">']
     if shapes:
         lines += [line for box in cell.boxes for line in _visual_box(box)]
     lines.append("</link>")
+    capsules = _behind_grippers(cell) if grippers else cell.capsules
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        shape = _shapes_of(cell, link.name, cell.capsules) if shapes else []
+        shape = _shapes_of(cell, link.name, capsules) if shapes else []
         lines += [*_joint(joint, joint.limits), *_link(link, shape)]
     if frames:
         lines += _frames(cell)
+    if grippers:
+        for side, spec in cell.sides.items():
+            wrist = far_end(cell.arm_models[spec.arm].links[-1])
+            lines += _gripper(side, cell.gripper, f"{side}_link6", *wrist, heavy=True)
     return _robot(lines)
+
+
+def _behind_grippers(cell: Cell) -> list[Capsule]:
+    """Return the capsules, those of the last links not drawn: grippers are, which they enclose."""
+    last = [f"{side}_link6" for side in cell.sides]
+    return [c.model_copy(update={"visual": False}) if c.link in last else c for c in cell.capsules]
 
 
 def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
@@ -48,13 +63,12 @@ def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
     for box in cell.boxes:
         lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
     lines.append("</link>")
-    last = [f"{side}_link6" for side in cell.sides]
-    capsules = [c.model_copy(update={"visual": False}) if c.link in last else c for c in cell.capsules]
+    capsules = _behind_grippers(cell)
     for joint, link in zip(cell.joints, cell.links, strict=True):
         lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, capsules))]
     lines += _frames(cell)
     for side in cell.sides:
-        lines += _gripper(side, cell.gripper)
+        lines += _gripper(side, cell.gripper, f"{side}_wrist")
     for name, camera in cell.cameras.items():
         lines += _camera(name, camera, cell.camera_body)
     return _robot(lines)
@@ -75,14 +89,17 @@ def _frames(cell: Cell) -> list[str]:
     return lines
 
 
-def _gripper(side: str, gripper: Gripper) -> list[str]:
-    """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis."""
+def _gripper(
+    side: str, gripper: Gripper, parent: str, xyz: Vector = ORIGIN, rpy: Vector = ORIGIN, heavy: bool = False
+) -> list[str]:
+    """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis; with mass if heavy."""
     (thickness, _, length), (_, _, depth) = gripper.jaw, gripper.palm
     palm, *jaws = f"{side}_palm", f"{side}_jaw_1", f"{side}_jaw_2"
-    lines = _fixed(
-        palm, f"{side}_wrist", ORIGIN, ORIGIN,
-        _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL),
-    )  # fmt: skip
+    solid = _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL)
+    small = _inertial(LinkInertia(palm, _PALM_KG, ORIGIN, ORIGIN, (PALM_KGM2,) * 3)) if heavy else []
+    lines = _fixed(palm, parent, xyz, rpy, [*small, *solid])
+    weight = _inertial(LinkInertia(palm, gripper.jaw_mass, ORIGIN, ORIGIN, (_JAW_KGM2,) * 3)) if heavy else []
+    beyond = _PAST_STROKE_M if heavy else 0.0
     travels = (
         (f"{side}_jaw", palm, (0.0, 0.0, gripper.reach), -1.0, 0.5),
         (f"{side}_gripper", jaws[0], ORIGIN, 1.0, 1.0),
@@ -94,11 +111,12 @@ def _gripper(side: str, gripper: Gripper) -> list[str]:
             f'<child link="{jaw}"/>',
             _origin(xyz, ORIGIN),
             f'<axis xyz="{_join((sign, 0.0, 0.0))}"/>',
-            f'<limit lower="0.0" upper="{share * gripper.stroke!r}" '
+            f'<limit lower="0.0" upper="{share * gripper.stroke + beyond!r}" '
             f'effort="{gripper.force!r}" velocity="{share * gripper.rate!r}"/>',
             *([f'<mimic joint="{side}_gripper" multiplier="{share!r}" offset="0.0"/>'] if share != 1.0 else []),
             "</joint>",
             f'<link name="{jaw}">',
+            *weight,
             *_solid(gripper.jaw, (sign * thickness / 2.0, 0.0, 0.0), "jaw", _METAL),
             "</link>",
         ]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from im_cell.camera_model import CameraModel
 from im_cell.robot import ORIGIN, Cell, Vector, far_end, urdf
 from im_core.errors import ConfigError
+from im_sim.bodies import FreeBodies
 from im_sim.cameras.lens import FloatImage, Pinhole
 from im_sim.urdf_loader import load_urdf
 
@@ -37,7 +38,9 @@ class SceneMirror:
         self._client = pybullet.connect(pybullet.DIRECT)
         self.renderer, self._flag = self._choose(renderer)
         pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
-        self._body = load_urdf(urdf(cell, frames=False), self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
+        text = urdf(cell, frames=False, grippers=bool(cell.objects))
+        self._body = load_urdf(text, self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
+        self._bodies = FreeBodies(cell.objects, self._client)
         self._frames: dict[str, tuple[int, Vector, Vector]] = {"world": (_BASE, ORIGIN, ORIGIN)}
         indices: dict[str, int] = {}
         for index in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
@@ -48,6 +51,8 @@ class SceneMirror:
             last = self._frames[f"{side}_link6"][0]
             self._frames[f"{side}_wrist"] = (last, *far_end(cell.arm_models[spec.arm].links[-1]))
         self._joints = [indices[name] for name in cell.joint_names]
+        self._jaws = [(indices[f"{side}_jaw"], indices[f"{side}_gripper"]) for side in cell.sides if cell.objects]
+        self.set_bodies(np.array([body.start for body in cell.objects]), np.full(2, cell.gripper.initial))
 
     @property
     def renderer_offset(self) -> tuple[float, float]:
@@ -59,6 +64,14 @@ class SceneMirror:
         pybullet.resetJointStatesMultiDof(
             self._body, self._joints, [[float(value)] for value in q], physicsClientId=self._client
         )
+
+    def set_bodies(self, poses: Array, openings: Array) -> None:
+        """Move free bodies to poses, shape (m, 7) [m, -], and jaws to openings, shape (2,) [m]."""
+        for rank in range(len(self._bodies)):
+            self._bodies.place(rank, poses[rank])
+        for (first, second), opening in zip(self._jaws, openings.tolist(), strict=False):
+            for joint, place in ((first, opening / 2.0), (second, opening)):
+                pybullet.resetJointState(self._body, joint, place, physicsClientId=self._client)
 
     def pose(self, frame: str) -> tuple[Array, Array]:
         """Rotation frame -> world, shape (3, 3), and origin in the world, shape (3,) [m], of a link or a wrist."""
