@@ -109,10 +109,10 @@ class FaultPanel:
         self._link.place(names.index(name), np.array(pose))
         return f"{name} is at ({', '.join(f'{value:g}' for value in pose[:3])}) m"
 
-    def bodies(self) -> dict[str, list[float]]:
+    def bodies(self) -> dict[str, tuple[float, ...]]:
         """Return the true poses of the free bodies: position [m] and quaternion x, y, z, w, by name."""
         poses = self._link.bodies().tolist()
-        return {body.name: pose for body, pose in zip(self._bodies, poses, strict=False)}
+        return {body.name: tuple(pose) for body, pose in zip(self._bodies, poses, strict=False)}
 
     def _switched(self, before: NDArray[np.bool_], joint: str, active: bool) -> NDArray[np.bool_]:
         if joint not in self._joints:

@@ -88,7 +88,7 @@ class World:
         """Return the contacts of the child links of some joints, by rank, after the last step."""
         if not pybullet.getContactPoints(self.body, physicsClientId=self.client):
             return [[] for _ in joints]
-        links = [(self._joints[joint],) for joint in joints]
+        links: list[tuple[int, ...]] = [(self._joints[joint],) for joint in joints]
         if self._jaws:
             links = [(*link, *jaws, jaws[0] - 1) for link, jaws in zip(links, self._jaws, strict=True)]
         return [[_contact(point) for link in each for point in self._touches(link)] for each in links]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from im_cell.robot.objects import Objects
+from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     ArmModel,
     Box,
@@ -42,7 +42,7 @@ _SHORTEST_S = 1e-4
 """Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
 
 
-class Cell(Objects):
+class Cell(ObjectsFile):
     """Everything known about the cell before calibration.
 
     >>> cell.home[:3].tolist(), cell.per_joint("limits.torque")[:3].tolist()
@@ -196,5 +196,5 @@ def load_cell(path: Path | str | None = None) -> Cell:
     named = path or os.environ.get(CELL)
     cell = load_model(Path(named) if named else package_file("im_cell", "robot/cell.yaml"), Cell)
     if path is None and (beside := os.environ.get(OBJECTS)):
-        return cell.model_copy(update={"objects": load_model(Path(beside), Objects).objects})
+        return cell.model_copy(update={"objects": load_model(Path(beside), ObjectsFile).objects})
     return cell

@@ -60,7 +60,7 @@ class FreeBody(Model):
         return np.array([*self.position, *quaternion_of_matrix(matrix_of_rpy(self.rpy))])
 
 
-class Objects(Model):
+class ObjectsFile(Model):
     """The free bodies of a cell, in its own file or in one beside it."""
 
     objects: Annotated[tuple[FreeBody, ...], Field(max_length=MAX_BODIES)] = ()

@@ -81,7 +81,7 @@ class CellTruth(Model):
     cameras: dict[str, CameraTruth]
     leds: dict[str, LedTruth]
     laser: LaserTruth
-    objects: Annotated[dict[str, tuple[float, ...]], Field(default_factory=dict)]
+    objects: dict[str, tuple[float, ...]] = Field(default_factory=dict)
 
 
 def load_truth(path: Path) -> CellTruth:

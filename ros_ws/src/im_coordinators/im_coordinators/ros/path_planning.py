@@ -12,12 +12,13 @@ from im_coordinators.motion import DESTINATIONS, way_asked
 from im_coordinators.path_planning import (
     another_may_help,
     configuration,
-    detour,
-    detour_may_help,
     home_seed,
     require_joints,
+    search_may_help,
+    things_in_the_way,
     tucked_seed,
 )
+from im_coordinators.path_search import search_apart
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.errors import ImError, StateError
@@ -48,11 +49,11 @@ def planning_functions(host: Host) -> Functions:
         "find_configuration": planning.find_configuration,
         "find_another": planning.find_another,
         "plan_direct": planning.plan_direct,
-        "plan_detour": planning.plan_detour,
+        "plan_around": planning.plan_around,
         "check_given": planning.check_given,
     }
     guards = {
-        "detour_may_help": woken_by()(lambda ctx: detour_may_help(ctx.failure)),
+        "search_may_help": woken_by()(lambda ctx: search_may_help(ctx.failure)),
         "another_may_help": woken_by()(
             lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
         ),
@@ -70,6 +71,8 @@ class PathPlanningFunctions:
     def __init__(self, host: Host) -> None:
         self._host = host
         cell = load_cell()
+        self._bodies = cell.objects
+        self._sides = tuple(cell.sides)
         self._home = {name: list(side.home) for name, side in cell.sides.items()}
         self._reach = cell.gripper.reach
 
@@ -92,11 +95,22 @@ class PathPlanningFunctions:
         joints, start, goal = _way(ctx)
         await self._store(ctx, joints, start, [goal], "plan_done")
 
-    async def plan_detour(self, ctx: ActionContext) -> None:
-        """Store the path with the arm tucked on the way if the path is free."""
+    async def plan_around(self, ctx: ActionContext) -> None:
+        """Store a path around what is in the way, found by a search; the same request gives the same path."""
         joints, start, goal = _way(ctx)
-        points = detour(start, goal, self._home[str(ctx.request_arguments["group"])])
+        group = str(ctx.request_arguments["group"])
+        positions = dict(zip(joints, start, strict=True))
+        for other in self._sides:
+            if other != group:
+                there = (await self._ask(STATE, GetGroupState.Request(group=other), f"the position of {other}")).state
+                positions |= dict(zip(there.joints, _position(there), strict=True))
+        question = {"joints": joints, "positions": positions, "goal": goal, "things": self._things(ctx), "seed": 0}
+        points = await self._host.noted_apart("path", search_apart, question)
         await self._store(ctx, joints, start, points, "plan_done")
+
+    def _things(self, ctx: ActionContext) -> list[dict[str, object]]:
+        asked = ctx.request_arguments
+        return things_in_the_way(asked.get("things", {}), self._bodies, str(asked["group"]))
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Store the given path if the path is free."""
