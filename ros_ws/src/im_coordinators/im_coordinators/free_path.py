@@ -156,14 +156,14 @@ def _connect(space: FreeSpace, start: Array, goal: Array, seed: int) -> list[Arr
     def position(state: "base.State") -> Array:
         return np.array([state[joint] for joint in range(n)])
 
-    class LineValidator(base.MotionValidator):  # type: ignore[misc]  # bindings without types
+    class LineCheck(base.MotionValidator):  # type: ignore[misc]  # bindings without types
         """Validator of the straight lines of a search."""
 
         def checkMotion(self, first: "base.State", second: "base.State", *_: object) -> bool:
             """Whether the line between two states is free."""
             return space.line_free(position(first), position(second))
 
-    validator = LineValidator(information)
+    validator = LineCheck(information)
     information.setMotionValidator(validator)
     setup.setStateValidityChecker(lambda state: space.free(position(state)))
     ends = []

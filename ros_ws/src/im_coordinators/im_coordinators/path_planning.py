@@ -50,7 +50,7 @@ def _numbers(values: object) -> list[float]:
 
 
 def search_may_help(failure: ImError | None) -> bool:
-    """Whether a way around what blocks the straight one is worth a search."""
+    """Return whether a way around an obstacle is worth a search."""
     return failure is not None and failure.code in BLOCKED
 
 

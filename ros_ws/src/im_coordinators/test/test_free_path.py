@@ -87,10 +87,10 @@ def test_a_thing_in_the_way_is_gone_around_and_one_at_the_goal_is_told():
 def test_what_is_held_counts_as_part_of_the_arm():
     index = np.arange(9)
     q = CELL.home.copy()
-    bar = FreeBody(name="bar", kind="box", size=(0.04, 0.04, 3.0), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
+    bar = FreeBody(name="bar", kind="box", size=(4.0, 0.04, 0.04), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
     assert space_of(q, index).free(q[index])
-    held = Thing(bar, "left_wrist", np.array([0.0, 0.0, 1.6, *UPRIGHT]))
-    assert not space_of(q, index, [held]).free(q[index]), "so long a bar touches something"
+    held = Thing(bar, "left_wrist", np.array([0.0, 0.0, 0.2, *UPRIGHT]))
+    assert not space_of(q, index, [held]).free(q[index]), "so long a bar touches the floor"
 
 
 def test_a_question_is_answered_and_a_blocked_goal_is_an_error():

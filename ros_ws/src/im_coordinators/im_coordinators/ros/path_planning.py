@@ -96,7 +96,7 @@ class PathPlanningFunctions:
         await self._store(ctx, joints, start, [goal], "plan_done")
 
     async def plan_around(self, ctx: ActionContext) -> None:
-        """Store a path around what is in the way, found by a search; the same request gives the same path."""
+        """Store a path around obstacles, found by a search; the same request gives the same path."""
         joints, start, goal = _way(ctx)
         group = str(ctx.request_arguments["group"])
         positions = dict(zip(joints, start, strict=True))

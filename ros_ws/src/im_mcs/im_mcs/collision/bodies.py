@@ -32,7 +32,7 @@ class Closest:
 
 @dataclass(frozen=True)
 class Thing:
-    """A free body where it is: on the table, or in the jaws.
+    """Free body at its place: on the table, or in the jaws.
 
     Attributes:
         body: Its shape.
@@ -132,7 +132,7 @@ class Bodies:
         self._add(name, link, frame.parentJoint, frame.placement * local, shape)
 
     def _add_thing(self, thing: Thing) -> None:
-        """Add a free body; one that is carried as the capsule around it, whose size joints need to know nothing of."""
+        """Add a free body; a carried one as the capsule around the body: levers are those of a line."""
         frame = self._model.pin.frames[self._model.frame_id("universe" if thing.frame == "world" else thing.frame)]
         middle = frame.placement * pin.XYZQUATToSE3(np.array(thing.pose, dtype=np.float64))
         half = 0.5 * np.array(thing.body.size)
