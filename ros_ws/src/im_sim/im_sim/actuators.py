@@ -166,6 +166,8 @@ class Actuators:
                 torques -= self._touch
         if dynamics.loaded:  # pybullet moves the arms without what the grippers hold
             torques = pin.rnea(dynamics.bare, dynamics.bare_data, q, v, a) - self._own_inertia * a
+            if self._touch is not None:
+                torques -= self._touch
         return torques
 
     def _find_inertia(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:

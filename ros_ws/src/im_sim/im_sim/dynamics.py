@@ -10,6 +10,9 @@ from im_cell.link import JawObject
 from im_cell.robot import PALM_KGM2, Cell, urdf
 from im_sim.world import Contact
 
+#: Of both jaws about their middle, at a medium opening.
+_JAWS_KGM2 = 1e-4
+
 
 class Dynamics:
     """pinocchio's model of the cell.
@@ -29,16 +32,17 @@ class Dynamics:
         self.wrists = [(int(frame.parentJoint), frame.placement.copy()) for frame in frames]
         self._reach = cell.gripper.reach
         self.bare = pin.buildModelFromXML(urdf(cell, shapes=False, frames=False))
-        if cell.objects:  # pybullet has jaws then
-            for joint, wrist in self.wrists:
-                jaws = pin.Inertia(
-                    2.0 * cell.gripper.jaw_mass, np.array([0.0, 0.0, self._reach]), PALM_KGM2 * np.eye(3)
-                )
-                self.bare.inertias[joint] = self.bare.inertias[joint] + wrist.act(jaws)
         self.bare.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
+        if cell.objects:  # pybullet has jaws then, and palms that are rotors' stand-ins
+            jaws = pin.Inertia(2.0 * cell.gripper.jaw_mass, np.array([0.0, 0.0, self._reach]), _JAWS_KGM2 * np.eye(3))
+            self._add(jaws)
+        self._true = self.bare
+        if cell.objects:
+            self._true = self.bare.copy()
+            self._add(pin.Inertia(0.0, np.zeros(3), PALM_KGM2 * np.eye(3)))
         self.bare_data = self.bare.createData()
         self._held: tuple[JawObject | None, ...] = (None,) * len(self.wrists)
-        self._use(self.bare, self.bare_data)
+        self._use(self._true, self.bare_data if self._true is self.bare else self._true.createData())
 
     @property
     def loaded(self) -> bool:
@@ -48,6 +52,7 @@ class Dynamics:
     def reflect(self, inertias: NDArray[np.float64]) -> None:
         """Set an inertia of each joint's own, as of a rotor seen through the gear, shape (n,)."""
         self.bare.armature = inertias
+        self._true.armature = inertias
 
     def carry(self, held: Sequence[JawObject | None]) -> None:
         """Set the load of each gripper: a cube between the jaws."""
@@ -81,6 +86,11 @@ class Dynamics:
                 wrench = contact_wrench(self.bare_data.oMi[joint], touched)
                 torques += pin.computeJointJacobian(self.bare, self.bare_data, q, joint).T @ wrench.vector
         return torques
+
+    def _add(self, inertia: pin.Inertia) -> None:
+        """Add an inertia in the frame of each wrist to the model without loads."""
+        for joint, wrist in self.wrists:
+            self.bare.inertias[joint] = self.bare.inertias[joint] + wrist.act(inertia)
 
     def _use(self, model: pin.Model, data: pin.Data) -> None:
         self.model, self.data = model, data
