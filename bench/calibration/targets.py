@@ -1,4 +1,4 @@
-"""Targets measured, by ``python -m bench.calibration.targets [SEEDS]``: corners beside OpenCV's, coverage of each job."""
+"""Targets measured, by ``python -m bench.calibration.targets [SEEDS]``: corners and OpenCV's, coverage of jobs."""
 
 import sys
 from collections.abc import Iterator

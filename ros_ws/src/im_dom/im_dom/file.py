@@ -113,7 +113,7 @@ class StoreFile:
                 self._most_log = max(_MOST_LOG, self._path.stat().st_size // 4)
 
     def move_log(self) -> bool:
-        """Move the log into the file, and return whether it is there; if the disk refuses the move now, the log stays."""
+        """Move the log into the file; return whether it is there: if the disk refuses the move now, the log stays."""
         if self._path is None:
             return True
         with suppress(sqlite3.Error, OSError):
