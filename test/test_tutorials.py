@@ -54,10 +54,15 @@ def follow(name: str, folder: Path) -> None:
 
 
 def test_each_tutorial_is_followed_by_a_test():
-    assert {page.name for page in TUTORIALS.glob("*.md")} == OTHERS | {"net.md", "mission_test.md", "break_it.md"}
+    assert {page.name for page in TUTORIALS.glob("*.md")} == OTHERS | {
+        "net.md",
+        "mission_test.md",
+        "break_it.md",
+        "cell.md",
+    }
 
 
-@pytest.mark.parametrize("name", ["net.md", "mission_test.md"])
+@pytest.mark.parametrize("name", ["net.md", "mission_test.md", "cell.md"])
 def test_a_tutorial_without_a_machine_holds(name, tmp_path):
     follow(name, tmp_path)
 

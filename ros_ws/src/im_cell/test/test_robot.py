@@ -59,6 +59,12 @@ def test_the_18_joints_come_in_order():
     assert [joint.child for joint in CELL.joints] == [link.name for link in CELL.links]
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_an_arm_is_what_its_base_does_not_carry(side):
+    assert CELL.arm_of(side) == tuple(f"{side}_j{number}" for number in range(1, 7))
+    assert CELL.carriers_of(CELL.groups[side].base) == tuple(f"{side}_{name}" for name in ("track", "rotation", "tilt"))
+
+
 def test_shoulder_is_near_one_metre_and_led_is_on_the_wrist():
     assert urdf_pose("left_link2", CELL.home)[2, 3] == pytest.approx(1.0, abs=0.01)
     offset = np.linalg.inv(urdf_pose("left_wrist", CELL.home)) @ urdf_pose("left_led", CELL.home)

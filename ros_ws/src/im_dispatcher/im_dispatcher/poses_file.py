@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
+from im_cell.robot import load_cell
 from im_core.config import Model, load_model, package_file
 from im_core.errors import DataError, StateError
 from im_core.message_paths import message_folders, resolve_below
@@ -71,10 +72,17 @@ class PosesFile(Model):
         other_joints: Where the other arm must stand, in the order of its joints [rad or m]; None: anywhere.
     """
 
-    group: Literal["left", "right"]
+    group: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
     frame: Literal["world"]
     other_joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = None
     poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
+
+    @pydantic.field_validator("group")
+    @classmethod
+    def _of_the_cell(cls, value: str) -> str:
+        if value not in (groups := load_cell().groups):
+            raise ValueError(f"the cell has no such group, but {', '.join(groups)}")
+        return value
 
     @pydantic.field_validator("poses")
     @classmethod
@@ -89,7 +97,7 @@ class PosesFile(Model):
     @property
     def other(self) -> str:
         """Name of the arm without the light."""
-        return "right" if self.group == "left" else "left"
+        return next((name for name in load_cell().groups if name != self.group), "")
 
     def require_other(self, joints: Sequence[str], positions: Sequence[float]) -> None:
         """Check that the other arm stands where the poses need it.

@@ -8,6 +8,7 @@ from im_cell.robot import cell_file, load_cell, shipped_cells
 from im_core.errors import ConfigError, ImError
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import CollisionChecker
+from im_mcs.collision.monitor import CollisionMonitor
 from im_mcs.control import LawSource
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
@@ -150,3 +151,16 @@ def test_a_law_that_gives_torques_refuses_a_cell_without_masses_or_torques(tmp_p
     config, model = load_config(cell=cell), ControlledModel(cell)
     with pytest.raises(ConfigError, match="needs what the cell does not say: joint wrist_1_joint has no limit of eff"):
         LawSource(config, model, cell.per_joint("limits.torque"), 0.0)
+
+
+def test_a_cell_in_which_nothing_can_meet_is_watched_all_the_same(tmp_path):
+    (tmp_path / "ur5.urdf").write_text(cell_file("ur5").with_name("ur5.urdf").read_text())
+    text = cell_file("ur5").read_text()
+    (tmp_path / "cell.yaml").write_text(text.partition("\ncapsules:")[0])
+    cell = load_cell(tmp_path / "cell.yaml")
+    model, config = CellModel(cell), load_config(cell=cell)
+    assert CollisionChecker(model, 0.01).require_free(cell.home) == np.inf
+    limits = JointLimits(cell, config.limits).motion
+    monitor = CollisionMonitor(model, limits, config.collision, [np.arange(6)], config.servo.period_s)
+    found = monitor.update(cell.home, np.zeros(6), np.zeros(6))
+    assert (found.speed_ceiling, found.stop) == (1.0, False)

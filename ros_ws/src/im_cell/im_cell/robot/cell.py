@@ -201,22 +201,23 @@ class Cell(ObjectsFile):
     def joints_of(self, group: str) -> tuple[str, ...]:
         """Return the names of a group's joints."""
         given = self.groups[group]
-        return given.joints or self.chain("", given.tip)
+        return given.joints or self.carriers_of(given.tip)
 
     def arm_of(self, group: str) -> tuple[str, ...]:
         """Return the names of the joints between a group's base and its tip."""
         given = self.groups[group]
-        return self.chain(given.base, given.tip)
+        below = self.carriers_of(given.base)
+        return tuple(joint for joint in self.carriers_of(given.tip) if joint not in below)
 
-    def chain(self, base: str, tip: str) -> tuple[str, ...]:
-        """Return the joints between a link and another one, in order, without those that follow others."""
-        links: list[str] = []
+    def carriers_of(self, link: str) -> tuple[str, ...]:
+        """Return the names of the joints that move a link, in order; those that follow others are left out."""
+        names: list[str] = []
         of = {joint.child: joint for joint in self.description.joints}
-        while tip in of and tip != base:
-            joint = of[tip]
-            links += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
-            tip = joint.parent
-        return tuple(reversed(links))
+        while link in of:
+            joint = of[link]
+            names += [joint.name] * (joint.kind != "fixed" and not joint.mimic and joint.name not in self.standing)
+            link = joint.parent
+        return tuple(reversed(names))
 
     @cached_property
     def joints(self) -> tuple[Joint, ...]:

@@ -74,7 +74,7 @@ class PathPlanningFunctions:
         cell = load_cell()
         self._cell = cell
         self._home = {name: list(group.home) for name, group in cell.groups.items()}
-        self._carriers = {name: len(cell.chain("", group.base)) for name, group in cell.groups.items()}
+        self._carriers = {name: len(cell.carriers_of(group.base)) for name, group in cell.groups.items()}
 
     async def find_configuration(self, ctx: ActionContext) -> None:
         """Find joint positions for the request, near the present position of the group, or near home."""

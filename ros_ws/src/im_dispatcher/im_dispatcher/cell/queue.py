@@ -123,7 +123,7 @@ class WaitingLine:
 
 
 def reason(asking: Claim, keepers: Iterable[tuple[Claim, str]]) -> str:
-    """Return the obstacle of a waiting command: ``move needs left_arm, which home (number 3) has``."""
+    """Return the obstacle of a waiting command: ``move needs an arm, which home (number 3) has``."""
     told = [
         f"{' and '.join(asking.shares(other))}, which {other.command.symbol} (number {other.command.id}) {how}"
         for other, how in keepers

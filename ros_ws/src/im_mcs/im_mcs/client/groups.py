@@ -71,7 +71,7 @@ class GroupState:
 
 
 def best_positions(snapshot: NDArray[np.void]) -> NDArray[np.float64]:
-    """Positions of all joints, shape (18,): means over rest where there are, else newest readings."""
+    """Positions of all joints, shape (n,): means over rest where there are, else newest readings."""
     return np.where(snapshot["at_rest"], snapshot["q_rest"], snapshot["q"])
 
 

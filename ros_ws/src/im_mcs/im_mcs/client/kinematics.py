@@ -65,7 +65,7 @@ class Kinematics:
         Args:
             group: Name of the group.
             q: Positions of its joints, shape (n,), beyond their limits too; empty: where the group is.
-            q_all: Positions of all joints, shape (18,) [rad or m].
+            q_all: Positions of all joints, shape (n,) [rad or m].
             frame: Link or frame; empty: the group's wrist.
 
         Raises:
@@ -96,7 +96,7 @@ class Kinematics:
             position: Of the wrist in ``world``, shape (3,) [m].
             orientation: Quaternion x, y, z, w.
             seed: Where to start, shape (n,); empty: where the group is.
-            q_all: Positions of all joints, shape (18,) [rad or m].
+            q_all: Positions of all joints, shape (n,) [rad or m].
             avoid_collisions: Whether solutions in collision are passed over.
 
         Raises:
@@ -122,7 +122,7 @@ class Kinematics:
         Args:
             group: Name of the group.
             points: Of the path, as positions of the group's joints; the first, at rest, is where the move begins.
-            q_all: Positions of all joints, shape (18,) [rad or m].
+            q_all: Positions of all joints, shape (n,) [rad or m].
             blend: Of the move: how far from a point its corner may begin [rad or m]; 0: rest in each point.
 
         Raises:

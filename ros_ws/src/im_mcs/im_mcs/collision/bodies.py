@@ -73,7 +73,9 @@ class Bodies:
             self._add_thing(thing)
         self._never = {frozenset(pair) for pair in model.cell.never}
         self._add_pairs()
-        self.pairs = np.array([(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp)
+        self.pairs = np.array(
+            [(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp
+        ).reshape(-1, 2)
         self._data = model.pin.createData()
         self._results = pin.GeometryData(self._geometry)
 
@@ -89,7 +91,7 @@ class Bodies:
         return found
 
     def place(self, q: NDArray[np.float64]) -> None:
-        """Place the bodies for ``q``, shape (18,)."""
+        """Place the bodies for ``q``, shape (n,)."""
         pin.updateGeometryPlacements(self._model.pin, self._data, self._geometry, self._results, q)
 
     def distance(self, pair: int) -> float:
@@ -97,7 +99,9 @@ class Bodies:
         return float(pin.computeDistance(self._geometry, self._results, pair).min_distance)
 
     def closest(self) -> Closest:
-        """The closest pair where the bodies were placed last."""
+        """The closest pair where the bodies were placed last; endlessly far, without names, where there is no pair."""
+        if not len(self.pairs):
+            return Closest(np.inf, "", "", np.zeros(3))
         pin.computeDistances(self._geometry, self._results)
         distances = [result.min_distance for result in self._results.distanceResults]
         k = int(np.argmin(distances))

@@ -59,12 +59,12 @@ class CollisionChecker:
         return len(self._bodies.pairs)
 
     def closest(self, q: NDArray[np.float64]) -> Closest:
-        """The closest pair at ``q``, shape (18,)."""
+        """The closest pair at ``q``, shape (n,)."""
         self._bodies.place(q)
         return self._bodies.closest()
 
     def require_free(self, q: NDArray[np.float64], where: str = "") -> float:
-        """Smallest distance at ``q``, shape (18,) [m].
+        """Smallest distance at ``q``, shape (n,) [m].
 
         Raises:
             ImError: Two bodies are closer than the clearance; both are named (code ``collision``).
@@ -88,7 +88,7 @@ class CollisionChecker:
         """Check the straight lines in joint space through ``points``.
 
         Args:
-            q_all: Positions of all joints; those of other groups stay, shape (18,).
+            q_all: Positions of all joints; those of other groups stay, shape (n,).
             index: Joints of the group, shape (n,).
             points: Points of the path, the first is where the group is, shape (m, n).
 
@@ -115,7 +115,7 @@ class CollisionChecker:
         """Check a motion along the true way, straight or not.
 
         Args:
-            q_all: Positions of all joints; those of other groups stay, shape (18,).
+            q_all: Positions of all joints; those of other groups stay, shape (n,).
             index: Joints of the group, shape (n,).
             motion: As planned; it begins where the group is.
             velocity: What none of its joints exceeds, shape (n,) [rad/s or m/s].
@@ -148,7 +148,7 @@ class CollisionChecker:
         """Link or obstacle in the way of a thick straight line, if there is one.
 
         Args:
-            q: Positions of all joints, shape (18,).
+            q: Positions of all joints, shape (n,).
             start: In ``world``, shape (3,) [m].
             end: In ``world``, shape (3,) [m].
             radius: Of the line [m].

@@ -139,9 +139,9 @@ class CollisionMonitor:
         """Look at one tick.
 
         Args:
-            q: Measured positions of all joints, shape (18,) [rad or m].
-            v: Their velocities, shape (18,) [rad/s or m/s]; of the setpoint where a group moves.
-            a: Their accelerations, shape (18,) [rad/s2 or m/s2]; likewise.
+            q: Measured positions of all joints, shape (n,) [rad or m].
+            v: Their velocities, shape (n,) [rad/s or m/s]; of the setpoint where a group moves.
+            a: Their accelerations, shape (n,) [rad/s2 or m/s2]; likewise.
             curves: Groups on curved paths, by their first joint: where these lead.
 
         Raises:
@@ -149,6 +149,8 @@ class CollisionMonitor:
         """
         if not math.isfinite(q.dot(q) + v.dot(v) + a.dot(a)):
             raise DataError("the collision monitor was given a motion that is not finite")
+        if not self._names:
+            return Proximity(math.inf, "", "", 1.0, False)
         place = q + self._braking.displacement(v, a, curves)
         self._lower -= self._levers.dot(np.abs(place - self._place))
         self._place = place

@@ -22,7 +22,7 @@ class ControllerSetup:
         period_s: Servo period [s].
         model: Dynamics of all joints.
         torque_limit: Largest torques, shape (n,) [Nm or N].
-        q_nominal: A usual position of all joints, for gains that depend on inertia, shape (18,) [rad or m].
+        q_nominal: A usual position of all joints, for gains that depend on inertia, shape (n,) [rad or m].
         parameters: The ``parameters`` of the configuration.
     """
 
@@ -43,8 +43,8 @@ class ControlInput:
         v: Estimated velocities, shape (n,) [rad/s or m/s].
         setpoint: Wanted motion, shape (n,) each.
         gravity: Torques that hold the group against gravity at the measured positions, shape (n,) [Nm or N].
-        q_all: Measured positions of all joints, shape (18,) [rad or m].
-        wanted_all: Wanted motion of all joints, shape (18,) each; joints that no group holds stand still.
+        q_all: Measured positions of all joints, shape (n,) [rad or m].
+        wanted_all: Wanted motion of all joints, shape (n,) each; joints that no group holds stand still.
     """
 
     q: NDArray[np.float64]

@@ -87,7 +87,7 @@ class LawProcess:
         self._link.question.post()
 
     def answer(self, deadline: float) -> NDArray[np.float64] | None:
-        """The answer, shape (18,), of which a group's joints are the first; None if the law is late.
+        """The answer, shape (n,), of which a group's joints are the first; None if the law is late.
 
         Raises:
             ControlLawError: The law failed.

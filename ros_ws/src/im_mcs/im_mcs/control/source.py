@@ -25,7 +25,7 @@ class LawSource:
     Args:
         config: Configuration.
         model: Dynamics in the eyes of the laws.
-        torque_limit: Largest torques of all joints, shape (18,) [Nm or N].
+        torque_limit: Largest torques of all joints, shape (n,) [Nm or N].
         wall_period_s: Wall time between ticks [s]; 0: the loop has no deadlines.
 
     Raises:

@@ -102,7 +102,7 @@ class Arm:
         """Return the distance of a place from the arm's reach, 0 if within [m].
 
         Args:
-            q_all: Positions of all joints; only those of the carriers matter, shape (18,) [rad or m].
+            q_all: Positions of all joints; only those of the carriers matter, shape (n,) [rad or m].
             wrist: Where the centre of the wrist shall be in ``world``, shape (3,) [m].
         """
         pin.forwardKinematics(self._model.pin, self._data, q_all)

@@ -84,7 +84,7 @@ class InverseKinematics:
 
         Args:
             target: Wanted pose of the wrist in ``world``.
-            q_all: Positions of all joints; those of other groups stay, shape (18,) [rad or m].
+            q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
             seed: Where to start, shape (n,) [rad or m].
             collision: If given, solutions in collision are passed over.
 
@@ -143,7 +143,7 @@ class InverseKinematics:
 
         Args:
             target: Wanted pose of the wrist in ``world``.
-            q_all: Positions of all joints; those of other groups stay, shape (18,) [rad or m].
+            q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
             start: Where to start, shape (n,) [rad or m].
         """
         q = np.clip(start, self._lower, self._upper)

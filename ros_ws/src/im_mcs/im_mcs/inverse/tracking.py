@@ -19,9 +19,9 @@ class Tracked:
     """Motion of all joints at one place of a path; derivatives are by the path parameter.
 
     Attributes:
-        q: Positions, shape (18,) [rad or m].
-        dq: First derivative, shape (18,).
-        ddq: Second derivative, shape (18,).
+        q: Positions, shape (n,) [rad or m].
+        dq: First derivative, shape (n,).
+        ddq: Second derivative, shape (n,).
         singular_value: Smallest of the arm's Jacobian, lengths divided by its reach.
         factors: Of the arm's singularities.
     """
@@ -51,7 +51,7 @@ class ArmTracker:
         self._scale = np.array([1.0 / arm.reach] * 3 + [1.0] * 3)[:, None]
 
     def pose(self, q: NDArray[np.float64]) -> pin.SE3:
-        """Pose of the wrist in ``world`` at ``q``, shape (18,)."""
+        """Pose of the wrist in ``world`` at ``q``, shape (n,)."""
         pin.forwardKinematics(self._pin, self._data, q)
         return pin.updateFramePlacement(self._pin, self._data, self._frame).copy()
 
@@ -66,7 +66,7 @@ class ArmTracker:
 
         Args:
             target: Wanted pose of the wrist in ``world``.
-            guess: Shape (18,) [rad or m].
+            guess: Shape (n,) [rad or m].
         """
         q, joints = guess.copy(), self._arm.joints
         for _ in range(_ITERATIONS):
@@ -93,8 +93,8 @@ class ArmTracker:
         """Return a motion along a path of the wrist; None where the arm is exactly singular.
 
         Args:
-            q: Positions of all joints, shape (18,) [rad or m].
-            dq: Derivatives by the path parameter, shape (18,); those of the arm are overwritten.
+            q: Positions of all joints, shape (n,) [rad or m].
+            dq: Derivatives by the path parameter, shape (n,); those of the arm are overwritten.
             ddq: Second derivatives, likewise.
             twist: Derivative of the wrist's pose along the axes of ``world``, shape (6,): linear, angular.
             twist_rate: Its derivative, shape (6,).
@@ -116,10 +116,10 @@ class ArmTracker:
         return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
 
     def velocities(self, q: NDArray[np.float64], twist: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return joint velocities, shape (18,), that move the wrist; None where the arm is exactly singular.
+        """Return joint velocities, shape (n,), that move the wrist; None where the arm is exactly singular.
 
         Args:
-            q: Positions of all joints, shape (18,) [rad or m].
+            q: Positions of all joints, shape (n,) [rad or m].
             twist: Velocity of the wrist along the axes of ``world``, shape (6,): linear, angular.
         """
         v = np.zeros_like(q)
@@ -130,7 +130,7 @@ class ArmTracker:
         return v
 
     def singular_value(self, q: NDArray[np.float64]) -> float:
-        """Smallest singular value of the arm's Jacobian at ``q``, shape (18,); lengths divided by the reach."""
+        """Smallest singular value of the arm's Jacobian at ``q``, shape (n,); lengths divided by the reach."""
         return self._smallest(self._jacobian(q)[:, self._arm.joints])
 
     def _smallest(self, jacobian: NDArray[np.float64]) -> float:

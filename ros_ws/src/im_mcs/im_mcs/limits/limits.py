@@ -134,7 +134,7 @@ class JointLimits:
         return positions
 
     def overspeed(self, v: NDArray[np.float64]) -> LimitError | None:
-        """Return the fault of a measured velocity, shape (18,), far beyond any commanded motion."""
+        """Return the fault of a measured velocity, shape (n,), far beyond any commanded motion."""
         beyond = np.abs(v) > self._speed
         if 1 not in beyond.tobytes():
             return None

@@ -90,7 +90,7 @@ def sources(part: Part, cell: Cell) -> dict[str, str]:
     """Where the parameters of a part's arms and carts are from."""
     said = {}
     for name, group in cell.groups.items():
-        arm, carriers = cell.arm_of(name), cell.chain("", group.base)
+        arm, carriers = cell.arm_of(name), cell.carriers_of(group.base)
         for rank, (what, source) in enumerate(group.source.items()):
             if set(part.joints) & set(carriers if rank and carriers else arm):
                 said[f"{name}: {what}"] = source

@@ -68,26 +68,26 @@ class CellModel:
         return np.array([below - 1 for below in self.pin.supports[joint] if below > 0], dtype=np.intp)
 
     def gravity(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return torques for still arms at ``q``, shape (18,) [Nm or N]."""
+        """Return torques for still arms at ``q``, shape (n,) [Nm or N]."""
         return np.asarray(pin.computeGeneralizedGravity(self.pin, self._data, q))
 
     def inertia(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Joint-space inertia with rotors at ``q``, shape (18, 18) [kg m2, kg m or kg]."""
+        """Joint-space inertia with rotors at ``q``, shape (n, n) [kg m2, kg m or kg]."""
         upper = np.triu(pin.crba(self.pin, self._data, q))
         return np.asarray(upper + np.triu(upper, 1).T)
 
     def inertia_diagonal(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Each joint's own inertia at ``q`` while the others stand still, shape (18,)."""
+        """Each joint's own inertia at ``q`` while the others stand still, shape (n,)."""
         return np.asarray(pin.crba(self.pin, self._data, q).diagonal().copy())
 
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return torques of a motion, with rotors, without friction, shape (18,) [Nm or N]."""
+        """Return torques of a motion, with rotors, without friction, shape (n,) [Nm or N]."""
         return np.asarray(pin.rnea(self.pin, self._data, q, v, a)).copy()
 
     def pose(self, q: NDArray[np.float64], frame: str) -> pin.SE3:
-        """Pose of a frame in ``world`` at ``q``, shape (18,).
+        """Pose of a frame in ``world`` at ``q``, shape (n,).
 
         Raises:
             NotFoundError: There is no such frame.
@@ -104,7 +104,7 @@ class CellModel:
         }
 
     def jacobian(self, q: NDArray[np.float64], frame: str) -> NDArray[np.float64]:
-        """Velocity of a frame's origin for each joint's, along the axes of ``world``, shape (6, 18): linear, angular.
+        """Velocity of a frame's origin for each joint's, along the axes of ``world``, shape (6, n): linear, angular.
 
         Raises:
             NotFoundError: There is no such frame.

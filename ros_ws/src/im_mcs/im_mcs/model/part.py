@@ -141,7 +141,7 @@ class PartModel:
     def _whole(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions of all joints, shape (n,); turning carriers of arms are at 0."""
         cell = self._model.cell
-        carriers = {joint for group in cell.groups.values() for joint in cell.chain("", group.base)}
+        carriers = {joint for group in cell.groups.values() for joint in cell.carriers_of(group.base)}
         upright = [joint.name in carriers and joint.kind == "revolute" for joint in cell.joints]
         whole = np.where(upright, 0.0, cell.home)
         whole[self.index] = q

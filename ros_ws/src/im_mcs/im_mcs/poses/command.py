@@ -32,7 +32,7 @@ home, and the other arm carries the light.
 exit codes: 0 the poses are written; 1 there are no such poses, and why; 2 wrong arguments
 
 examples:  scripts/run.sh im_mcs poses --cameras wall table --output poses.yaml
-           scripts/run.sh im_mcs poses --cameras wrist_left ceiling_right --count 30
+           scripts/run.sh im_mcs poses --count 30
 """
 
 
@@ -40,9 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Generate poses; exit code 1 on failure, with the reason on standard error."""
     options = _parser().parse_args(arguments)
     try:
-        selector, group = make_selector(options.config, options.group, options.cameras)
+        cameras = options.cameras or list(load_cell().cameras)[:2]
+        selector, group = make_selector(options.config, options.group, cameras)
         selection = selector.select(options.count, np.radians(options.tilt), options.seed)
-        text = to_yaml(group, options.cameras, selection)
+        text = to_yaml(group, cameras, selection)
         if options.output is None:
             print(text, end="")
         else:
@@ -63,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--group", help="group with the light (default: the first without a camera)")
     parser.add_argument("--count", type=at_least(1), default=40, help="number of poses (%(default)s)")
-    parser.add_argument("--cameras", nargs="+", default=["ceiling_left", "ceiling_right"], help="cameras in use")
+    parser.add_argument("--cameras", nargs="+", help="cameras in use (default: the first two of the cell)")
     parser.add_argument(
         "--tilt", type=_tilt, default=50.0, help="largest tilt away from the cameras [deg] (%(default)s)"
     )

@@ -40,7 +40,7 @@ class McsNode(ManagedNode):
         super().__init__("mcs")
         declare = self.declared.declare
         path = declare("config", "", "file of slots, groups, limits and laws; empty: the package's mcs.yaml")
-        preset = declare("preset", "", "division of the joints at the start, e.g. 2x9; empty: the configuration's")
+        preset = declare("preset", "", "division of the joints at the start, by its name; empty: the configuration's")
         period = declare("period", 0.0, "of the servo [s]; 0: the configuration's", span=(0.0, 0.1))
         rate = declare(
             "joint_state_rate",

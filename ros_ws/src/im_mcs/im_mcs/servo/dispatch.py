@@ -274,7 +274,7 @@ class Dispatch:
         ticks = round(config.switching.handover_s / config.servo.period_s)
         self._mcs.control_model.set_payload(wrist, payload, ticks)
         below = self._mcs.model.joints_below(wrist)
-        for engaged in self._mcs.loop.engaged:  # of the transporter, too: every joint below carries it
+        for engaged in self._mcs.loop.engaged:  # of carriers in a group of their own, too: every joint below carries it
             if np.isin(engaged.index, below).any():
                 engaged.monitor.restart()
 

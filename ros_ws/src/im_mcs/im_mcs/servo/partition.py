@@ -25,7 +25,7 @@ class Partitions:
         model: Kinematics and dynamics.
         limits: Limits of all joints.
         laws: Makes control laws.
-        q_all: Gives the positions of all joints now, shape (18,) [rad or m].
+        q_all: Gives the positions of all joints now, shape (n,) [rad or m].
 
     Raises:
         ConfigError: A trajectory generator cannot be loaded.

@@ -168,7 +168,7 @@ class TestbedInterface:
             part.follow(course)
 
     def faults(self) -> list[str]:
-        """Return the faults reported by hardware, e.g. ``brake_open of left_j2``.
+        """Return the faults reported by hardware, e.g. ``brake_open of elbow``.
 
         Raises:
             LinkError: Some does not answer.

@@ -29,7 +29,7 @@ class PlanContext:
         limits: Limits of all joints.
         index: Joints of the group among all, shape (n,).
         frames: Wrists that straight lines move: the second one keeps its pose to the first.
-        q_all: Gives the positions of all joints now, shape (18,) [rad or m].
+        q_all: Gives the positions of all joints now, shape (n,) [rad or m].
         period_s: Time between two evaluations of a trajectory: a multiple of the servo period [s].
         config: Configuration.
     """

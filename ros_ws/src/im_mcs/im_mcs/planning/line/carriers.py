@@ -60,7 +60,7 @@ class CarrierChoice:
         The arm's joints in it are where the arm gets to, if it gets to the end of the line at all.
 
         Args:
-            q_all: Positions of all joints at the beginning of the line, shape (18,) [rad or m].
+            q_all: Positions of all joints at the beginning of the line, shape (n,) [rad or m].
             target: Pose of the wrist at its end.
         """
         if not self._moved.any():

@@ -108,7 +108,7 @@ class LineCurve:
         """Return the joints' curve, and all joints at the end; a step does half the work of one place.
 
         Args:
-            start: Positions of all joints at the beginning of the path, shape (18,) [rad or m].
+            start: Positions of all joints at the beginning of the path, shape (n,) [rad or m].
 
         Raises:
             LimitError: A joint would pass its range.
