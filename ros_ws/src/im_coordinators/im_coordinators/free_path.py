@@ -38,7 +38,7 @@ class FreeSpace:
         model: Kinematics and shapes.
         limits: Of all joints.
         clearance_m: Smallest distance allowed [m].
-        q_all: Positions of all joints; those not in ``index`` stay, shape (18,) [rad or m].
+        q_all: Positions of all joints; those not in ``index`` stay, shape (n,) [rad or m].
         index: Joints that move, shape (n,).
         things: What is there beside the cell's own shapes.
 
