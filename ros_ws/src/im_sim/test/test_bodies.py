@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from im_cell.link import TickCommand
-from im_cell.robot import Cell, load_cell, urdf
+from im_cell.robot import Cell, FreeBody, load_cell, urdf
 from im_core.config import package_file
 from im_core.errors import ConfigError
 from im_sim.plant import Plant
@@ -33,13 +33,12 @@ def run(plant, ticks, opening=0.08, force=60.0):
         plant.run_tick(TickCommand(np.zeros(N), True, np.ones(N, bool), np.full(2, opening), True, np.full(2, force)))
 
 
-def between_jaws(cell: Cell, q) -> pin.SE3:
-    """The pose of a frame between the left jaws: z up, as far as the jaws' x axis lets it."""
+def between_jaws(cell: Cell, q, wrist="left_wrist") -> pin.SE3:
+    """The pose of a frame between the jaws at a wrist: z up, as far as the jaws' x axis lets it."""
     model = pin.buildModelFromXML(urdf(cell, shapes=False))
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
-    wrist = data.oMf[model.getFrameId("left_wrist")]
-    jaws = wrist * pin.SE3(np.eye(3), np.array([0.0, 0.0, cell.gripper.reach]))
+    jaws = data.oMf[model.getFrameId(wrist)] * pin.SE3(np.eye(3), np.array([0.0, 0.0, cell.gripper.reach]))
     x, z = jaws.rotation[:, 0], -jaws.rotation[:, 2]
     return pin.SE3(np.stack([x, np.cross(z, x), z], axis=1), jaws.translation)
 
@@ -94,6 +93,30 @@ def test_a_body_is_held_by_friction_slips_with_less_force_and_falls_out_of_open_
     run(plant, 300)
     assert plant.bodies()[0, 2] < 0.1, "it lies on the floor"
     assert plant._grippers.force[0] == 0.0
+
+
+def test_one_arm_without_a_wrist_sensor_holds_a_body_until_its_jaws_open():
+    block = FreeBody(name="block", kind="box", size=(0.04, 0.04, 0.06), mass=0.2, color=(0, 0, 0), position=(2, 0, 0.03))
+    cell = load_cell("panda").model_copy(update={"objects": (block,)})
+    held = between_jaws(cell, cell.home, cell.groups["arm"].tip)
+    plant, n = Plant(cell, seed=1), len(cell.joints)
+
+    def stand(ticks, opening):
+        for _ in range(ticks):
+            told = np.full(1, opening), True, np.full(1, cell.gripper.force)
+            plant.run_tick(TickCommand(np.zeros(n), True, np.ones(n, bool), *told))
+
+    stand(150, block.size[0] + 0.006)
+    plant.place(0, np.array([*held.translation, *pin.Quaternion(held.rotation).coeffs()]))
+    stand(150, 0.0)
+    caught = plant.bodies()[0, :3]
+    stand(300, 0.0)
+    assert plant.gripper[0] == pytest.approx(block.size[0], abs=1e-3)
+    assert np.abs(plant.bodies()[0, :3] - caught).max() < 2e-3
+    assert np.abs(plant.q - cell.home).max() < 2e-3
+    stand(300, cell.gripper.stroke)
+    assert plant.bodies()[0, 2] < caught[2] - 0.1
+    plant.close()
 
 
 def test_the_same_seed_and_commands_give_the_same_bits(cell):
