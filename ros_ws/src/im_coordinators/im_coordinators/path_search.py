@@ -60,7 +60,7 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
     Raises:
         ImError: No path was found (code ``collision``).
     """
-    model, config = CellModel(cell), load_config()
+    model, config = CellModel(cell), load_config(cell=cell)
     index = np.array([model.index(joint) for joint in question["joints"]], dtype=np.intp)
     q_all = np.array([question["positions"].get(name, home) for name, home in zip(model.names, cell.home, strict=True)])
     bodies = {body.name: body for body in cell.objects}

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.robot import FreeBody, load_cell
+from im_cell.robot import FreeBody, load_cell, shipped_cells
 from im_coordinators.free_path import FreeSpace, find_path
 from im_coordinators.path_search import search
 from im_core.errors import ImError
@@ -101,6 +101,23 @@ def test_a_question_is_answered_and_a_blocked_goal_is_an_error():
     assert search(CELL, question) == [goal]
     with pytest.raises(ImError, match="the goal of the path"):
         search(CELL, {**question, "goal": [1.5, *goal[1:]]})
+
+
+@pytest.mark.parametrize("name", shipped_cells())
+def test_paths_are_found_for_each_group_of_any_cell(name):
+    cell = load_cell(name)
+    config, model, random = load_config(cell=cell), CellModel(cell), np.random.default_rng(1)
+    limits = JointLimits(cell, config.limits, config.slots)
+    for group in cell.groups:
+        joints = cell.joints_of(group)
+        index = np.array([model.index(joint) for joint in joints])
+        space, goal = FreeSpace(model, limits, CLEARANCE, cell.home, index), None
+        while goal is None or not space.free(goal):
+            goal = np.clip(cell.home[index] + random.uniform(-0.5, 0.5, len(index)), space.lower, space.upper)
+        q = dict(zip(cell.joint_names, cell.home.tolist(), strict=True))
+        points = search(cell, {"joints": joints, "positions": q, "goal": goal.tolist(), "things": [], "seed": 0})
+        assert points[-1] == goal.tolist()
+        CollisionChecker(model, CLEARANCE).check_path(cell.home, index, np.array([cell.home[index], *points]))
 
 
 def _wrist_at(q):
