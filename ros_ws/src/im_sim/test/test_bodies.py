@@ -96,7 +96,8 @@ def test_a_body_is_held_by_friction_slips_with_less_force_and_falls_out_of_open_
 
 
 def test_one_arm_without_a_wrist_sensor_holds_a_body_until_its_jaws_open():
-    block = FreeBody(name="block", kind="box", size=(0.04, 0.04, 0.06), mass=0.2, color=(0, 0, 0), position=(2, 0, 0.03))
+    size = (0.04, 0.04, 0.06)
+    block = FreeBody(name="block", kind="box", size=size, mass=0.2, color=(0, 0, 0), position=(2, 0, 0.03))
     cell = load_cell("panda").model_copy(update={"objects": (block,)})
     held = between_jaws(cell, cell.home, cell.groups["arm"].tip)
     plant, n = Plant(cell, seed=1), len(cell.joints)
