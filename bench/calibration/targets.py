@@ -1,7 +1,8 @@
-"""Targets measured, by ``python -m bench.calibration.targets [SEEDS]``: corners and OpenCV's, coverage of jobs."""
+"""Targets measured, ``python -m bench.calibration.targets [SEEDS]``: corners beside OpenCV's, coverage of each job."""
 
 import sys
 from collections.abc import Iterator
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ _SENSORS = {
 
 
 def corners(seeds: int) -> Iterator[str]:
-    """Yield lines on the errors of corners of a chessboard [px]: ours, OpenCV's two, and ours over the told noise."""
+    """Yield lines on errors of corners of a chessboard [px], ours and OpenCV's two, and ours over the told noise."""
     target = target_of("chessboard:9x6:25mm")
     for name, sensor in _SENSORS.items():
         ours, sectors, saddles, ratios = (list[Array]() for _ in range(4))
@@ -88,5 +89,5 @@ def _rms(errors: list[Array]) -> float:
 
 if __name__ == "__main__":
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    for line in (*corners(count), *coverage(count)):
+    for line in chain(corners(count), coverage(count)):
         print(line, flush=True)

@@ -37,7 +37,7 @@ def vendor(process):
 
     def start(kind="position", lost=0.0):
         home = ",".join(map(str, CELL.home[::-1].tolist()))
-        options = ("--joints", ",".join(ORDER), f"--home={home}", "--kind", kind, "--lost", lost)
+        options = ("--joints", ",".join(ORDER), f"--home={home}", "--kind", kind, "--lost", lost, "--speed", 0.5)
         return process(sys.executable, "-m", "support.vendor_robot", *options)
 
     return start
@@ -69,9 +69,10 @@ def config(tmp_path):
             driver = {"driver": "im_mcs.testbed.joint_state:CommandTopicDriver", "settings": settings}
         data["testbed"].update(clock="robot", drivers={"robot": driver})
         data["control"] = LAWS[interface]
-        data["limits"].update(following_error_rad=following, following_error_m=following)
+        # on a busy computer positions come in bunches, which looks like speed
+        data["limits"].update(following_error_rad=following, following_error_m=following, velocity=0.4)
         data["safety"].update(driver_age_s=5.0, driver_age_estop_s=6.0)
-        data["servo"].update(period_s=0.008, max_overruns=200)
+        data["servo"].update(period_s=0.008, max_overruns=200, velocity_bandwidth_rad_s=10)
         data["servo"]["settle"].update(tolerance=0.005, still_tolerance=0.01, timeout_s=30.0)
         path = tmp_path / "robot.yaml"
         path.write_text(yaml.safe_dump(data), encoding="utf-8")

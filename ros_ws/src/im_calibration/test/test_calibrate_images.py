@@ -1,6 +1,10 @@
 """``im calibrate --images``: from folders of rendered images to files of cameras, and what is told of bad ones."""
 
+import contextlib
 import json
+import re
+import shlex
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,68 +24,101 @@ STEP = transform(np.array([0.02, 0.08, 0.01]), np.array([-0.06, 0.0, 0.01]))
 RIGHT = CameraModel(320, 240, LEFT.K, D, STEP[:3, :3], STEP[:3, 3])
 LINK_CAMERA = transform(np.array([0.2, -0.3, 0.1]), np.array([0.02, 0.05, 0.1]))
 BASE_TARGET = transform(np.array([0.1, 0.1, 1.0]), np.array([0.4, 0.1, 0.0]))
+CAMERA_BASE = transform(np.array([2.0, 0.3, -0.2]), np.array([0.1, 0.2, 1.0]))
+LINK_TARGET = transform(np.array([0.3, -0.2, 0.5]), np.array([0.02, 0.01, 0.06]))
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A folder of images of each of two cameras, and the poses of a link with both cameras on it."""
     folder = tmp_path_factory.mktemp("images")
-    target, rng, lines = target_of(TARGET), np.random.default_rng(3), ["image,x,y,z,qx,qy,qz,qw"]
+    target, rng = target_of(TARGET), np.random.default_rng(3)
+    lines = {name: ["image,x,y,z,qx,qy,qz,qw"] for name in ("poses", "fixed")}
     for name in ("left", "right"):
-        (folder / name).mkdir()
+        (folder / "images" / name).mkdir(parents=True)
     for i in range(8):
         pose = transform(rng.normal(0.0, 0.3, 3), np.zeros(3))
         pose[:3, 3] = [*rng.uniform(-0.04, 0.04, 2), rng.uniform(0.4, 0.55)] - pose[:3, :3] @ target.points.mean(axis=0)
         for k, (name, camera) in enumerate((("left", LEFT), ("right", RIGHT))):
             image = render(target, camera, pose[:3, :3], pose[:3, 3], Sensor(), 10 * i + k)
-            cv2.imwrite(str(folder / name / f"view{i}.png"), image)
-        link = BASE_TARGET @ np.linalg.inv(LINK_CAMERA @ pose)
-        link[:3, 3] += rng.normal(0.0, 2e-4, 3)
-        numbers = [*link[:3, 3], *Rotation.from_matrix(link[:3, :3]).as_quat()]
-        lines.append(f"view{i}.png," + ",".join(f"{number:.9g}" for number in numbers))
-    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+            cv2.imwrite(str(folder / "images" / name / f"view{i}.png"), image)
+        links = {
+            "poses": BASE_TARGET @ np.linalg.inv(LINK_CAMERA @ pose),
+            "fixed": np.linalg.inv(CAMERA_BASE) @ pose @ np.linalg.inv(LINK_TARGET),
+        }
+        for name, link in links.items():
+            place = link[:3, 3] + rng.normal(0.0, 2e-4, 3)
+            numbers = [*place, *Rotation.from_matrix(link[:3, :3]).as_quat()]
+            lines[name].append(f"view{i}.png," + ",".join(f"{number:.9g}" for number in numbers))
+    for name, content in lines.items():
+        (folder / f"{name}.csv").write_text("\n".join(content) + "\n")
     return folder
 
 
-def calibrate(scene, results, *more, cameras=("left",), target=TARGET):
-    """Exit code of the command."""
-    images = [f"{name}={scene / name}" for name in cameras]
+def calibrate(folder, results, *more, cameras=("left",), target=TARGET):
+    """Exit code of the command for cameras with images in folders of a folder."""
+    images = [f"{name}={folder / name}" for name in cameras]
     return main(["--images", *images, "--target", target, "--results", str(results), *map(str, more)])
 
 
-def test_intrinsics_and_a_pair(scene, tmp_path, capsys):
-    assert calibrate(scene, tmp_path, cameras=("left", "right")) == 0
-    assert f"left: {target_of(TARGET)} found in 8 of 8 images" in capsys.readouterr().out
-    report = json.loads((tmp_path / "report.json").read_text())
+@pytest.fixture(scope="module")
+def guide(scene):
+    """The folder of results after the commands of the guide, all of which end well."""
+    text = (Path(__file__).resolve().parents[4] / "docs" / "calibration.md").read_text()
+    commands = re.findall(r"^scripts/im calibrate (--images .*)$", text, re.MULTILINE)
+    assert len(commands) == 5
+    with contextlib.chdir(scene):
+        for line in commands:
+            assert main(shlex.split(line)) == 0, line
+    return scene / "results"
+
+
+def reported(folder):
+    """The report in a folder of results."""
+    report = json.loads((folder / "report.json").read_text())
     assert report["success"], report["message"]
-    left, right = report["cameras"]
-    assert np.abs(np.array(left["K"]) - LEFT.K).max() < 6.0 * max(
-        left["standard_deviations"][n] for n in ("fx", "cx", "cy")
-    )
+    return report
+
+
+def deviations(camera, *names):
+    """Standard deviations of a camera's parameters."""
+    return np.array([camera["standard_deviations"][name] for name in names])
+
+
+def test_intrinsics_and_a_pair(guide):
+    (alone,) = reported(guide / "left")["cameras"]
+    left, right = reported(guide / "pair")["cameras"]
+    for camera in (alone, left):
+        assert np.abs(np.array(camera["K"]) - LEFT.K).max() < 6.0 * deviations(camera, "fx", "cx", "cy").max()
     off = np.array(right["t_cam_base_m"]) - RIGHT.t_cam_base
-    assert np.all(np.abs(off) < 6.0 * np.array([right["standard_deviations"][n] for n in ("tx", "ty", "tz")]))
-    assert (tmp_path / "left.yaml").is_file()
-    assert main(["--again", str(tmp_path)]) == 0
-    again = json.loads((tmp_path / "again" / "report.json").read_text())
-    assert again["cameras"] == report["cameras"]
+    assert np.all(np.abs(off) < 6.0 * deviations(right, "tx", "ty", "tz"))
+    assert (guide / "left" / "left.yaml").is_file()
+    assert "frame_id: left" in (guide / "pair" / "extrinsics.yaml").read_text()
 
 
-def test_a_camera_on_a_robot_with_intrinsics_of_before(scene, tmp_path):
-    assert calibrate(scene, tmp_path / "boards") == 0
-    robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw")
-    known = ("--intrinsics", f"left={tmp_path / 'boards' / 'report.json'}")
-    assert calibrate(scene, tmp_path / "hand", *robot, *known) == 0
-    report = json.loads((tmp_path / "hand" / "report.json").read_text())
-    assert report["success"], report["message"]
+def test_the_same_observations_give_the_same_cameras(guide):
+    assert main(["--again", str(guide / "pair")]) == 0
+    assert reported(guide / "pair" / "again")["cameras"] == reported(guide / "pair")["cameras"]
+
+
+@pytest.mark.parametrize("job", ["hand", "held"])
+def test_a_camera_on_a_robot(guide, job):
+    report = reported(guide / job)
     (camera,) = report["cameras"]
-    truth = np.linalg.inv(LINK_CAMERA)  # link -> camera
-    found = np.eye(4)
-    found[:3, :3], found[:3, 3] = camera["R_cam_base"], camera["t_cam_base_m"]
-    deviations = np.array([camera["standard_deviations"][n] for n in ("tx", "ty", "tz")])
-    assert np.all(np.abs((found - truth)[:3, 3]) < 6.0 * deviations)
+    off = np.array(camera["t_cam_base_m"]) - np.linalg.inv(LINK_CAMERA)[:3, 3]
+    assert np.all(np.abs(off) < 6.0 * deviations(camera, "tx", "ty", "tz"))
     assert report["target"]["frame"] == "base"
     np.testing.assert_allclose(np.array(report["target"]["transform"])[:3, 3], BASE_TARGET[:3, 3], atol=2e-3)
-    assert "frame_id: link" in (tmp_path / "hand" / "extrinsics.yaml").read_text()
+    assert "frame_id: link" in (guide / job / "extrinsics.yaml").read_text()
+
+
+def test_a_target_on_a_robot(guide):
+    report = reported(guide / "fixed")
+    (camera,) = report["cameras"]
+    off = np.array(camera["t_cam_base_m"]) - CAMERA_BASE[:3, 3]
+    assert np.all(np.abs(off) < 6.0 * deviations(camera, "tx", "ty", "tz"))
+    assert report["target"]["frame"] == "link"
+    assert "frame_id: base" in (guide / "fixed" / "extrinsics.yaml").read_text()
 
 
 def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
@@ -90,7 +127,7 @@ def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
         "cam0:\n  camera_model: pinhole\n  intrinsics: [300.0, 301.0, 162.0, 117.0]\n  distortion_model: radtan\n"
         "  distortion_coeffs: [-0.2, 0.05, 0.0, 0.0]\n  resolution: [320, 240]\n  rostopic: /left\n"
     )
-    (tmp_path / "cam0").symlink_to(scene / "left")
+    (tmp_path / "cam0").symlink_to(scene / "images" / "left")
     robot = ("--robot", scene / "poses.csv", "--eye-in-hand", "--order", "xyzw", "--intrinsics", f"cam0={chain}")
     assert calibrate(tmp_path, tmp_path / "results", *robot, cameras=("cam0",)) == 0
     (camera,) = json.loads((tmp_path / "results" / "report.json").read_text())["cameras"]
@@ -113,7 +150,7 @@ def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
 )
 def test_what_is_wrong_is_told(scene, tmp_path, capsys, monkeypatch, more, target, told):
     monkeypatch.chdir(scene)
-    assert calibrate(scene, tmp_path / "results", *more, target=target) == 1
+    assert calibrate(scene / "images", tmp_path / "results", *more, target=target) == 1
     assert told in capsys.readouterr().err
     assert not (tmp_path / "results" / "report.json").exists()
 
@@ -124,7 +161,7 @@ def test_images_that_cannot_be_used_are_told(scene, tmp_path, capsys):
     assert calibrate(tmp_path, tmp_path / "results", cameras=("a",)) == 1
     assert "has no images" in capsys.readouterr().err
     for i in range(4):
-        content = (scene / "left" / f"view{i}.png").read_bytes()
+        content = (scene / "images" / "left" / f"view{i}.png").read_bytes()
         (tmp_path / "b" / f"{i}.png").write_bytes(content)
     cv2.imwrite(str(tmp_path / "b" / "4.png"), np.zeros((240, 320), dtype=np.uint8))
     assert calibrate(tmp_path, tmp_path / "results", cameras=("b",)) == 0

@@ -40,8 +40,15 @@ def test_unknown_noise_is_found():
         true.views, deviations=3.0 * true.views.deviations, robot=replace(true.views.robot, sd_m=2e-3, sd_rad=4e-3)
     )
     found = calibrate(problem_of_views(views, ("image", "robot")))
+    assert found.success, found.message
     assert found.noise.factors.image.low < 1.0 / 3.0 < found.noise.factors.image.high
     assert found.noise.factors.robot.low < 0.25 < found.noise.factors.robot.high
+
+
+def test_what_no_robot_is_like_is_told():
+    views = make_views("eye-in-hand", 3, target=SMALL, sd_m=0.01, sd_rad=0.02).views
+    found = calibrate(problem_of_views(views, ("image", "robot")))
+    assert "no arm repeats a place so badly" in found.message
 
 
 @pytest.mark.parametrize("job", ["two cameras", "eye-in-hand"])

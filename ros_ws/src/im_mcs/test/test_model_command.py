@@ -95,5 +95,5 @@ def test_help_teaches(capsys):
         main(["--help"])
     assert ended.value.code == 0
     out = capsys.readouterr().out
-    for word in ("<group>_arm", "gravity_torques", "inertia_with_motor", "example:", "base of the cell"):
+    for word in ("<group>_arm", "gravity_torques", "inertia_with_motor", "example:", "upright"):
         assert word in out

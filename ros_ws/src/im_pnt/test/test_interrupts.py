@@ -110,12 +110,25 @@ def test_an_action_that_ends_well_all_the_same_has_ended_well():
     assert made.marking("n") == {"idle": 2}
 
 
-def test_a_failure_of_its_own_stays_one():
-    made, _, _ = process("restart")
+@pytest.mark.parametrize(("then", "code"), [("restart", "way"), ("continue", "way"), ("fail", "interrupted")])
+def test_a_failure_keeps_its_code_for_who_judges_it(then, code):
+    """As scopes do that begin again after some failures."""
+    text = NET.replace("THEN", then).replace("do: [{action: say}], ", "" if then == "fail" else "do: [{action: say}], ")
+    judged = text.replace("in: failed, out: idle", "in: failed, guard: \"${failure.code == 'CODE'}\", out: idle")
+    alarmed = [False]
+    made = Process(
+        [parse_net(judged.replace("CODE", code))],
+        {"reach": hold, "say": hold},
+        {"alarmed": lambda ctx: alarmed[0]},
+    )
     made.command("n", "go")
-    made.end("reach", ImError("no way"))
+    if then == "fail":
+        strike(made, alarmed)
+        cancelled(made)
+    else:
+        made.end("reach", ImError("no way", code="way"))
     (result,) = made.results
-    assert str(result.error) == "no way"
+    assert str(result.error) == ("interrupted by an alarm" if then == "fail" else "no way")
     assert made.marking("n") == {"idle": 2}
 
 
@@ -208,6 +221,7 @@ def test_rules_may_stand_in_a_file_beside_the_net_and_the_net_is_flat(tmp_path):
         ("if: alarmed", "if: alarmed, watch: {name: /a, type: std_msgs/msg/Bool}", "is not a condition"),
         ("if: alarmed", "if: '${message.data}'", "there is no value 'message'"),
         ("action: reach, on_failure: failed", "on_failure: failed", "has no action that an interrupt could end"),
+        ("action: reach,", "action: reach, keeps_failure: true,", "is for a transition without action"),
         ("in: there, out: idle", "in: there, out: idle, cancels: begin", "'begin' is no transition with an action"),
         ("in: there, out: idle", "in: there, out: idle, cancels: raech", r"is no transition \(did you mean 'reach'"),
         ("in: there, out: idle", "in: there, out: idle, cancels: reach, delay: 1", "not go together with 'delay'"),

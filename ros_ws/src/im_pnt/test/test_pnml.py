@@ -207,6 +207,14 @@ def test_a_plain_net_says_phases_and_services_and_needs_bounds(data):
     assert "its capacity" in plain_net(parse_net(text % "{capacity: 3}"))[1][0]
 
 
+def test_a_plain_net_with_phases_is_read_back(data, tmp_path):
+    file, source = tmp_path / "p.pnml", data / "coordinator.yaml"
+    assert main(["convert", "--plain", str(source), str(file)]) == OK
+    plain = plain_net(load_net(source))[0]
+    assert any(name.endswith(".end.cancelling") for name in plain.transitions)
+    assert reachability_graph(load_net(file), list(plain.places)) == reachability_graph(plain, list(plain.places))
+
+
 def test_convert_goes_both_ways_and_never_overwrites_unasked(data, tmp_path, capsys):
     source, pnml, back = data / "coordinator.yaml", tmp_path / "c.pnml", tmp_path / "c.yaml"
     assert main(["convert", str(source), str(pnml)]) == OK

@@ -30,7 +30,7 @@ KEYS = {
     "TransitionFile": "title use arguments with "
     "in out inhibitors resets guard symbol emit action service goal topic await request result "
     "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority "
-    "servers cancels",
+    "servers cancels keeps_failure",
     "SymbolFile": "name of expires",
     "StrategyFile": "successes failures decay",
     "ServiceCallFile": "name type request build handle task",

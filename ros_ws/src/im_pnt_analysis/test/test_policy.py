@@ -101,6 +101,31 @@ def test_rewards_of_places_count_tokens_and_time():
     assert policy.present == pytest.approx(2.0 * state.mean_tokens["p5"] - state.mean_tokens["p2"], rel=1e-6)
 
 
+def test_a_choice_for_good_is_made_for_the_better_of_two_lives():
+    """What is chosen first decides for ever: most policies divide the markings into classes."""
+    net = parse_net(
+        "net: n\nplaces: {start: 1, a: , b: }\ntransitions:\n  to_a: {in: start, out: a}\n  to_b: {in: start, out: b}\n"
+        "  work_a: {in: a, out: a, delay: {exponential: {mean: 1}}}\n"
+        "  work_b: {in: b, out: b, delay: {exponential: {mean: 2}}}"
+    )
+    policy = best_policy([net], Rewards({"work_a": 1.0, "work_b": 4.0}, {}))
+    assert (policy.value, policy.present) == (pytest.approx(2.0, rel=1e-6), pytest.approx(1.5, rel=1e-6))
+    (decision,) = policy.decisions
+    assert decision.options == {"to_a": pytest.approx(0.0, abs=1e-6), "to_b": pytest.approx(1.0, rel=1e-6)}
+
+
+def test_a_choice_that_would_never_end_is_not_made():
+    net = parse_net(
+        "net: n\nplaces: {idle: 1, at: , waited: }\ntransitions:\n  begin: {symbol: go, in: idle, out: at}\n"
+        "  wait: {in: at, out: waited}\n  go_on: {in: waited, out: at, delay: 1}\n"
+        "  end: {in: at, out: idle, emit: go_done}"
+    )
+    policy = best_policy([net], Rewards({}, {}, -1.0), command="go")
+    assert (policy.value, policy.present) == (pytest.approx(0.0, abs=1e-9), pytest.approx(-1.0, rel=1e-6))
+    paid = best_policy([net], Rewards({"go_on": 1.0}, {}, -2.0), command="go")
+    assert [decision.options for decision in paid.decisions] == [{"wait": 0.0, "end": 1.0}]
+
+
 SHELF = """
 net: shelf
 places: {robot: 1, far: 2, near: 2, chosen_far: , chosen_near: , back: }

@@ -1,4 +1,4 @@
-"""Digests of a host: digests of everything that the hosts of a deployment must have in common."""
+"""Digests of everything common to the hosts of a deployment."""
 
 import hashlib
 from collections.abc import Iterator, Mapping
@@ -15,7 +15,7 @@ _LARGEST = 1 << 20
 
 
 def digests(deployment: Deployment) -> dict[str, str]:
-    """Return the digest of each thing by its name, for :func:`differences`.
+    """Return the digests by name, for :func:`differences`.
 
     Args:
         deployment: As read from the file of the host.
@@ -34,7 +34,7 @@ def digests(deployment: Deployment) -> dict[str, str]:
 
 
 def differences(ours: Mapping[str, str], theirs: Mapping[str, str]) -> list[str]:
-    """Return the names of the things that differ between two hosts."""
+    """Return the names of the things with different digests."""
     return sorted(name for name in {*ours, *theirs} if ours.get(name) != theirs.get(name))
 
 

@@ -1,4 +1,4 @@
-"""Load of tasks: what each task and its process use, as measured between two reports."""
+"""Load of tasks and processes, as measured between two reports."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ LOOK_S = 2.0
 
 @dataclass(frozen=True)
 class Load:
-    """Load of a task between two of its reports.
+    """Load of a task between two reports.
 
     Attributes:
         rate: Callbacks a second.
@@ -30,14 +30,14 @@ class Load:
 
 
 class ProcessLoad:
-    """CPU time and memory of processes with their children, measured at most every :data:`LOOK_S`."""
+    """CPU time and memory of processes and descendants, measured at most every :data:`LOOK_S`."""
 
     def __init__(self) -> None:
         self._look_at = 0.0
         self._found: dict[int, tuple[float, float]] = {}
 
     def look(self, pids: Collection[int], now: float) -> None:
-        """Measure the processes, if it is time.
+        """Measure the processes, if due.
 
         Args:
             pids: The processes.
@@ -52,13 +52,13 @@ class ProcessLoad:
         }
 
     def told(self, report: TaskReport, pid: int) -> TaskReport:
-        """Return a report with the usage of its process."""
+        """Return a report with the usage of the process."""
         cpu_s, memory_mib = self._found.get(pid, (0.0, 0.0))
         return replace(report, cpu_s=cpu_s, memory_mib=memory_mib)
 
 
 class TaskLoads:
-    """Loads of all tasks, from their reports."""
+    """Loads of all tasks, from reports."""
 
     def __init__(self) -> None:
         self._base: dict[str, tuple[float, TaskReport]] = {}
@@ -85,5 +85,5 @@ class TaskLoads:
         )
 
     def of(self, task: str) -> Load:
-        """Return the load of a task; zeros before its first report."""
+        """Return the load of a task; zeros before the first report."""
         return self._loads.get(task, Load())

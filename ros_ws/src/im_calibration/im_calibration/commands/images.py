@@ -49,7 +49,7 @@ def add_images(parser: argparse.ArgumentParser) -> None:
 
 
 def check_images(options: argparse.Namespace) -> str:
-    """Return what is wrong with the options of a calibration from images; empty if nothing is."""
+    """Return the fault in the options of a calibration from images; empty if there is none."""
     if not (options.images and options.target and options.results):
         return "--images needs --target and --results"
     if bool(options.robot) != (options.eye_in_hand or options.eye_to_hand):
@@ -129,7 +129,7 @@ def named(text: str) -> tuple[str, str]:
 
 
 def _given(name: str, path: Path, lens_model: str | None) -> tuple[str, Array, Array]:
-    """Return lens model, values and covariance of known intrinsics; those without covariance are held."""
+    """Return lens model, values and covariance of known intrinsics; without a covariance, hold the values."""
     if path.suffix == ".json":
         return _from_report(name, path)
     model = _model(name, path)
@@ -159,7 +159,7 @@ class _KalibrCameras(RootModel[dict[str, dict[str, Any]]]):
 
 
 def _model(name: str, path: Path) -> CameraModel:
-    """Return a camera of a file of `camera_info_manager`, or of Kalibr's camera chain, there by its own name."""
+    """Return a camera of a file of `camera_info_manager`, or a named one of Kalibr's camera chain."""
     text = read_text(path)
     if not re.search(r"^cam\d+:", text, re.MULTILINE):
         return read_intrinsics(path).model

@@ -37,6 +37,7 @@ _NEAR_SIGMAS = 7.0  # rejections barely beyond the gates are rarely gross outlie
 _NEAR_CHANCES = ((6, 0.1), (3, 0.02), (0, _UNLIKELY))
 _FAR_RATIO = 2.0
 _NEAR_LARGEST, _LARGEST_ERROR_M = 0.9, 0.02
+_LARGEST_READING_M = 3e-3  # of a robot with a target: its smooth error is noise there, and its space is not known
 _FAR_CENTRE, _NEAR_CENTRE = 2.0, 0.5  # standard deviations of the principal point from the middle of its image
 _RIM_PX = 1.5  # from the centre of the outermost pixel
 _FOCAL_LIMIT = 0.07
@@ -301,9 +302,11 @@ def _beyond_spots_and_arms(calibration: Calibration, problem: CalibrationProblem
     """Report estimated noise that neither spots nor an arm have; empty if they may, or the noise is stated."""
     if not problem.noise_to_estimate:
         return ""
-    extent = float(np.sqrt(problem.positions.var(axis=0).sum()))
+    largest_m = LARGEST_ARM_SHARE * float(np.sqrt(problem.positions.var(axis=0).sum()))
+    if problem.placements is not None:
+        largest_m = max(largest_m, _LARGEST_READING_M)
     least_m = calibration.noise.factors.robot.low * calibration.noise.robot_m
-    if least_m > LARGEST_ARM_SHARE * extent:
+    if least_m > largest_m:
         return (
             f"The robot's positions scatter by {1e3 * least_m:.1f} mm or more: no arm repeats a place so badly, so "
             "that something else is wrong."
@@ -312,7 +315,7 @@ def _beyond_spots_and_arms(calibration: Calibration, problem: CalibrationProblem
         depths = calibration.led_positions[used] @ camera.model.R_cam_base[2] + camera.model.t_cam_base[2]
         lengths = np.linalg.norm(residuals[used], axis=1) / MEDIAN_LENGTH
         off_px, off_m = float(np.median(lengths)), float(np.median(lengths * depths)) / float(camera.model.K[0, 0])
-        if off_px > LARGEST_SPOT_PX and off_m > LARGEST_ARM_SHARE * extent:
+        if off_px > LARGEST_SPOT_PX and off_m > largest_m:
             return (
                 f"The spots of {camera.name} are off by {off_px:.1f} px in each coordinate, {1e3 * off_m:.1f} mm at "
                 "the light: neither spots nor an arm have such a noise, so that something else is wrong."

@@ -1,4 +1,4 @@
-"""Targets whose places are unknown, and intrinsics that are known beforehand."""
+"""Targets at unknown places, and intrinsics known beforehand."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ class GivenIntrinsics:
 
 @dataclass(frozen=True)
 class Placements:
-    """Rigid targets with unknown places, whose points are among n positions.
+    """Rigid targets with unknown places, the points among n positions.
 
     Position i is ``positions[i] + G_i (Q q_i + s - q_i)``, with Q and s the turn and shift of its target, and q_i the
     point where the positions have it, in a frame in which the target is at rest.
@@ -62,7 +62,7 @@ class Placements:
         return np.asarray(np.where(self.of[:, None] < 0, 0.0, (self.rotations @ moved[..., None])[..., 0]))
 
     def jacobians(self, placed: Array) -> Array:
-        """Return derivatives of the positions by a further turn and shift of their own target, shape (n, 3, 6) [m]."""
+        """Return derivatives of the positions by a further turn and shift of each target, shape (n, 3, 6) [m]."""
         turned = placed[self.of, :, :3] @ self.points[..., None]
         return np.concatenate((-self.rotations @ cross_matrix(turned[..., 0]), self.rotations), axis=2)
 

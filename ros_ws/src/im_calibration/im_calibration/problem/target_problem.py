@@ -1,4 +1,4 @@
-"""The problem of views of a target, and their form in data sets: the block ``target`` of ``vislab-calib-1``."""
+"""The problem of views of a target, and the form of views in data sets: the block ``target`` of ``vislab-calib-1``."""
 
 from typing import Annotated, Any, Self
 
@@ -22,7 +22,7 @@ _RIGID = 1e-4
 
 
 class RobotTable(Model):
-    """Poses of the robot's link in its base, rows of 4 x 4 matrices [-], [m]; noise null: not known."""
+    """Poses of a link in the robot's base, rows of 4 x 4 matrices [-], [m]; noise null: not known."""
 
     poses: Annotated[Array, PlainValidator(Lists("k", 4, 4))]
     camera_moves: StrictBool
@@ -40,14 +40,14 @@ class RobotTable(Model):
 
 
 class GivenTable(Model):
-    """Intrinsics of a camera from elsewhere; covariance null: they are held."""
+    """Intrinsics of a camera from elsewhere; held if the covariance is null."""
 
     values: list[float]
     covariance: list[list[float]] | None = None
 
 
 class TargetTable(Model):
-    """Views of a target: its points [m], where they were seen [px], and the robot's poses."""
+    """Views of a target: points [m], places of the points in images [px], and the robot's poses."""
 
     name: str = ""
     points_m: Annotated[Array, PlainValidator(Lists("p", 3))]

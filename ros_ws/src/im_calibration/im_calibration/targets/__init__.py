@@ -1,1 +1,1 @@
-"""Calibration targets: their geometry, and their points in images."""
+"""Calibration targets: geometry, and points in images."""

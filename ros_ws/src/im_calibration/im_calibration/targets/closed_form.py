@@ -1,4 +1,4 @@
-"""Places of targets to start from: each view by itself, then views, cameras and robot together, in closed form.
+"""Places of targets to start from: each view alone, then views, cameras and robot together, in closed form.
 
 Sources: Zhang, "A flexible new technique for camera calibration" (2000), as in OpenCV's ``calibrateCamera``; Tsai and
 Lenz (1989), Park and Martin (1994), Daniilidis (1999), Shah (2013) and Li et al. (2010) for robot and camera, as in
@@ -55,20 +55,20 @@ def place_target(views: TargetViews) -> PlacedTarget:
     seen = [_targets_in_camera(views, c) for c in range(len(views.camera_names))]
     if views.robot is None:
         places = _together(views, seen)
-        worlds = np.tile(np.eye(4), (len(views.names), 1, 1))
-        return PlacedTarget(worlds, np.array([_rounded(place) for place in places]))
+        still = np.tile(np.eye(4), (len(views.names), 1, 1))
+        return PlacedTarget(still, np.array([_rounded(place) for place in places]))
     world, place = _with_robot(views.robot, seen)
     return PlacedTarget(world, _rounded(place)[None])
 
 
 def _rounded(place: Array) -> Array:
-    """Return a place to start from without its last digits, which OpenCV's threads leave to chance."""
+    """Round a place to start from: OpenCV's threads leave the last digits to chance."""
     turn = np.round(np.ravel(cv2.Rodrigues(place[:3, :3])[0]), _DIGITS)
     return _transform(np.asarray(cv2.Rodrigues(turn)[0]), np.round(place[:3, 3], _DIGITS))
 
 
 def _targets_in_camera(views: TargetViews, c: int) -> dict[int, Array]:
-    """Return the target in the camera's frame by view, from the views of that camera alone."""
+    """Return the target in the camera's frame by view, from the views of one camera alone."""
     name, usable = views.camera_names[c], np.flatnonzero(views.seen[c].sum(axis=1) >= _FEWEST_POINTS)
     given = views.given.get(name)
     fewest = 1 if given else _FEWEST_VIEWS
@@ -123,7 +123,7 @@ def _intrinsics(views: TargetViews, c: int, usable: NDArray[np.intp]) -> tuple[A
 
 
 def _together(views: TargetViews, seen: list[dict[int, Array]]) -> Array:
-    """Return the target in the first camera's frame, by view; from the other cameras where the first did not see it."""
+    """Return the target in the first camera's frame, by view; from the other cameras where the first saw none."""
     in_first = [np.eye(4)] + [np.full((4, 4), np.nan)] * (len(seen) - 1)  # of each camera
     known = {0}
     while len(known) < len(seen):
@@ -148,7 +148,7 @@ def _together(views: TargetViews, seen: list[dict[int, Array]]) -> Array:
 
 
 def _with_robot(robot: RobotPoses, seen: list[dict[int, Array]]) -> tuple[Array, Array]:
-    """Return the frames of rest in the world, and the target's place in them."""
+    """Return the frames of rest in the world, and the target's place in a frame of rest."""
     c = max(range(len(seen)), key=lambda camera: len(seen[camera]))
     views = np.array(sorted(seen[c]))
     targets = np.array([seen[c][k] for k in views])
@@ -168,14 +168,14 @@ def _with_robot(robot: RobotPoses, seen: list[dict[int, Array]]) -> tuple[Array,
     found = _least(frames_of(robot), targets, views)
     size = float(np.linalg.norm(np.ptp(targets[:, :3, 3], axis=0)))
     if found[0] > _WRONG_SHARE * size:
-        for sentence, other in _slips(robot):
-            undone = _least(frames_of(other), targets, views)
-            if _BETTER * undone[0] < found[0]:
-                raise InconsistentDataError(
-                    f"The robot's poses and the target's do not belong together: they are off by {1e3 * found[0]:.2g} "
-                    f"mm. {sentence} they are off by {1e3 * undone[0]:.2g} mm.",
-                    "Correct the poses.",
-                )
+        undone = [(_least(frames_of(other), targets, views)[0], sentence) for sentence, other in _slips(robot)]
+        least, sentence = min(undone)
+        if least < min(found[0] / _BETTER, _WRONG_SHARE * size):
+            raise InconsistentDataError(
+                f"The robot's poses and the target's do not belong together: they are off by {1e3 * found[0]:.2g} "
+                f"mm. {sentence} they are off by {1e3 * least:.2g} mm.",
+                "Correct the poses.",
+            )
     return frames_of(robot), found[1]
 
 
@@ -230,12 +230,12 @@ def _solutions(g: Array, targets: Array) -> Iterator[tuple[Array, Array]]:
 
 
 def _listed(transforms: Array) -> tuple[list[Array], list[Array]]:
-    """Return rotations and translations as OpenCV takes them."""
+    """Return rotations and translations in the form of OpenCV."""
     return list(transforms[:, :3, :3]), list(transforms[:, :3, 3])
 
 
 def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
-    """Yield common slips, each with the poses without it."""
+    """Yield common slips, each with the corrected poses."""
     from scipy.spatial.transform import Rotation  # loads for a third of a second, and few data have slips
 
     def other(turns: Array, shifts: Array) -> RobotPoses:
@@ -244,20 +244,19 @@ def _slips(robot: RobotPoses) -> Iterator[tuple[str, RobotPoses]]:
         return replace(robot, poses=poses)
 
     turns, shifts = robot.poses[:, :3, :3], robot.poses[:, :3, 3]
-    yield "With their inverses (base in the wrist)", replace(robot, poses=_inverse(robot.poses))
     yield "With places in millimetres,", other(turns, 1e-3 * shifts)
     quaternions = Rotation.from_matrix(turns).as_quat()
     for order, right in (([3, 0, 1, 2], "x, y, z, w"), ([1, 2, 3, 0], "w, x, y, z")):
         yield f"With quaternions read as {right}", other(Rotation.from_quat(quaternions[:, order]).as_matrix(), shifts)
     yield "With the rotations transposed", other(np.swapaxes(turns, 1, 2), shifts)
-    moves = not robot.camera_moves
-    yield f"With the camera {'on the wrist' if moves else 'at rest'},", replace(robot, camera_moves=moves)
+    moved = "--eye-to-hand" if robot.camera_moves else "--eye-in-hand"  # which is the same as the other way round
+    yield f"With their inverses (base in the link), or {moved},", replace(robot, camera_moves=not robot.camera_moves)
     for shift, where in ((1, "later"), (-1, "earlier")):
         yield f"With the poses taken one image {where},", replace(robot, poses=np.roll(robot.poses, shift, axis=0))
 
 
 def _typical(transforms: Array) -> Array:
-    """Return the one of some transforms that is nearest to all others."""
+    """Return the transform nearest to all others."""
     turned = np.einsum("aij,bij->ab", transforms[:, :3, :3], transforms[:, :3, :3])
     angles = np.arccos(np.clip((turned - 1.0) / 2.0, -1.0, 1.0))
     apart = np.linalg.norm(transforms[:, None, :3, 3] - transforms[None, :, :3, 3], axis=2)

@@ -87,7 +87,14 @@ def _chessboard(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | N
     found, corners = cv2.findChessboardCornersSB(grey, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:
         found, corners = cv2.findChessboardCorners(grey, size)
-    return corners.reshape(-1, 2).astype(float) if found else None
+    if not found:
+        return None
+    flat = corners.reshape(-1, 2)
+    apart = float(np.linalg.norm(np.diff(flat.reshape(target.rows, target.columns, 2), axis=1), axis=2).min())
+    half = int(np.clip(_SHARE_OF_SQUARE * apart, _LEAST_HALF, _LARGEST_HALF))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
+    better = cv2.cornerSubPix(grey, np.ascontiguousarray(corners, dtype=np.float32), (half, half), (-1, -1), stop)
+    return np.asarray(better, dtype=np.float64).reshape(-1, 2)
 
 
 def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
@@ -105,7 +112,7 @@ def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None
 
 
 def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
-    """Return the corners of tags; which corner is the first of a tag is a matter of its maker, and found by trial."""
+    """Return the corners of tags; find the first corner of a tag, a matter of the maker, by trial."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
     found: tuple[list[Array], Array] | None = None
@@ -135,7 +142,7 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
 
 
 def _smoothed(target: CalibrationTarget, points: Array) -> Array:
-    """Return points of a flat target behind a lens, from all of them: a homography, and what bends it."""
+    """Return points of a flat target behind a lens, smoothed: a homography, and a polynomial beside."""
     homography, seen = _homography(target, points), np.isfinite(points[:, 0])
     if homography is None or seen.sum() < _MANY:
         return points
@@ -190,7 +197,7 @@ def _through(homography: Array, flat: Array) -> Array:
 def _dark_first(
     grey: NDArray[np.uint8], target: CalibrationTarget, points: Array, homography: Array
 ) -> tuple[Array, Array]:
-    """Number the corners from the one whose outer square is dark, if turning the board by half exchanges the colours.
+    """Number the corners from the one with a dark outer square, if turning the board by half exchanges the colours.
 
     The numbers also run so that x, y and the view from the front are right-handed.
     """
@@ -230,8 +237,10 @@ def _refined(image: Array, target: CalibrationTarget, points: Array, homography:
         group = seen[wanted]
         if len(group):
             refined[group], deviations[group] = _fit_corners(image, points[group], axes[wanted], half)
-    if target.kind == "tags" and not np.isfinite(deviations).any():
-        return Detection(points, deviations)
+    fitted = np.isfinite(deviations)
+    if 2 * fitted.sum() < len(seen):  # these are no x-corners, as those of tags without squares between them
+        return Detection(points, np.full(len(points), np.nan))
+    refined[~fitted] = np.nan
     off = np.linalg.norm(_through(homography, target.points[:, :2]) - refined, axis=1)
     lost = np.zeros(len(points), dtype=bool)
     lost[seen] = off[seen] > _MISPLACED * target.size * np.linalg.norm(axes, axis=1).max(axis=1)
@@ -240,7 +249,7 @@ def _refined(image: Array, target: CalibrationTarget, points: Array, homography:
 
 
 def _clear(target: CalibrationTarget) -> float:
-    """Return how far from a point there is nothing but its two edges [m]."""
+    """Return the distance from a point within which there is nothing but two edges [m]."""
     if target.kind == "charuco":
         return 0.5 * (target.size - target.part)
     if target.kind == "tags":

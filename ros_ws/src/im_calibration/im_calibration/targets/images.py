@@ -1,4 +1,4 @@
-"""Images of a folder, and the views of a target that cameras have in them."""
+"""Images of a folder, and the views of a target in the images."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _advice(paths: list[Path], target: CalibrationTarget) -> str:
-    """Return what to try; the sizes that such targets are mistaken for are tried."""
+    """Return advice, after a trial of the sizes for which such targets are mistaken."""
     columns, rows, most = target.columns, target.rows, max(1, len(paths) // _TRIED)
     tries = [(rows, columns, "rows and columns are exchanged")]
     if target.kind == "chessboard":

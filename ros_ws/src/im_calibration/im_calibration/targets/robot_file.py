@@ -47,7 +47,7 @@ class _Poses(Model):
 
 
 def read_poses(path: Path, names: Sequence[str], order: str | None, metres: float) -> Array:
-    """Return the poses of the robot that belong to images.
+    """Return the poses of the robot for images.
 
     Lines hold, after the name of the image or without any name, ``x y z`` and a quaternion, or 12 or 16 numbers of a
     matrix, row by row; between them are blanks, tabs, commas or semicolons; a # begins a comment. YAML has ``poses``, a

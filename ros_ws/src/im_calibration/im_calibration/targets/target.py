@@ -74,7 +74,7 @@ class CalibrationTarget:
 
     @property
     def points(self) -> Array:
-        """Points in the frame of the target, z = 0, shape (p, 3) [m]; those of tags are the four corners of each."""
+        """Points in the frame of the target, z = 0, shape (p, 3) [m]; of tags, the four corners of each."""
         columns, rows, size = self.columns, self.rows, self.size
         if self.kind == "charuco":
             columns, rows = columns - 1, rows - 1
@@ -93,19 +93,19 @@ class CalibrationTarget:
 
     @property
     def turns_to_itself(self) -> bool:
-        """Whether the target looks the same when turned by half, so that its points cannot be told from others."""
+        """Whether the target looks the same when turned by half."""
         if self.kind == "chessboard":
             return (self.columns + self.rows) % 2 == 0
         return self.kind == "circles" or (self.kind == "asymmetric_circles" and self.rows % 2 == 1)
 
     def __str__(self) -> str:
-        """The target in the form that :func:`target_of` reads."""
+        """The target in the form of :func:`target_of`."""
         parts = [self.kind, f"{self.columns}x{self.rows}", f"{self.size:.9g}m"]
         return ":".join(parts + ([f"{self.part:.9g}m", self.dictionary] if self.dictionary else []))
 
 
 class _KalibrTarget(Model):
-    """File of a target as Kalibr has it."""
+    """File of a target for Kalibr."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -140,7 +140,7 @@ class _KalibrTarget(Model):
 
 
 def target_of(text: str) -> CalibrationTarget:
-    """Return the target of a text such as ``chessboard:9x6:25mm``, or of a file that describes one for Kalibr.
+    """Return the target of a text such as ``chessboard:9x6:25mm``, or of a file made for Kalibr.
 
     Args:
         text: Kind, counts and lengths between colons; lengths have their unit, mm, cm, m or in.

@@ -1,4 +1,4 @@
-"""Views of a target: what cameras saw of it, and where the robot was."""
+"""Views of a target by cameras, with the poses of a robot."""
 
 from dataclasses import dataclass
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import RobotDescription, UrdfGeometry, parse_description
+from im_cell.robot.description import UrdfGeometry, UrdfTree, parse_description
 from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     Box,
@@ -99,7 +99,7 @@ class Cell(ObjectsFile):
         self._check_frames()
         return self
 
-    def _check_groups(self, description: RobotDescription) -> None:
+    def _check_groups(self, description: UrdfTree) -> None:
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
@@ -177,7 +177,7 @@ class Cell(ObjectsFile):
         return self.model_copy(update={"period": period, "substeps": substeps})
 
     @cached_property
-    def description(self) -> RobotDescription:
+    def description(self) -> UrdfTree:
         """The robot as the URDF has it.
 
         Raises:
@@ -190,7 +190,7 @@ class Cell(ObjectsFile):
 
     @cached_property
     def tree(self) -> Tree:
-        """The moving joints and links of the cell, and the links fixed to these."""
+        """The moving joints and links of the cell, with fixed links."""
         moving = [joint for name in self.groups for joint in self.joints_of(name)]
         return Tree(self.description, moving, self.standing, (self.mount.xyz, self.mount.rpy))
 
@@ -210,7 +210,7 @@ class Cell(ObjectsFile):
         return tuple(joint for joint in self.carriers_of(given.tip) if joint not in below)
 
     def carriers_of(self, link: str) -> tuple[str, ...]:
-        """Return the names of the joints that move a link, in order; those that follow others are left out."""
+        """Return the names of the joints that move a link, in order, mimic joints left out."""
         names: list[str] = []
         of = {joint.child: joint for joint in self.description.joints}
         while link in of:
@@ -284,7 +284,7 @@ class Cell(ObjectsFile):
         return {f"{name}_{suffix}": group.tip for name, group in self.groups.items() if getattr(group, kind)}
 
     def color_of(self, link: str) -> Vector:
-        """Return the colour of a moving link, that of the first group whose joints carry it."""
+        """Return the colour of a moving link, by the first group with a joint that carries the link."""
         carriers = {joint.child: joint.name for joint in self.joints}
         moved = carriers.get(link, "")
         return next((g.color for n, g in self.groups.items() if moved in self.joints_of(n)), _GREY)
@@ -306,7 +306,7 @@ class Cell(ObjectsFile):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of groups, their devices and cameras, and ``laser`` if there is one: needs of tasks are among these."""
+        """Names of groups, devices and cameras, and ``laser``: needs of tasks are among the names."""
         devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
         return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
 

@@ -80,7 +80,7 @@ class UrdfLink:
 
 
 @dataclass(frozen=True)
-class RobotDescription:
+class UrdfTree:
     """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them.
 
     Attributes:
@@ -95,7 +95,7 @@ class RobotDescription:
 
 
 @lru_cache(maxsize=8)
-def parse_description(text: str, name: str) -> RobotDescription:
+def parse_description(text: str, name: str) -> UrdfTree:
     """Read a URDF.
 
     Args:
@@ -119,7 +119,7 @@ def parse_description(text: str, name: str) -> RobotDescription:
         raise ConfigError(f"{name}: {error}", file=name) from error
 
 
-def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> RobotDescription:
+def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
     below: dict[str, list[UrdfJoint]] = {name: [] for name in links}
     carried: dict[str, str] = {}
     names: set[str] = set()
@@ -149,7 +149,7 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> RobotDescripti
     if len(ordered) < len(joints):
         lost = sorted(names - {joint.name for joint in ordered})
         raise ValueError(f"joints {', '.join(lost)} are a closed chain, which the root does not carry")
-    return RobotDescription(roots[0], ordered, links)
+    return UrdfTree(roots[0], ordered, links)
 
 
 def _link(element: ET.Element) -> UrdfLink:

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.robot.description import MOVING, RobotDescription, UrdfJoint, UrdfLink
+from im_cell.robot.description import MOVING, UrdfJoint, UrdfLink, UrdfTree
 from im_cell.robot.parameters import Capsule, DriveSpec, EncoderSpec, Limits, Motor, Vector
 from im_cell.rotations import matrix_of_rpy, matrix_of_vector, rpy_of_matrix
 
@@ -121,7 +121,7 @@ class Tree:
 
     def __init__(
         self,
-        description: RobotDescription,
+        description: UrdfTree,
         moving: Iterable[str],
         standing: Mapping[str, float],
         mount: tuple[Vector, Vector],
@@ -148,7 +148,7 @@ class Tree:
 
     @cached_property
     def links(self) -> tuple[LinkInertia, ...]:
-        """Links with mass, each the child of the joint of the same rank, with all that is fixed to them."""
+        """Links with mass, fixed links included, each the child of the joint of the same rank."""
         bodies: dict[str, list[tuple[UrdfLink, FixedFrame]]] = {joint.child: [] for joint, _ in self.joints}
         for name, link in self.description.links.items():
             place = self._places[name]
@@ -193,7 +193,7 @@ def joint_of(joint: UrdfJoint, place: FixedFrame, drive: DriveSpec, encoder: Enc
 
 
 def _motor(limits: Limits) -> Motor:
-    """Return the motor of a joint without data: of the order of those of geared arms."""
+    """Return the motor of a joint without data, as in geared arms."""
     friction = FRICTION * limits.torque
     return Motor(
         inertia=limits.torque / ROTOR, gear=1.0, viscous=friction / limits.velocity, coulomb=(friction, -friction),
@@ -202,7 +202,7 @@ def _motor(limits: Limits) -> Motor:
 
 
 def assumptions(tree: Tree, drives: Mapping[str, DriveSpec]) -> tuple[list[str], list[str]]:
-    """Return sentences on data that neither URDF nor cell file has: those that torques need, and others."""
+    """Return sentences on data missing in URDF and cell file: needed for torques, and others."""
     needed, other = [], []
     for joint in tree.description.joints:
         if joint.kind in MOVING and joint.name not in tree.moving:

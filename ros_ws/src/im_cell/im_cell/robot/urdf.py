@@ -171,7 +171,7 @@ def _inertial(link: LinkInertia) -> list[str]:
 
 
 def _shapes_of(cell: Cell, link: str, hidden: Collection[str] = ()) -> list[str]:
-    """Build the shapes of a moving link or of the world; those of hidden links are not drawn."""
+    """Build the shapes of a moving link or of the world; hidden links are not drawn."""
     lines = [line for box in cell.boxes if box.link == link != WORLD for line in _visual_box(box)]
     color = cell.color_of(link)
     for capsule in map(cell.tree.on_carrier, cell.bodies):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.robot import Box, Capsule, Cell
-from im_cell.robot.description import RobotDescription, UrdfJoint, parse_description
+from im_cell.robot.description import UrdfJoint, UrdfTree, parse_description
 from im_core.errors import ConfigError, DataError
 from im_core.files import MEBIBYTE, FileError, read_text
 from im_mcs.cell.capsules import enclosing_capsules
@@ -58,7 +58,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     return _written(urdf, grouped, tips, home, capsules, never)
 
 
-def _chains(description: RobotDescription, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
+def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
     of = {joint.child: joint for joint in description.joints}
     taken: set[str] = set()
     found: dict[str, Sequence[UrdfJoint]] = {}
@@ -74,7 +74,7 @@ def _chains(description: RobotDescription, tips: Sequence[str]) -> dict[str, Seq
     return found
 
 
-def _tips(description: RobotDescription) -> list[str]:
+def _tips(description: UrdfTree) -> list[str]:
     """Return the tool frames: where a chain of joints ends, or the hand that only fingers hang on."""
     below: dict[str, list[UrdfJoint]] = {}
     for joint in description.joints:
@@ -105,7 +105,7 @@ def _tips(description: RobotDescription) -> list[str]:
     return walk(description.root, 0)
 
 
-def _is_finger(description: RobotDescription, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
+def _is_finger(description: UrdfTree, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
     """Whether a last joint moves a jaw: a tool frame beside it stays where it is."""
     beside = [other.child for other in below[joint.parent] if other.kind == "fixed"]
     return joint.kind == "prismatic" or any(_TOOL.search(frame) for frame in beside)
@@ -135,7 +135,7 @@ def _always(cell: Cell) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys((first, second) for first, second in found))
 
 
-def _told(srdf: Path, description: RobotDescription) -> tuple[tuple[str, str], ...]:
+def _told(srdf: Path, description: UrdfTree) -> tuple[tuple[str, str], ...]:
     """Return the pairs of links that an SRDF switches off."""
     try:
         robot = ET.fromstring(_text(srdf))

@@ -21,6 +21,7 @@ from im_pnt.netfile.text import complaint
 
 Pair = tuple[Value, Value]
 _MESSAGE = "message"
+_KEPT = {"keeps_failure": "true"}
 _OWN = ("in", "out", "on_failure", "on_doubt", "symbol", "emit", "guard", "inhibitors", "resets", "cancels", "with")
 
 
@@ -90,7 +91,7 @@ class Weave:
             delay = find(self._near, ("delay",)).value
             made["watch"] = watch if file.delay is None else {**watch, "delay": delay}
             for suffix, place in (("", over), ("_missed", missed)):
-                made[f"leave{suffix}"] = {"in": [place], "out": [place], "cancels": name("watch")}
+                made[f"leave{suffix}"] = {"in": [place], "out": [place], "cancels": name("watch"), **_KEPT}
         asked = {"guard": find(self._near, ("if",)).value} if file.watch is None else {}
         if file.watch is None and kept:
             made["see"] = {"in": [armed], "out": [first], **asked}
@@ -104,10 +105,12 @@ class Weave:
         for place, ended, end in ((over, "end", done), (missed, "fail", failed)):
             waits = zip(("", "_blind"), held, strict=False)
             beside = [*waits, ("_stopped", stopped)] if kept or place is over else waits
-            made |= {f"{ended}{suffix}": {"in": [place, other], "out": [end]} for suffix, other in beside}
+            failing = {} if place is over else _KEPT
+            made |= {f"{ended}{suffix}": {"in": [place, other], "out": [end], **failing} for suffix, other in beside}
         if not kept:
-            made["interrupted"] = {"in": [missed, stopped], "guard": "not cancelled", "out": [first]}
-            made["give_up"] = {"in": [missed, stopped], "guard": "cancelled", "out": [failed]}
+            failing = _KEPT if first is failed else {}
+            made["interrupted"] = {"in": [missed, stopped], "guard": "not cancelled", "out": [first], **failing}
+            made["give_up"] = {"in": [missed, stopped], "guard": "cancelled", "out": [failed], **_KEPT}
         made |= self._steps(target, stopped if kept else failed)
         return [(scalar(name(key), self._near), self._value(data)) for key, data in made.items()]
 

@@ -129,7 +129,10 @@ class _Reader:
         for section, names in sections:
             for name in names:
                 first, _, last = name.rpartition(".")
-                of_part = last in MADE and (first in net.transitions or first in net.places)
+                transition, place = net.transitions.get(first), net.places.get(first)
+                of_part = last in MADE and (transition is not None or place is not None)
+                if of_part and self._foreign:  # a plain net has these parts, and nothing that is expanded
+                    of_part = bool((transition and transition.action) or (place and place.on_invalid))
                 if of_part or (first in MADE_OF_SERVICES and last in net.services):
                     sentence = (
                         f"'{shown_name(name)}' is the name of a part that is made of '{first if of_part else last}'"
@@ -312,6 +315,7 @@ class _Reader:
             title=file.title,
             says=file.says,
             servers=file.servers,
+            keeps_failure=file.keeps_failure,
             cancels=self._cancelled((*here, "cancels"), file.cancels),
         )
 

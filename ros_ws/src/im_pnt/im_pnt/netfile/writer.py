@@ -149,6 +149,7 @@ def transition_data(transition: Transition) -> dict[str, object]:
         **_said(
             retry_of=t.retry_of,
             cancels=t.cancels,
+            keeps_failure=t.keeps_failure or None,
             emit=list(t.emit) or None,
             delay=None if t.delay is None else _delay_data(t.delay),
             success=None if t.success == 1.0 else t.success,

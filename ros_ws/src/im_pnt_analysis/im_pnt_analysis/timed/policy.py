@@ -1,11 +1,11 @@
 """Policy of a timed net: which of contending transitions to take in which marking, for the most reward.
 
 The markings are the states of a decision process: time passes in tangible ones, as rates say; in a vanishing one of the
-transitions that contend for a token is taken, by choice or by weight. The optimum is found by linear programming over
-how often each choice is made: A. S. Manne, "Linear Programming and Sequential Decisions" (1960) for the total until a
-command ends, and L. C. M. Kallenberg, "Linear Programming and Finite Markovian Control Problems" (1983) for the average
-in the long run, whatever classes a policy has. Nets with rewards and choices are the GSPNR of C. Azevedo, A. Matos,
-P. U. Lima and J. Avendano, "Petri Net Toolbox for Multi-Robot Planning under Uncertainty" (Applied Sciences, 2021).
+transitions that contend for a token is taken, by choice or by weight. The optimum is found by policy iteration (R. A.
+Howard, "Dynamic Programming and Markov Processes", 1960). Where a policy on the way never ends, or divides the markings
+into classes, it is found by linear programming over how often each choice is made (L. C. M. Kallenberg, "Linear
+Programming and Finite Markovian Control Problems", 1983). Nets with rewards and choices are the GSPNR of C. Azevedo,
+A. Matos, P. U. Lima and J. Avendano, "Petri Net Toolbox for Multi-Robot Planning under Uncertainty" (2021).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -20,6 +20,8 @@ from im_pnt_analysis.timed.steady import require_computable
 
 _SHARE = 1e-9
 """Choices that are made less often are errors of rounding."""
+_ROUNDS = 100
+"""Most improvements of a policy, which take ten as a rule."""
 _NEVER = 1e-6
 """Weight of a transition that is never chosen: none may be 0."""
 _PHASES = {"": ("", ".end", ".end.cancelling"), "+": (".start",), "!": (".failed", ".failed.cancelling")}
@@ -216,17 +218,9 @@ class _Process:
 
     def weighted(self, weights: Mapping[str, float] | None) -> list[list[_Option]]:
         """Return the options with all choices left to weights: given ones, or those of the net."""
-        drawn = []
-        for options in self.options:
-            shares = [option.weight if weights is None else weights.get(option.taken, 1.0) for option in options]
-            targets: dict[int, float] = {}
-            whole = sum(shares)
-            for option, share in zip(options, shares, strict=True):
-                for target, likely in option.targets.items():
-                    targets[target] = targets.get(target, 0.0) + likely * share / whole
-            reward = sum(option.reward * share for option, share in zip(options, shares, strict=True)) / whole
-            drawn.append([_Option("", targets, reward, options[0].time)])
-        return drawn
+        if weights is None:
+            return [[_mixed(options, [option.weight for option in options])] for options in self.options]
+        return [[_mixed(options, [weights.get(option.taken, 1.0) for option in options])] for options in self.options]
 
     def decisions(self, made: Sequence[tuple[Sequence[float], float]]) -> Iterator[Decision]:
         """Yield the decisions that are made, from the shares of the options and how often each state is left."""
@@ -236,11 +230,94 @@ class _Process:
                 yield Decision(self._net.marking(self._found.vectors[state]), taken, often)
 
 
-def _solved(options: Sequence[Sequence[_Option]], *, ending: bool) -> tuple[float, list[tuple[list[float], float]]]:
+def _mixed(options: Sequence[_Option], weights: Sequence[float]) -> _Option:
+    """Return the way of options that weights decide about."""
+    whole, targets = sum(weights), dict[int, float]()
+    for option, weight in zip(options, weights, strict=True):
+        for target, likely in option.targets.items():
+            targets[target] = targets.get(target, 0.0) + likely * weight / whole
+    reward = sum(option.reward * weight for option, weight in zip(options, weights, strict=True)) / whole
+    return _Option("", targets, reward, options[0].time)
+
+
+_Solution = tuple[float, list[tuple[list[float], float]]]
+"""The reward, and for each state the shares of its options (none where it is not met) and how often it is left."""
+
+
+def _solved(options: Sequence[Sequence[_Option]], *, ending: bool) -> _Solution:
     """Maximise the reward from the first state on: the total until the end, or the average a second [1/s].
 
-    Returns:
-        The reward, and for each state the shares of its options (none where it is not met) and how often it is left.
+    Raises:
+        NetError: There is no end, or no limit.
+    """
+    improved = _improved(options, ending=ending)
+    return _programmed(options, ending=ending) if improved is None else improved
+
+
+def _improved(options: Sequence[Sequence[_Option]], *, ending: bool) -> _Solution | None:
+    """Improve a policy until nothing is better (policy iteration); None where one on the way has no single value."""
+    taken = [_mixed(each, [option.weight for option in each]) for each in options]
+    ranks: list[int] = []
+    for _ in range(_ROUNDS):
+        if (found := _evaluated(taken, ending=ending)) is None:
+            return None
+        average, values, visits = found
+        slack = _SHARE * (1.0 + max(map(abs, values)))
+        better: list[int] = []
+        for state, each in enumerate(options):
+            worth = [
+                option.reward - average * option.time + sum(p * values[to] for to, p in option.targets.items())
+                for option in each
+            ]
+            best = max(worth)
+            keeps = bool(ranks) and worth[ranks[state]] >= best - slack
+            better.append(ranks[state] if keeps else worth.index(best))
+        if better == ranks:
+            shares = [
+                [float(rank == own) for rank in range(len(each))] for own, each in zip(ranks, options, strict=True)
+            ]
+            made = [(share if often > _SHARE else [], often) for share, often in zip(shares, visits, strict=True)]
+            return average if not ending else values[0], made
+        ranks = better
+        taken = [each[rank] for each, rank in zip(options, ranks, strict=True)]
+    return None
+
+
+def _evaluated(taken: Sequence[_Option], *, ending: bool) -> tuple[float, list[float], list[float]] | None:
+    """Return the average a second, the value of each state, and how often each is left, for one option each.
+
+    None: states fall apart into classes, or there is no end.
+    """
+    import numpy as np
+    from scipy.sparse import csc_matrix
+    from scipy.sparse.linalg import splu
+
+    entries: dict[tuple[int, int], float] = {(state, state): 1.0 for state in range(len(taken))}
+    for state, option in enumerate(taken):
+        for target, likely in option.targets.items():
+            entries[state, target] = entries.get((state, target), 0.0) - likely
+    if not ending:  # the value of the first state is 0, and the average stands in its place
+        entries = {at: value for at, value in entries.items() if at[1]}
+        entries |= {(state, 0): option.time for state, option in enumerate(taken)}
+    rows, columns = zip(*entries, strict=True)
+    matrix = csc_matrix((list(entries.values()), (rows, columns)), (len(taken), len(taken)))
+    rewards, first = np.array([option.reward for option in taken]), np.eye(1, len(taken))[0]
+    try:
+        factors = splu(matrix)
+    except RuntimeError:  # it is singular
+        return None
+    values, visits = factors.solve(rewards), factors.solve(first, trans="T")
+    wrong = float(np.max(np.abs(matrix @ values - rewards))) + float(np.max(np.abs(matrix.T @ visits - first)))
+    scale = 1.0 + float(np.max(np.abs(rewards)))
+    if not np.isfinite(wrong) or wrong > 1e-7 * scale or float(np.min(visits)) < -1e-7 * (1.0 + float(np.max(visits))):
+        return None
+    average = 0.0 if ending else float(values[0])
+    values[0] = values[0] if ending else 0.0
+    return average, values.tolist(), visits.tolist()
+
+
+def _programmed(options: Sequence[Sequence[_Option]], *, ending: bool) -> _Solution:
+    """Maximise the reward by linear programming, whatever classes a policy has.
 
     Raises:
         NetError: There is no end, or no limit.

@@ -495,7 +495,7 @@ class FiringRule:
         transition = self.transitions[index]
         if transition.role is _START:
             return self.begin(index, lineage, transition.symbol or "")
-        passed_on: ImError | None = None
+        passed_on = lineage.failure if transition.keeps_failure else None
         if transition.role is not _PLAIN:
             lineage, passed_on = self._take_role(transition, lineage)
         self._give(index, lineage.failing(passed_on))

@@ -26,6 +26,7 @@ from im_pnt.netfile.schema.values import (
     Text,
     TextForm,
     Texts,
+    Truth,
 )
 
 ACTIONS = ("action", "service", "goal", "topic", "await", "request")
@@ -180,6 +181,9 @@ class TransitionFile(FilePart):
         description="Transition whose running action, of the same command, it asks to end early; it fires only while "
         "that action runs. It has no action itself.",
     )
+    keeps_failure: Truth = Field(
+        False, description="Whether its output tokens carry the failure of its input tokens; it has no action itself."
+    )
     retry_of: Given[Text] = Field(
         None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
     )
@@ -213,6 +217,8 @@ class TransitionFile(FilePart):
                     raise WrongKeyError(
                         ("cancels",), f"does not go together with '{key}'; cancel in a transition of its own"
                     )
+        if self.keeps_failure and given & set(_EFFECTS):
+            raise WrongKeyError(("keeps_failure",), "is for a transition without action")
         if not given & set(_EFFECTS):
             for key in _NEED_ACTION:
                 if key in given:
