@@ -11,8 +11,8 @@ from im_cell.rotations import rpy_of_matrix
 
 _METAL: Vector = (0.62, 0.63, 0.65)
 _DARK: Vector = (0.12, 0.12, 0.14)
-#: The palm's mass is part of the last link's. Its inertia is that of the rotors of a wrist, which pybullet does not know:
-#: a contact would turn a wrist without rotors. In free motion im_sim.dynamics makes up for it.
+#: The palm's mass is part of the last link's. Its inertia is that of the rotors of a wrist, which pybullet does not
+#: know: a contact would turn a wrist without rotors. In free motion im_sim.dynamics makes up for it.
 _PAST_STROKE_M = 1e-3  # a joint at its limit takes pybullet time
 _PALM_KG, PALM_KGM2, _JAW_KGM2 = 1e-3, 0.15, 1e-5
 
