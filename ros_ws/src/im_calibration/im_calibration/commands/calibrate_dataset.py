@@ -58,6 +58,7 @@ exit codes: 0 the answers are written, whatever the flags; 1 a file cannot be us
 examples: scripts/im calibrate data.json cameras.json
           scripts/im calibrate --noise estimated data.json cameras.json
           scripts/im calibrate --again results/latest --lens-model rational_polynomial
+          scripts/im calibrate --images left=images/left --target chessboard:9x6:25mm --results results/left
 """
 
 
