@@ -15,10 +15,13 @@ from im_bringup.machine import machine_state as machine
 from im_bringup.tasks import deployment as deployments
 from im_calibration.design import load_candidates
 from im_calibration.problem.dataset import load_problems, problems
+from im_calibration.targets.robot_file import read_poses
+from im_calibration.targets.target import target_of
 from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
+from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.truth import load_truth
-from im_core.config import package_file
+from im_core.config import load_model, package_file
 from im_core.errors import ImError
 from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
 from im_dispatcher.job import order_of
@@ -87,12 +90,23 @@ def machine_record(path):
         return machine.read()
 
 
+URDF = package_file("im_cell", "cells/puma_pair/puma_pair.urdf").absolute()
+
 #: For each kind of file what is right, and its reader.
 FILES = {
     "deployment": (own("im_bringup", "deployments/default.yaml"), deployments.load),
     "poses": (own("im_dispatcher", "poses/ceiling_40.yaml"), load_poses),
     "candidates": (own("im_dispatcher", "poses/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
-    "cell": (own("im_cell", "cells/puma_pair/cell.yaml"), load_cell),
+    "cell": ({**own("im_cell", "cells/puma_pair/cell.yaml"), "urdf": str(URDF)}, load_cell),
+    "objects": (own("im_cell", "cells/puma_pair/objects.yaml"), lambda path: load_model(path, ObjectsFile)),
+    "target": (
+        {"target_type": "aprilgrid", "tagCols": 6, "tagRows": 5, "tagSize": 0.03, "tagSpacing": 0.3},
+        lambda path: target_of(str(path)),
+    ),
+    "poses of a robot": (
+        {"poses": [{"name": "a", "position_m": [0.1, 0.2, 0.3], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}]},
+        lambda path: read_poses(path, ["a"], None, 1.0),
+    ),
     "MCS": (own("im_mcs", "config/mcs.yaml"), load_config),
     "VSS": (own("im_vss", "config/vss.yaml"), lambda path: load_settings(CELL, path)),
     "Services": (own("im_vss", "config/catalogue.yaml"), load_catalogue),
@@ -268,6 +282,8 @@ def test_all_readers_of_files_are_here():
     known |= {"dataset", "strategies", "config", "jsontext"}
     known |= {"proofs"}  # im_pnt_analysis/test/test_proofs.py
     known |= {"results"}  # im_calibration/test/test_report.py
+    known |= {"images"}  # im_calibration/test/test_calibrate_images.py
+    known |= {"target", "robot_file"}
     known |= {"file"}  # im_pnt_node/test/test_scenarios.py
     assert callers == known
 

@@ -150,7 +150,11 @@ def target_of(text: str) -> CalibrationTarget:
         DataError: It is no target; the form of the kind is told.
     """
     if text.endswith((".yaml", ".yml")):
-        return load_model(Path(text), _KalibrTarget).target
+        content = load_model(Path(text), _KalibrTarget)
+        try:
+            return content.target
+        except DataError as error:
+            raise DataError(f"{text}: {error.message}", file=text) from error
     kind, *parts = text.split(":")
     if kind not in _FORMS:
         raise DataError(f"'{kind}' is no target{nearest(kind, _FORMS)}; there are {', '.join(_FORMS)}.", target=text)
