@@ -14,10 +14,10 @@ from std_srvs.srv import SetBool
 
 from im_cell.robot import load_cell
 from im_core import clock, names
-from im_core.config import package_file
 from im_core.ros import qos
 from im_msgs.action import Move
 from im_msgs.srv import GroupCommand, ReserveGroup
+from support.mcs_config import mcs_text
 
 CELL = load_cell()
 LAWS = {
@@ -48,7 +48,7 @@ def config(tmp_path):
     """Writes ``mcs.yaml`` for the robot, with patience with a busy computer; its path."""
 
     def write(kind="position", following=0.5):
-        data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+        data = yaml.safe_load(mcs_text())
         data["slots"] = [slot for slot in data["slots"] if slot.get("kind", "joint") == "joint"]
         interface = "velocity" if kind == "velocity" else "position"
         for slot in data["slots"]:

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from im_core.config import package_file
 from im_mcs.limits.configuration import load_config
+from support.mcs_config import mcs_text
 
 LEFT = slice(0, 9)
 
@@ -14,7 +14,7 @@ LEFT = slice(0, 9)
 @pytest.fixture
 def followed(tmp_path, make_bench, monkeypatch):
     """A bench whose driver takes positions and follows courses; ``courses``: each with the tick that it counts from."""
-    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    data = yaml.safe_load(mcs_text())
     loopback = {"driver": "im_mcs.testbed.loopback:LoopbackDriver", "settings": {"inertia": [1.0], "q": [0.0]}}
     data["testbed"]["drivers"]["testbed"] = loopback
     for slot in data["slots"]:

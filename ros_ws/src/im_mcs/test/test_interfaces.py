@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import yaml
 
-from im_core.config import package_file
 from im_core.errors import ConfigError
 from im_mcs.client.controllers import listed_controllers
 from im_mcs.limits.configuration import load_config
+from support.mcs_config import mcs_text
 
 LEFT = slice(0, 9)
 LAWS = {
@@ -24,7 +24,7 @@ DRIVER = {"driver": "im_mcs.testbed.loopback:LoopbackDriver", "settings": {"iner
 
 def file_of(tmp_path, change):
     """A file of slots, all on the loopback driver, with a change."""
-    data = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    data = yaml.safe_load(mcs_text())
     data["testbed"]["drivers"]["testbed"] = DRIVER
     change(data)
     path = tmp_path / "mcs.yaml"
