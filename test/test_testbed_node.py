@@ -14,11 +14,12 @@ from std_msgs.msg import String
 
 from im_cell.link import CameraEnd, HostEnd, PanelEnd, ServoEnd
 from im_core import clock, names
+from im_core.config import package_file
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.run import spin_in_thread
 from im_msgs.msg import TaskStatus
-from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
+from im_msgs.srv import Advance, GetTruth, InjectFault, PlaceObject, PutInJaws, SetLight
 from im_sim.ros.node import TestbedNode
 
 
@@ -158,3 +159,41 @@ def test_services_of_an_unconfigured_testbed_answer(run_folder):
     with spin_in_thread(node):
         answer = call_blocking(client, SetLight.Request(name="left_led", on=True), 5.0, "light")
     assert (answer.success, answer.message) == (False, "the testbed is not configured yet")
+
+
+def test_free_bodies_are_placed_by_name(run_folder, monkeypatch):
+    monkeypatch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/objects.yaml")))
+    node = start({"factor": 0.0})
+    listener = rclpy.create_node("listener")
+    place = listener.create_client(PlaceObject, "/testbed/place_object")
+    get_truth = listener.create_client(GetTruth, "/testbed/get_truth")
+    put = listener.create_client(PutInJaws, "/testbed/put_in_jaws")
+    with spin_in_thread(node, listener):
+        until(lambda: node.ready or node.failed)
+        assert node.ready, node.failed
+        panel = PanelEnd.attach(names.instance(), timeout_s=60.0)
+
+        def placed(name, x, w=1.0):
+            request = PlaceObject.Request(name=name)
+            request.pose.position.x, request.pose.position.y, request.pose.position.z = x, 1.2, 0.82
+            request.pose.orientation.w = w
+            answer = call_blocking(place, request, 5.0, "object")
+            panel.wait_tick(panel.request_time(20), timeout_s=60.0)
+            return answer.success, answer.message
+
+        assert placed("can", 0.6) == (True, "can is at (0.6, 1.2, 0.82) m")
+        truth = json.loads(call_blocking(get_truth, GetTruth.Request(), 5.0, "truth").json)
+        assert truth["objects"]["can"][:3] == pytest.approx([0.6, 1.2, 0.82], abs=1e-3)
+        for refused, why in (
+            (placed("cup", 0.6), "there is no object 'cup'"),
+            (placed("can", 9.0), "at most 3.9 m from the origin"),
+            (placed("can", 0.6, w=0.5), "the orientation"),
+        ):
+            assert not refused[0]
+            assert why in refused[1]
+        held = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4), 5.0, "object")
+        assert not held.success
+        assert "this cell has free bodies" in held.message
+        panel.close()
+    node.destroy_node()
+    listener.destroy_node()

@@ -19,8 +19,9 @@ from im_calibration.targets.robot_file import read_poses
 from im_calibration.targets.target import target_of
 from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
+from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.truth import load_truth
-from im_core.config import package_file
+from im_core.config import load_model, package_file
 from im_core.errors import ImError
 from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
 from im_dispatcher.job import order_of
@@ -97,6 +98,7 @@ FILES = {
     "poses": (own("im_dispatcher", "poses/ceiling_40.yaml"), load_poses),
     "candidates": (own("im_dispatcher", "poses/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
     "cell": ({**own("im_cell", "cells/puma_pair/cell.yaml"), "urdf": str(URDF)}, load_cell),
+    "objects": (own("im_cell", "cells/puma_pair/objects.yaml"), lambda path: load_model(path, ObjectsFile)),
     "target": (
         {"target_type": "aprilgrid", "tagCols": 6, "tagRows": 5, "tagSize": 0.03, "tagSpacing": 0.3},
         lambda path: target_of(str(path)),

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from bench.figures import measured_by_machine
-from bench.mcs import durations, line, lockstep, process, tick, tracking
+from bench.mcs import durations, line, lockstep, planning, process, tick, tracking
 from bench.part import Part, Work
 from im_mcs.limits.configuration import load_config
 
@@ -15,6 +15,7 @@ GROUPS = {
     "tick": "time of one tick of the whole loop with 18 joints, and the share of each part",
     "process": "time that a control law in a process of its own adds to a tick",
     "durations": "durations of a hundred joint moves over the time-optimal ones, computed independently",
+    "planning": "CPU time of searches for free paths of one arm with its cart, and of both; a check in steps of 1 mrad",
     "lockstep": "servo and physics, two processes as fast as they go: times real time",
     "deadlines": "missed deadlines in real time, at 4.5 ms and 1 ms, with ROS publishing and a camera rendering",
 }
@@ -41,6 +42,7 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
         "tick": lambda: tick.lines(config, options.seed),
         "process": lambda: process.lines(config, options.seed),
         "durations": lambda: durations.lines(config, options.seed),
+        "planning": lambda: planning.lines(config, options.seed),
         "lockstep": lambda: lockstep.lines(config, options.seed),
         "deadlines": lambda: measured_by_machine("deadlines"),
     }

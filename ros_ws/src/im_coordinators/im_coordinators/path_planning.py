@@ -1,14 +1,16 @@
 """Attempts of the Path Planning Coordinator before an error is handed up (paper, section 6)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
-from im_core.errors import DataError, ImError
+from im_cell.robot import FreeBody, Group
+from im_cell.rotations import matrix_of_quaternion
+from im_core.errors import DataError, ImError, NotFoundError
 
 #: An arm is at home where no joint is further from there [rad, m].
 AT_HOME = 0.01
 
-#: A blocked straight joint path may be circumvented; an unreachable goal may not.
-DETOUR_FAILURES = frozenset({"collision"})
+#: Around a blocked straight joint path there may be a way; to an unreachable goal there is none.
+BLOCKED = frozenset({"collision"})
 
 
 def configuration(positions: object, joints: Sequence[str], group: str) -> list[float]:
@@ -44,14 +46,14 @@ def _numbers(values: object) -> list[float]:
     return [float(value) for value in values] if isinstance(values, list | tuple) else []
 
 
-def detour_may_help(failure: ImError | None) -> bool:
-    """Whether a way around the obstacle is worth a try."""
-    return failure is not None and failure.code in DETOUR_FAILURES
+def search_may_help(failure: ImError | None) -> bool:
+    """Return whether a way around an obstacle is worth a search."""
+    return failure is not None and failure.code in BLOCKED
 
 
 def another_may_help(failure: ImError | None, memory: Mapping[str, object]) -> bool:
     """Whether another configuration is worth a try: once for each request."""
-    return detour_may_help(failure) and "another" not in memory
+    return search_may_help(failure) and "another" not in memory
 
 
 def home_seed(position: Sequence[float], home: Sequence[float]) -> list[float]:
@@ -76,16 +78,36 @@ def tucked_seed(position: Sequence[float], tucked: Sequence[float], carriers: in
     return [*position[:carriers], *tucked[carriers:]]
 
 
-def detour(start: Sequence[float], goal: Sequence[float], tucked: Sequence[float], carriers: int) -> list[list[float]]:
-    """Return a path around an obstacle: tuck the arm, move the carriers, stretch the arm again.
+def neighbours(partitions: Mapping[str, Mapping[str, Group]], group: str, joints: Collection[str]) -> tuple[str, ...]:
+    """Return the other groups of the partition in which a group has these joints."""
+    for groups in partitions.values():
+        if group in groups and set(groups[group].joints) == set(joints):
+            return tuple(name for name in groups if name != group)
+    return ()
+
+
+def things_in_the_way(told: object, bodies: Sequence[FreeBody], wrist: str) -> list[dict[str, object]]:
+    """Return the free bodies to keep away from, checked: name, frame and pose of each.
 
     Args:
-        start: Joint positions now, shape (n,) [rad, m].
-        goal: Joint positions wanted, shape (n,) [rad, m].
-        tucked: Joint positions in which the arm is out of the way, shape (n,) [rad, m].
-        carriers: How many of the joints, the first ones, carry the arm.
+        told: By name of the body a pose x y z [m] and a quaternion x y z w in ``world``; in the frame of the wrist if
+            ``"held"`` follows.
+        bodies: Those of the cell.
+        wrist: Frame of the arm that holds what is held.
 
-    Returns:
-        Points behind ``start``, the last one is ``goal``.
+    Raises:
+        DataError: There is no such body, or that is no pose.
     """
-    return [tucked_seed(start, tucked, carriers), tucked_seed(goal, tucked, carriers), list(goal)]
+    known, found = [body.name for body in bodies], []
+    for name, pose in (told if isinstance(told, Mapping) else {}).items():
+        if name not in known:
+            raise NotFoundError(kind="object", name=str(name), known=known)
+        numbers = pose[:7] if isinstance(pose, list | tuple) else []
+        rest = list(pose[7:]) if numbers else []
+        if len(numbers) != 7 or rest not in ([], ["held"]) or any(isinstance(n, bool | str) for n in numbers):
+            text = f"argument things: '{name}' is at {pose}; x y z [m] and a quaternion x y z w are needed"
+            raise DataError(text, argument="things", value=str(pose))
+        matrix_of_quaternion(numbers[3:], f"argument things: the orientation of '{name}'")
+        frame = wrist if rest else "world"
+        found.append({"name": name, "frame": frame, "pose": [float(number) for number in numbers]})
+    return found

@@ -1,39 +1,31 @@
 """What the Path Planning Coordinator tries."""
 
-import itertools
-
 import pytest
 
+from im_cell.robot import FreeBody, Group
 from im_coordinators.path_planning import (
     another_may_help,
     configuration,
-    detour,
-    detour_may_help,
     home_seed,
+    neighbours,
     require_joints,
+    search_may_help,
+    things_in_the_way,
     tucked_seed,
 )
 from im_core.errors import DataError, ImError
 
-CART_JOINTS = 3
-START, GOAL, TUCKED = [0.0, 1.0, 2.0, 3.0, 3.5], [4.0, 5.0, 6.0, 7.0, 7.5], [9.0, 9.0, 9.0, 8.0, 8.5]
-
-
-def test_a_detour_moves_the_cart_only_while_the_arm_is_tucked() -> None:
-    points = [START, *detour(START, GOAL, TUCKED, CART_JOINTS)]
-    assert points[-1] == GOAL
-    for before, after in itertools.pairwise(points):
-        if before[:CART_JOINTS] != after[:CART_JOINTS]:
-            assert before[CART_JOINTS:] == after[CART_JOINTS:] == TUCKED[CART_JOINTS:]
+CARRIERS = 3
+START, TUCKED = [0.0, 1.0, 2.0, 3.0, 3.5], [9.0, 9.0, 9.0, 8.0, 8.5]
 
 
 def test_another_configuration_is_sought_with_the_cart_where_it_is() -> None:
-    assert tucked_seed(START, TUCKED, CART_JOINTS) == [0.0, 1.0, 2.0, 8.0, 8.5]
+    assert tucked_seed(START, TUCKED, CARRIERS) == [0.0, 1.0, 2.0, 8.0, 8.5]
 
 
 def test_only_what_is_in_the_way_can_be_circumvented_and_only_once_by_another_configuration() -> None:
     blocked, unreachable = ImError("", code="collision"), ImError("", code="unreachable")
-    assert [detour_may_help(failure) for failure in (blocked, unreachable, None)] == [True, False, False]
+    assert [search_may_help(failure) for failure in (blocked, unreachable, None)] == [True, False, False]
     assert another_may_help(blocked, {})
     assert not another_may_help(blocked, {"another": True})
 
@@ -55,3 +47,28 @@ def test_a_configuration_near_home_is_sought_from_where_an_arm_is_that_is_there(
     home = [0.5, -0.5]
     assert home_seed([0.501, -0.5], home) == [0.501, -0.5]
     assert home_seed([0.5, -0.4], home) == home
+
+
+def test_neighbours_are_the_other_groups_of_the_partition_in_force() -> None:
+    each = {"left": Group(joints=("a", "b")), "right": Group(joints=("c", "d"))}
+    arms = {"left": Group(joints=("b",)), "right": Group(joints=("d",)), "carts": Group(joints=("a", "c"))}
+    partitions = {"each": each, "arms": arms, "all": {"all": Group(joints=("a", "b", "c", "d"))}}
+    assert neighbours(partitions, "left", ["a", "b"]) == ("right",)
+    assert neighbours(partitions, "left", ["b"]) == ("right", "carts")
+    assert neighbours(partitions, "all", ["a", "b", "c", "d"]) == ()
+
+
+def test_things_in_the_way_are_free_bodies_at_a_pose() -> None:
+    can = FreeBody(name="can", kind="box", size=(0.1, 0.1, 0.1), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
+    pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
+    assert things_in_the_way({"can": pose}, [can], "left_wrist") == [{"name": "can", "frame": "world", "pose": pose}]
+    assert things_in_the_way({"can": [*pose, "held"]}, [can], "left_wrist")[0]["frame"] == "left_wrist"
+    assert things_in_the_way({}, [], "left_wrist") == []
+    for told, why in (
+        ({"cup": pose}, "there is no object 'cup'"),
+        ({"can": pose[:3]}, "'can' is at .*; x y z"),
+        ({"can": [*pose, "lost"]}, "x y z"),
+        ({"can": [0.0] * 7}, "the orientation of 'can'"),
+    ):
+        with pytest.raises(ImError, match=why):
+            things_in_the_way(told, [can], "left_wrist")

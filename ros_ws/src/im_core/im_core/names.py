@@ -15,6 +15,8 @@ RUN, RESUMES = "IM_RUN", "IM_RESUMES"
 
 #: Environment variable: the file of the cell, for every process of a machine; the shipped one where it is not set.
 CELL = "IM_CELL"
+#: Environment variable: a file of free bodies for the cell; none where it is not set.
+OBJECTS = "IM_OBJECTS"
 
 
 def instance() -> str:

@@ -57,7 +57,8 @@ class Actuators:
 
         tau_applied = M a + h = tau - B v + p / dt - C a.
 
-    Exact in free motion; where something is touched, the contact feels the arm without its rotors and loads. While
+    Exact in free motion; where something is touched, the contact feels the arm without its rotors and loads, unless its
+    torque of the step before is given (:meth:`touch`): it is then on both sides, as -h is. While
     something is held, M and h on the first line are those with it, and pybullet's own on the last.
 
     As long as every joint goes on sliding, p is known beforehand and the articulated-body algorithm gives a; else M is
@@ -84,6 +85,7 @@ class Actuators:
         n = len(self._viscous)
         self._friction = DryFriction(n)
         self._found: NDArray[np.float64] | None = None
+        self._touch: NDArray[np.float64] | None = None
         self.command(np.zeros(n), False, np.ones(n, dtype=np.bool_))
 
     def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
@@ -115,6 +117,10 @@ class Actuators:
         """Whether dry friction or the brake held every joint in the last step."""
         return self._friction.stuck
 
+    def touch(self, torques: NDArray[np.float64] | None) -> None:
+        """Set the joint torques of contacts to count on in the next step, shape (n,) [Nm or N]; None: no contact."""
+        self._touch = torques
+
     def prepare(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Compute ahead of the command the part of :meth:`applied` depending on ``q`` and ``v`` only."""
         if self._friction.all_slip:
@@ -136,7 +142,8 @@ class Actuators:
             if self._sliding is not friction.impulse:
                 self._sliding, self._tau_sliding = friction.impulse, self._tau + friction.impulse / self._dt
             given = self._tau_sliding - viscous
-            a = pin.aba(dynamics.model, dynamics.data, q, v, given, pin.Convention.WORLD)
+            felt = given if self._touch is None else given + self._touch
+            a = pin.aba(dynamics.model, dynamics.data, q, v, felt, pin.Convention.WORLD)
             sliding = friction.slips_on(v + self._dt * a)
         if sliding:
             torques: NDArray[np.float64] = given - self._own_inertia * a
@@ -146,6 +153,8 @@ class Actuators:
             inertia, bias = self._inertia, self._bias
             impulse = self._tau - viscous
             impulse -= bias
+            if self._touch is not None:
+                impulse += self._touch
             impulse *= self._dt
             a = friction.solve(inertia, self._momentum + impulse)
             a -= v
@@ -153,8 +162,12 @@ class Actuators:
             torques = inertia.dot(a)
             torques += bias
             torques -= self._own_inertia * a
+            if self._touch is not None:
+                torques -= self._touch
         if dynamics.loaded:  # pybullet moves the arms without what the grippers hold
             torques = pin.rnea(dynamics.bare, dynamics.bare_data, q, v, a) - self._own_inertia * a
+            if self._touch is not None:
+                torques -= self._touch
         return torques
 
     def _find_inertia(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:

@@ -7,7 +7,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_cell.link import JawObject
-from im_cell.robot import Cell, urdf
+from im_cell.robot import PALM_KGM2, Cell, urdf
+from im_sim.world import Contact
+
+#: Of both jaws about their middle, at a medium opening.
+_JAWS_KGM2 = 1e-4
 
 
 class Dynamics:
@@ -19,18 +23,27 @@ class Dynamics:
         model: With loads; the same object as ``bare`` while nothing is held.
         data: Its workspace.
         wrists: Joint index and placement of the frame on that joint's link, of each tip with a force-torque sensor.
+        gripper_joints: Indices of the joints whose links carry grippers.
         wrist_forces: What the arm exerts on those links, after :func:`pinocchio.rnea` with ``model`` and ``data``.
     """
 
     def __init__(self, cell: Cell) -> None:
         full = pin.buildModelFromXML(urdf(cell, shapes=False))
         self.wrists, self._jaws = (_places(full, cell.devices(kind).values()) for kind in ("force", "gripper"))
+        self.gripper_joints = sorted({joint for joint, _ in self._jaws})
         self._reach = cell.gripper.reach
         self.bare = pin.buildModelFromXML(urdf(cell, shapes=False, frames=False))
         self.bare.gravity.linear = np.array([0.0, 0.0, -cell.gravity])
+        if cell.objects:  # pybullet has jaws then, and palms that are rotors' stand-ins
+            jaws = pin.Inertia(2.0 * cell.gripper.jaw_mass, np.array([0.0, 0.0, self._reach]), _JAWS_KGM2 * np.eye(3))
+            self._add(jaws)
+        self._true = self.bare
+        if cell.objects:
+            self._true = self.bare.copy()
+            self._add(pin.Inertia(0.0, np.zeros(3), PALM_KGM2 * np.eye(3)))
         self.bare_data = self.bare.createData()
         self._held: tuple[JawObject | None, ...] = (None,) * len(self._jaws)
-        self._use(self.bare, self.bare_data)
+        self._use(self._true, self.bare_data if self._true is self.bare else self._true.createData())
 
     @property
     def loaded(self) -> bool:
@@ -40,6 +53,7 @@ class Dynamics:
     def reflect(self, inertias: NDArray[np.float64]) -> None:
         """Set an inertia of each joint's own, as of a rotor seen through the gear, shape (n,)."""
         self.bare.armature = inertias
+        self._true.armature = inertias
 
     def carry(self, held: Sequence[JawObject | None]) -> None:
         """Set the load of each gripper: a cube between the jaws."""
@@ -57,9 +71,38 @@ class Dynamics:
                 model.inertias[joint] = model.inertias[joint] + jaws.act(cube)
         self._use(model, model.createData())
 
+    def contact_torques(self, q: NDArray[np.float64], contacts: Sequence[list[Contact]]) -> NDArray[np.float64] | None:
+        """Return the torques at the joints by which contacts of grippers are felt, shape (n,); None without any.
+
+        Args:
+            q: Positions, shape (n,) [rad or m].
+            contacts: Of the links that carry grippers, as ``gripper_joints``.
+        """
+        if not any(contacts):
+            return None
+        torques = np.zeros(self.bare.nv)
+        pin.forwardKinematics(self.bare, self.bare_data, q)
+        for joint, touched in zip(self.gripper_joints, contacts, strict=True):
+            if touched:
+                wrench = contact_wrench(self.bare_data.oMi[joint], touched)
+                torques += pin.computeJointJacobian(self.bare, self.bare_data, q, joint).T @ wrench.vector
+        return torques
+
+    def _add(self, inertia: pin.Inertia) -> None:
+        """Add an inertia in the frame of each gripper to the model without loads."""
+        for joint, wrist in self._jaws:
+            self.bare.inertias[joint] = self.bare.inertias[joint] + wrist.act(inertia)
+
     def _use(self, model: pin.Model, data: pin.Data) -> None:
         self.model, self.data = model, data
         self.wrist_forces = [data.f[joint] for joint, _ in self.wrists]
+
+
+def contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:
+    """Return the wrench of contacts on a link at ``pose``, in the frame."""
+    force = sum((contact.force for contact in contacts), np.zeros(3))
+    torque = sum((np.cross(contact.position, contact.force) for contact in contacts), np.zeros(3))
+    return pose.actInv(pin.Force(force, torque))
 
 
 def _places(model: pin.Model, tips: Iterable[str]) -> list[tuple[int, pin.SE3]]:

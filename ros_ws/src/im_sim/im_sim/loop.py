@@ -65,6 +65,8 @@ class TickLoop:
     def _disturb(self, faults: Faults, objects: tuple[JawObject | None, ...]) -> None:
         self._plant.break_(faults)
         self._plant.put(objects)
+        for body, pose in self._link.placements():
+            self._plant.place(body, pose)
         clock.sleep(self._link.take_stall())
 
     def _pace(self) -> None:
@@ -81,4 +83,5 @@ class TickLoop:
         if self._laser.beam is not self._told_beam:
             self._told_beam = self._laser.beam
             self._link.publish_laser(self._told_beam)
+        self._link.publish_bodies(plant.bodies())
         self._link.publish_state(self._tick, plant.sensors(self._tick), plant.q, plant.v)

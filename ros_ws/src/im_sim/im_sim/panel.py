@@ -1,5 +1,6 @@
 """The panel of a testbed: faults, objects between the jaws, and wrist lights by name."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -8,9 +9,11 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults, JawObject, PanelEnd
 from im_cell.robot import Cell
-from im_core.errors import DataError, NotFoundError
+from im_cell.rotations import matrix_of_quaternion
+from im_core.errors import DataError, NotFoundError, StateError
 
 LONGEST_STALL_S = 60.0
+FARTHEST_M = 3.9  # the floor has edges
 _OF_JOINTS = ("encoder_nan", "encoder_frozen", "brake_stuck", "brake_open")
 FAULTS = (*_OF_JOINTS, "power_loss", "stall")
 
@@ -25,6 +28,7 @@ class FaultPanel:
 
     def __init__(self, cell: Cell, link: PanelEnd) -> None:
         self._joints = cell.joint_names
+        self._bodies = cell.objects
         self._grippers = tuple(cell.devices("gripper"))
         self._link = link
 
@@ -75,12 +79,40 @@ class FaultPanel:
         Raises:
             DataError: Such an object cannot be.
             NotFoundError: There is no such gripper.
+            StateError: Its jaws have shape, and hold free bodies.
         """
         if gripper not in self._grippers:
             raise NotFoundError(kind="gripper", name=gripper, known=self._grippers)
+        if self._bodies:
+            raise StateError("this cell has free bodies: place one between the jaws")
         held = None if width == 0.0 else JawObject(width, stiffness, mass)
         self._link.set_object(self._grippers.index(gripper), held)
         return f"nothing is in {gripper}" if held is None else f"{1e3 * width:g} mm wide, {mass:g} kg, in {gripper}"
+
+    def place(self, name: str, pose: Sequence[float]) -> str:
+        """Place a free body, at rest; return a sentence that says so.
+
+        Args:
+            name: Of the body.
+            pose: Of its middle: position [m] and quaternion x, y, z, w, shape (7,).
+
+        Raises:
+            DataError: That is no pose near the cell.
+            NotFoundError: There is no such body.
+        """
+        names = [body.name for body in self._bodies]
+        if name not in names:
+            raise NotFoundError(kind="object", name=name, known=names)
+        if not all(abs(value) <= FARTHEST_M for value in pose[:3]):
+            raise DataError(f"{name} cannot be at {tuple(pose[:3])} m; at most {FARTHEST_M:g} m from the origin")
+        matrix_of_quaternion(pose[3:])
+        self._link.place(names.index(name), np.array(pose))
+        return f"{name} is at ({', '.join(f'{value:g}' for value in pose[:3])}) m"
+
+    def bodies(self) -> dict[str, tuple[float, ...]]:
+        """Return the true poses of the free bodies: position [m] and quaternion x, y, z, w, by name."""
+        poses = self._link.bodies().tolist()
+        return {body.name: tuple(pose) for body, pose in zip(self._bodies, poses, strict=False)}
 
     def _switched(self, before: NDArray[np.bool_], joint: str, active: bool) -> NDArray[np.bool_]:
         if joint not in self._joints:

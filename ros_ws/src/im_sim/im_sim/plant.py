@@ -7,6 +7,7 @@ from im_cell.link import Faults, JawObject, Sensors, TickCommand
 from im_cell.robot import Cell
 from im_sim.actuators import Actuators, HoldingBrakes
 from im_sim.dynamics import Dynamics
+from im_sim.fingers import FingerJaws
 from im_sim.grippers import GripperJaws
 from im_sim.sensors import Encoders, Signals, WristWrenches
 from im_sim.world import World
@@ -37,11 +38,16 @@ class Plant:
         self._world = World(cell, self._dt)
         self._dynamics = Dynamics(cell)
         self._actuators = Actuators(cell, self._dynamics, self._dt)
-        self._grippers = GripperJaws(cell.gripper, len(cell.devices("gripper")))
+        self._bodies = self._world.bodies
+        count = len(cell.devices("gripper"))
+        self._grippers = (
+            FingerJaws(cell.gripper, count, self._world) if self._bodies else GripperJaws(cell.gripper, count)
+        )
         self._wrists = WristWrenches(self._dynamics)
         self._signals = Signals(cell, seed)
         self._encoders = Encoders(cell)
         self._last_joints = [joint - 1 for joint, _ in self._dynamics.wrists]
+        self._gripper_joints = [joint - 1 for joint in self._dynamics.gripper_joints]
         self._n = len(cell.joints)
         self._dt_each = np.full(self._n, self._dt)
         self._held_brakes = np.ones(self._n, dtype=np.bool_)
@@ -96,6 +102,14 @@ class Plant:
         self._dynamics.carry(self._grippers.held())
         self._stands = False
 
+    def place(self, body: int, pose: NDArray[np.float64]) -> None:
+        """Put a free body somewhere, at rest: rank in the cell, position [m] and quaternion x, y, z, w, shape (7,)."""
+        self._bodies.place(body, pose)
+
+    def bodies(self) -> NDArray[np.float64]:
+        """Return the poses of the free bodies, shape (m, 7) [m, -]."""
+        return self._bodies.poses()
+
     def prepare(self) -> None:
         """Compute ahead of the command the part of the next tick depending on the present state only."""
         if not self._stands:
@@ -137,7 +151,10 @@ class Plant:
             q, v = self.q, self.v
             self._world.step(self._actuators.applied(q, v))
             self.q, self.v = self._world.state()
-            if self._actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
+            if self._bodies:
+                touched = self._world.contacts(self._gripper_joints)
+                self._actuators.touch(self._dynamics.contact_torques(self.q, touched))
+            if self._actuators.stuck and not self._bodies and max(map(abs, self.v.tolist())) < _AT_REST:
                 self._stands = not self.power
                 break
         self._feel(q, v)

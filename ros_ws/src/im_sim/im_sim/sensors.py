@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults
 from im_cell.robot import Cell, SensorSpec
-from im_sim.dynamics import Dynamics
+from im_sim.dynamics import Dynamics, contact_wrench
 from im_sim.world import Contact
 
 _TICKS_PER_BLOCK = 256
@@ -182,17 +182,10 @@ class WristWrenches:
             pin.forwardKinematics(dynamics.model, dynamics.data, q)  # contacts are told in the world
         for side, ((joint, wrist), wrench) in enumerate(zip(dynamics.wrists, dynamics.wrist_forces, strict=True)):
             if contacts[side]:
-                wrench = wrench - _contact_wrench(dynamics.data.oMi[joint], contacts[side])
+                wrench = wrench - contact_wrench(dynamics.data.oMi[joint], contacts[side])
             self.true[side] = wrist.actInv(wrench).vector
 
 
 def _each(value: str, specs: Sequence[SensorSpec]) -> NDArray[np.float64]:
     """One value of each signal's sensor."""
     return np.array([getattr(spec, value) for spec in specs])
-
-
-def _contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:
-    """Return the wrench of contacts on a link at ``pose``, in the frame."""
-    force = sum((contact.force for contact in contacts), np.zeros(3))
-    torque = sum((np.cross(contact.position, contact.force) for contact in contacts), np.zeros(3))
-    return pose.actInv(pin.Force(force, torque))

@@ -9,11 +9,26 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from im_cell.robot import Cell, urdf
+from im_cell.robot import Cell, Gripper, urdf
 from im_core.errors import DataError
+from im_sim.bodies import FIXED, HULLS, LINKS, FreeBodies
 from im_sim.urdf_loader import load_urdf
 
-_LINK, _OBSTACLE = 1, 2  # Bullet's default and static collision groups
+_CENTRING_N = 1e4  # the jaws travel together: what keeps them in the middle gives way to nothing
+
+
+@dataclass(frozen=True)
+class _Jaws:
+    """Links of a gripper: the one that carries it, its palm, the first jaw and the second one, by pybullet's index."""
+
+    carrier: int
+    palm: int
+    first: int
+    second: int
+
+    @property
+    def parts(self) -> tuple[int, int, int]:
+        return self.first, self.second, self.palm
 
 
 @dataclass(frozen=True)
@@ -49,10 +64,15 @@ class World:
             half = [edge / 2.0 for edge in box.size]
             shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, **self._options)
             obstacles.append(pybullet.createMultiBody(0.0, shape, basePosition=box.center, **self._options))
-        self.body = load_urdf(urdf(cell, frames=False), self.client, pybullet.URDF_USE_INERTIA_FROM_FILE)
-        self._joints = self._moving_joints(cell)
+        text = urdf(cell, frames=False, grippers=bool(cell.objects))
+        self.body = load_urdf(text, self.client, pybullet.URDF_USE_INERTIA_FROM_FILE)
+        self._indices = self._joint_indices(cell)
+        self._joints = [self._indices[name] for name in cell.joint_names]
+        self.bodies = FreeBodies(cell.objects, self.client)
+        self._jaws = self._find_jaws(cell) if cell.objects else []
         self._state = struct.Struct(f"{2 * len(self._joints)}d")
         self._make_exact(cell)
+        self._make_jaws(cell.gripper)
         self.reset(cell.home, np.zeros(len(self._joints)))
         self._part(obstacles)
 
@@ -84,10 +104,36 @@ class World:
         """Return the contacts of the child links of some joints, by rank, after the last step."""
         if not pybullet.getContactPoints(self.body, physicsClientId=self.client):
             return [[] for _ in joints]
-        return [
-            [_contact(point) for point in pybullet.getContactPoints(bodyA=self.body, linkIndexA=link, **self._options)]
+        links = [
+            (link, *(part for jaws in self._jaws if jaws.carrier == link for part in jaws.parts))
             for link in (self._joints[joint] for joint in joints)
         ]
+        return [[_contact(point) for link in each for point in self._touches(link)] for each in links]
+
+    def jaws(self) -> tuple[list[float], list[float]]:
+        """Return openings [m] and forces between the jaws [N] of each gripper."""
+        states = [pybullet.getJointState(self.body, jaws.second, self.client) for jaws in self._jaws]
+        pressed = [0.0] * len(states)
+        if pybullet.getContactPoints(self.body, physicsClientId=self.client):
+            pressed = [
+                min(sum(p[9] for p in self._touches(jaw)) for jaw in (jaws.first, jaws.second)) for jaws in self._jaws
+            ]
+        return [state[0] for state in states], pressed
+
+    def drive_jaws(self, gripper: int, opening: float, speed: float, force: float) -> None:
+        """Drive the jaws of a gripper apart, from an opening [m] at ``speed`` [m/s] with at most ``force`` [N]."""
+        jaws = self._jaws[gripper]
+        pybullet.setJointMotorControl2(
+            self.body, jaws.second, pybullet.VELOCITY_CONTROL, targetVelocity=speed, force=force, **self._options
+        )
+        pybullet.setJointMotorControl2(
+            self.body, jaws.first, pybullet.POSITION_CONTROL, targetPosition=opening / 2.0, targetVelocity=speed / 2.0,
+            positionGain=0.3, velocityGain=1.0, force=_CENTRING_N, **self._options,
+        )  # fmt: skip
+
+    def _touches(self, link: int) -> Sequence[Any]:
+        found: Sequence[Any] = pybullet.getContactPoints(bodyA=self.body, linkIndexA=link, **self._options)
+        return found
 
     def inverse_dynamics(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64]
@@ -101,14 +147,35 @@ class World:
         """Disconnect."""
         pybullet.disconnect(**self._options)
 
-    def _moving_joints(self, cell: Cell) -> list[int]:
+    def _joint_indices(self, cell: Cell) -> dict[str, int]:
         count = pybullet.getNumJoints(self.body, **self._options)
         infos = [pybullet.getJointInfo(self.body, joint, **self._options) for joint in range(count)]
         indices = {info[1].decode(): info[0] for info in infos}
         missing = [name for name in cell.joint_names if name not in indices]
-        if missing or count != len(cell.joints):
+        if missing or (count != len(cell.joints) and not cell.objects):
             raise DataError(f"pybullet read {count} joints from the URDF of {len(cell.joints)}, without {missing}")
-        return [indices[name] for name in cell.joint_names]
+        return indices
+
+    def _find_jaws(self, cell: Cell) -> list[_Jaws]:
+        carriers = dict(zip((link.name for link in cell.links), self._joints, strict=True))
+        found = []
+        for name, tip in cell.devices("gripper").items():
+            joints = (f"{name.removesuffix('_gripper')}_{part}" for part in ("palm_fixed", "jaw", "gripper"))
+            found.append(_Jaws(carriers[cell.tree.carrier(tip).parent], *(self._indices[joint] for joint in joints)))
+        return found
+
+    def _make_jaws(self, gripper: Gripper) -> None:
+        """Let free bodies meet palms and jaws, and every link but the last ones, whose hulls enclose grippers."""
+        for jaws in self._jaws:
+            pybullet.setCollisionFilterGroupMask(self.body, jaws.carrier, HULLS, FIXED, **self._options)
+            for link in jaws.parts:
+                pybullet.setCollisionFilterGroupMask(self.body, link, LINKS, FIXED, **self._options)
+                pybullet.changeDynamics(
+                    self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, lateralFriction=1.0,
+                    restitution=0.0, **self._options,
+                )  # fmt: skip
+            pybullet.resetJointState(self.body, jaws.first, gripper.initial / 2.0, 0.0, **self._options)
+            pybullet.resetJointState(self.body, jaws.second, gripper.initial, 0.0, **self._options)
 
     def _make_exact(self, cell: Cell) -> None:
         """Undo the changes of pybullet to a URDF.
@@ -135,7 +202,7 @@ class World:
             # In a call of its own: beside other changes pybullet ignores it.
             pybullet.changeDynamics(self.body, joint, localInertiaDiagonal=link.inertia, **self._options)
             # Links meet obstacles, not each other: no URDF_USE_SELF_COLLISION. Said here too, pairs are not looked at.
-            pybullet.setCollisionFilterGroupMask(self.body, joint, _LINK, _OBSTACLE, **self._options)
+            pybullet.setCollisionFilterGroupMask(self.body, joint, LINKS, FIXED, **self._options)
         pybullet.changeDynamics(self.body, -1, linearDamping=0.0, angularDamping=0.0, **self._options)
 
 

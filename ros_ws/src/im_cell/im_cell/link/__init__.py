@@ -47,7 +47,8 @@ waits there until the image is taken and the next one is announced, for a second
 move at their own rate, ``laser`` says where they are. The end asks for the time that takes.
 
 *Disturbances.* ``set_faults``, ``stall`` and ``set_object`` break the testbed and put things between its jaws, from the
-next tick on: to test what stands above it.
+next tick on: to test what stands above it. ``place`` puts a free body of the cell somewhere, ``bodies`` says where
+all are.
 """
 
 from im_cell.link.end import ClockEnd, StopEnd

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.link.values import Faults, JawObject
+from im_cell.robot.objects import MAX_BODIES
 from im_core.shm import Semaphore, SharedBlock
 
 MAX_LIGHTS = 8
@@ -42,6 +43,7 @@ def layout(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]
             ("v_true", "<f8", (n_joints,)),
             ("servo_losses", "<i8"),
             ("laser", "<f8", (4,)),
+            ("bodies", "<f8", (MAX_BODIES, 7)),
             # servo; physics clears the pid of one that is gone
             ("servo_pid", "<i8"),
             ("servo_start", "<i8"),
@@ -61,6 +63,8 @@ def layout(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]
             ("fault_power", "<i8"),
             ("stall_s", "<f8"),
             ("objects", "<f8", (n_grippers, 3)),
+            ("placements", "<i8", (MAX_BODIES,)),  # how often each body was placed
+            ("placed", "<f8", (MAX_BODIES, 7)),
             # the emergency stop circuit
             ("stop", "<i8"),
             # whoever drives the laser scanner
@@ -79,6 +83,8 @@ def layout(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]
             ("exposure_q", "<f8", (n_joints,)),
             ("exposure_light", "<f8", (MAX_LIGHTS,)),
             ("exposure_laser", "<f8", (4,)),
+            ("exposure_bodies", "<f8", (MAX_BODIES, 7)),
+            ("exposure_jaws", "<f8", (n_grippers,)),
         ],
         align=True,
     )

@@ -37,6 +37,7 @@ class HostEnd(LinkEnd):
     """
 
     _seen = 0
+    _placed: NDArray[np.int64] | None = None
     _asked = 0
     _image_due, _image_due_at = 0, 0.0
 
@@ -162,10 +163,21 @@ class HostEnd(LinkEnd):
         if changes == self._seen or changes % 2:
             return None
         faults, objects = self._shared.faults(), self._shared.view["objects"].tolist()
+        placements, poses = self._shared.view["placements"].copy(), self._shared.view["placed"].copy()
         if int(count) != changes:
             return None
-        self._seen = changes
+        self._seen, self._poses, self._placements = changes, poses, placements
         return faults, objects_of(objects)
+
+    def placements(self) -> list[tuple[int, NDArray[np.float64]]]:
+        """Return free bodies placed between the last two returns of disturbances: rank and pose, shape (7,)."""
+        before = np.zeros_like(self._placements) if self._placed is None else self._placed
+        self._placed = self._placements
+        return [(int(rank), self._poses[rank]) for rank in np.flatnonzero(self._placements != before)]
+
+    def publish_bodies(self, poses: NDArray[np.float64]) -> None:
+        """Publish where the free bodies are: position [m] and quaternion x, y, z, w of each, shape (m, 7)."""
+        self._shared.view["bodies"][: len(poses)] = poses
 
     def lights(self) -> tuple[bool, ...]:
         """Which lights are switched on, in the order of ``light_names``."""
@@ -223,13 +235,15 @@ class HostEnd(LinkEnd):
         light_fraction: NDArray[np.float64],
         laser: LaserBeam,
     ) -> None:
-        """Answer an exposure request."""
+        """Answer an exposure request; free bodies and jaws are shown as at its end."""
         view = self._shared.view
         view["exposure_start"][()] = start_tick
         view["exposure_end"][()] = end_tick
         view["exposure_q"][:] = q_true
         view["exposure_light"][: len(light_fraction)] = light_fraction
         view["exposure_laser"][:] = laser.values()
+        view["exposure_bodies"][:] = view["bodies"]
+        view["exposure_jaws"][:] = view["gripper"]
         view["exposure_done"][()] = request.request
         self._shared.exposed.post()
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from im_cell.link.end import ClockEnd, TimeSlot
 from im_cell.link.values import Faults, JawObject
@@ -81,6 +82,23 @@ class PanelEnd(ClockEnd):
     def objects(self) -> tuple[JawObject | None, ...]:
         """Return the objects between the jaws of each gripper."""
         return self._shared.objects()
+
+    def place(self, body: int, pose: NDArray[np.float64]) -> None:
+        """Place a free body, at rest: rank in the cell, position [m] and quaternion x, y, z, w, shape (7,).
+
+        Raises:
+            DataError: There is no body of that rank.
+        """
+        view = self._shared.view
+        if not 0 <= body < len(view["placements"]):
+            raise DataError(f"body {body} is not one of 0 to {len(view['placements']) - 1}", body=body)
+        with self._changing():
+            view["placed"][body] = pose
+            view["placements"][body] += 1
+
+    def bodies(self) -> NDArray[np.float64]:
+        """Return the poses of the free bodies, those of the cell first, shape (m, 7) [m, -]."""
+        return self._shared.view["bodies"].copy()
 
     @contextmanager
     def _changing(self) -> Iterator[None]:

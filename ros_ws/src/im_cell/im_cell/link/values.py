@@ -189,6 +189,8 @@ class Exposure:
         q_true: True joint positions, averaged over the exposure, shape (n,) [rad or m].
         light_fraction: Fraction of the exposure during which each light was on, 0 to 1.
         laser: Where the laser's mirrors really were, and its power, averaged over the exposure.
+        bodies: Poses of the free bodies at its end, those of the cell first, shape (m, 7) [m, -]; None: at the start.
+        jaws: Openings of the grippers at its end, shape (grippers,) [m]; None: as at the start.
     """
 
     start_tick: int
@@ -197,6 +199,8 @@ class Exposure:
     q_true: NDArray[np.float64]
     light_fraction: dict[str, float]
     laser: LaserBeam = LaserBeam()
+    bodies: NDArray[np.float64] | None = None
+    jaws: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,8 @@ class CameraEnd(LinkEnd):
             q_true=view["exposure_q"].copy(),
             light_fraction=dict(zip(shared.light_names, fractions, strict=False)),
             laser=LaserBeam(*view["exposure_laser"].tolist()),
+            bodies=view["exposure_bodies"].copy(),
+            jaws=view["exposure_jaws"].copy(),
         )
 
 

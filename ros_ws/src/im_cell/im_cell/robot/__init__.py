@@ -8,17 +8,20 @@ or judges imports it.
 """
 
 from im_cell.robot.cell import Cell, cell_file, load_cell, shipped_cells
+from im_cell.robot.objects import FreeBody
 from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Group, Intrinsics, Led, Limits, SensorSpec, Vector
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia
-from im_cell.robot.urdf import robot_description, urdf
+from im_cell.robot.urdf import PALM_KGM2, robot_description, urdf
 
 __all__ = [
     "ORIGIN",
+    "PALM_KGM2",
     "Box",
     "Camera",
     "Capsule",
     "Cell",
+    "FreeBody",
     "Gripper",
     "Group",
     "Intrinsics",

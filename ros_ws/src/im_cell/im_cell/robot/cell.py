@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from im_cell.robot.description import UrdfGeometry, UrdfTree, parse_description
+from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     Box,
     BrakeSpec,
@@ -33,10 +34,10 @@ from im_cell.robot.parameters import (
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import WORLD, Joint, LinkInertia, Tree, assumptions, joint_of
 from im_cell.rotations import matrix_of_rpy
-from im_core.config import FieldError, Model, load_model, package_file
+from im_core.config import FieldError, load_model, package_file
 from im_core.errors import ConfigError, nearest
 from im_core.files import MEBIBYTE, FileError, read_text
-from im_core.names import CELL
+from im_core.names import CELL, OBJECTS
 from im_core.text.yamltext import Location
 
 _GREY = (0.72, 0.73, 0.75)
@@ -48,7 +49,7 @@ _SHORTEST_S = 1e-4
 """Shortest tick of the testbed: times are told in whole nanoseconds, and one that is none would let no time pass."""
 
 
-class Cell(Model):
+class Cell(ObjectsFile):
     """Everything known about the cell before calibration.
 
     >>> cell.home[:3].tolist(), cell.per_joint("limits.torque")[:3].tolist()
@@ -389,7 +390,7 @@ def load_cell(path: Path | str | None = None) -> Cell:
 
     Args:
         path: The file, or the name of a shipped cell; None: what the environment variable ``IM_CELL`` names, else the
-            default one.
+            default one, with the free bodies of the file named by ``IM_OBJECTS``, if there is one.
 
     Raises:
         ConfigError: The file or its URDF is missing or wrong; the message names file, line and value.
@@ -398,4 +399,7 @@ def load_cell(path: Path | str | None = None) -> Cell:
     Traceback (most recent call last):
     im_core.errors.ConfigError: nowhere.yaml: cannot be read: No such file or directory
     """
-    return load_model(cell_file(path or os.environ.get(CELL) or DEFAULT_CELL), Cell)
+    cell = load_model(cell_file(path or os.environ.get(CELL) or DEFAULT_CELL), Cell)
+    if path is None and (beside := os.environ.get(OBJECTS)):
+        return cell.model_copy(update={"objects": load_model(Path(beside), ObjectsFile).objects})
+    return cell

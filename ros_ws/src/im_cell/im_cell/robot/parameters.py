@@ -215,6 +215,7 @@ class Gripper(Model):
         reach: From the wrist frame along its z axis to the middle of the jaws [m].
         palm, jaw: Edge lengths of the body and of a jaw in the axes of the wrist frame, jaws open along x [m].
         force_sensor: Between the jaws.
+        jaw_mass: Of each jaw, in cells with free bodies [kg].
     """
 
     stroke: Positive = 0.08
@@ -225,6 +226,7 @@ class Gripper(Model):
     palm: Size = (0.10, 0.04, 0.09)
     jaw: Size = (0.012, 0.024, 0.06)
     force_sensor: SensorSpec = SensorSpec(noise=0.2, bias=0.0, resolution=0.1, range=250.0)
+    jaw_mass: Positive = 0.03
 
     @model_validator(mode="after")
     def _opens(self) -> Self:

@@ -70,12 +70,18 @@ class LaserTruth(Model):
 
 
 class CellTruth(Model):
-    """True cameras and lights by name, the laser scanner if there is one, and the random seed of all."""
+    """True cameras and lights by name, the laser scanner if there is one, and the random seed of all.
+
+    Attributes:
+        objects: Present poses of the free bodies: position [m] and quaternion x, y, z, w; only where the testbed is
+            asked.
+    """
 
     seed: int
     cameras: dict[str, CameraTruth]
     leds: dict[str, LedTruth]
     laser: LaserTruth | None
+    objects: dict[str, tuple[float, ...]] = Field(default_factory=dict)
 
 
 def load_truth(path: Path) -> CellTruth:

@@ -11,9 +11,13 @@ from im_cell.rotations import rpy_of_matrix
 
 _METAL: Vector = (0.62, 0.63, 0.65)
 _DARK: Vector = (0.12, 0.12, 0.14)
+_PAST_STROKE_M = 1e-3  # a joint at its limit takes pybullet time
+#: The palm's mass is part of the last link's. Its inertia is that of the rotors of a wrist, unknown to pybullet: a
+#: contact would turn a wrist without rotors. In free motion im_sim.dynamics makes up for it.
+_PALM_KG, PALM_KGM2, _JAW_KGM2 = 1e-3, 0.15, 1e-5
 
 
-def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
+def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool = False) -> str:
     """The cell as physics and control load it, as URDF, one element a line (pybullet does not parse one long line).
 
     Args:
@@ -21,18 +25,30 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True) -> str:
         frames: With the massless frames: links fixed to others, and lights. pybullet gives a link without inertia a
             mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
+        grippers: With palms and jaws, which have mass then, and are drawn instead of the last links.
     """
     lines = ['<link name="world">']
     if shapes:
         lines += [line for box in cell.boxes if box.link == WORLD for line in _visual_box(box)]
         lines += _shapes_of(cell, WORLD)
     lines.append("</link>")
+    hidden = _behind_grippers(cell) if grippers else ()
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        shape = _shapes_of(cell, link.name) if shapes else []
+        shape = _shapes_of(cell, link.name, hidden) if shapes else []
         lines += [*_joint(joint, joint.limits), *_link(link, shape)]
     if frames:
         lines += _frames(cell)
+    if grippers:
+        for name, tip in cell.devices("gripper").items():
+            wrist = cell.tree.carrier(tip)
+            group = name.removesuffix("_gripper")
+            lines += _gripper(group, cell.gripper, wrist.parent, wrist.xyz, wrist.rpy, heavy=True)
     return _robot(lines)
+
+
+def _behind_grippers(cell: Cell) -> set[str]:
+    """Return the last links, which are not drawn: grippers are, which their shapes enclose."""
+    return {cell.tree.carrier(tip).parent for tip in cell.devices("gripper").values()}
 
 
 def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
@@ -50,12 +66,12 @@ def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
         if box.link == WORLD:
             lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
     lines += [*_shapes_of(cell, WORLD), "</link>"]
-    hidden = {cell.tree.carrier(tip).parent for tip in cell.devices("gripper").values()}
+    hidden = _behind_grippers(cell)
     for joint, link in zip(cell.joints, cell.links, strict=True):
         lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, hidden))]
     lines += _frames(cell)
     for name, tip in cell.devices("gripper").items():
-        lines += _gripper(name.removesuffix("_gripper"), tip, cell.gripper)
+        lines += _gripper(name.removesuffix("_gripper"), cell.gripper, tip)
     for name, camera in cell.cameras.items():
         lines += _camera(name, camera, cell.camera_body)
     return _robot(lines)
@@ -74,14 +90,17 @@ def _frames(cell: Cell) -> list[str]:
     return lines
 
 
-def _gripper(group: str, wrist: str, gripper: Gripper) -> list[str]:
-    """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis."""
+def _gripper(
+    group: str, gripper: Gripper, parent: str, xyz: Vector = ORIGIN, rpy: Vector = ORIGIN, heavy: bool = False
+) -> list[str]:
+    """Build a palm and two jaws that meet on the z axis of the wrist and open along its x axis; with mass if heavy."""
     (thickness, _, length), (_, _, depth) = gripper.jaw, gripper.palm
     palm, *jaws = f"{group}_palm", f"{group}_jaw_1", f"{group}_jaw_2"
-    lines = _fixed(
-        palm, wrist, ORIGIN, ORIGIN,
-        _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL),
-    )  # fmt: skip
+    solid = _solid(gripper.palm, (0.0, 0.0, gripper.reach - (length + depth) / 2.0), "palm", _METAL)
+    small = _inertial(LinkInertia(palm, _PALM_KG, ORIGIN, ORIGIN, (PALM_KGM2,) * 3)) if heavy else []
+    lines = _fixed(palm, parent, xyz, rpy, [*small, *solid])
+    weight = _inertial(LinkInertia(palm, gripper.jaw_mass, ORIGIN, ORIGIN, (_JAW_KGM2,) * 3)) if heavy else []
+    beyond = _PAST_STROKE_M if heavy else 0.0
     travels = (
         (f"{group}_jaw", palm, (0.0, 0.0, gripper.reach), -1.0, 0.5),
         (f"{group}_gripper", jaws[0], ORIGIN, 1.0, 1.0),
@@ -93,11 +112,12 @@ def _gripper(group: str, wrist: str, gripper: Gripper) -> list[str]:
             f'<child link="{jaw}"/>',
             _origin(xyz, ORIGIN),
             f'<axis xyz="{_join((sign, 0.0, 0.0))}"/>',
-            f'<limit lower="0.0" upper="{share * gripper.stroke!r}" '
+            f'<limit lower="0.0" upper="{share * gripper.stroke + beyond!r}" '
             f'effort="{gripper.force!r}" velocity="{share * gripper.rate!r}"/>',
             *([f'<mimic joint="{group}_gripper" multiplier="{share!r}" offset="0.0"/>'] if share != 1.0 else []),
             "</joint>",
             f'<link name="{jaw}">',
+            *weight,
             *_solid(gripper.jaw, (sign * thickness / 2.0, 0.0, 0.0), "jaw", _METAL),
             "</link>",
         ]

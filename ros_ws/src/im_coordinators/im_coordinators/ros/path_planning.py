@@ -12,12 +12,14 @@ from im_coordinators.motion import DESTINATIONS, way_asked
 from im_coordinators.path_planning import (
     another_may_help,
     configuration,
-    detour,
-    detour_may_help,
     home_seed,
+    neighbours,
     require_joints,
+    search_may_help,
+    things_in_the_way,
     tucked_seed,
 )
+from im_coordinators.path_search import search_apart
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
 from im_core.errors import ImError, StateError
@@ -48,11 +50,11 @@ def planning_functions(host: Host) -> Functions:
         "find_configuration": planning.find_configuration,
         "find_another": planning.find_another,
         "plan_direct": planning.plan_direct,
-        "plan_detour": planning.plan_detour,
+        "plan_around": planning.plan_around,
         "check_given": planning.check_given,
     }
     guards = {
-        "detour_may_help": woken_by()(lambda ctx: detour_may_help(ctx.failure)),
+        "search_may_help": woken_by()(lambda ctx: search_may_help(ctx.failure)),
         "another_may_help": woken_by()(
             lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
         ),
@@ -93,12 +95,22 @@ class PathPlanningFunctions:
         joints, start, goal = _way(ctx)
         await self._store(ctx, joints, start, [goal], "plan_done")
 
-    async def plan_detour(self, ctx: ActionContext) -> None:
-        """Store the path with the arm tucked on the way if the path is free."""
+    async def plan_around(self, ctx: ActionContext) -> None:
+        """Store a path around obstacles, found by a search; the same request gives the same path."""
         joints, start, goal = _way(ctx)
         group = str(ctx.request_arguments["group"])
-        points = detour(start, goal, self._home[group], self._carriers[group])
+        positions = dict(zip(joints, start, strict=True))
+        for other in neighbours(self._cell.partitions, group, joints):
+            there = (await self._ask(STATE, GetGroupState.Request(group=other), f"the position of {other}")).state
+            positions |= dict(zip(there.joints, _position(there), strict=True))
+        question = {"joints": joints, "positions": positions, "goal": goal, "things": self._things(ctx), "seed": 0}
+        points = await self._host.noted_apart("path", search_apart, question)
         await self._store(ctx, joints, start, points, "plan_done")
+
+    def _things(self, ctx: ActionContext) -> list[dict[str, object]]:
+        asked = ctx.request_arguments
+        wrist = self._cell.groups[str(asked["group"])].tip
+        return things_in_the_way(asked.get("things", {}), self._cell.objects, wrist)
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Store the given path if the path is free."""

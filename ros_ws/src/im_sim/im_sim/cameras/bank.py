@@ -16,7 +16,7 @@ from im_core.stopwatch import Stopwatch
 from im_sim.cameras.laser import LaserLight
 from im_sim.cameras.lens import FloatImage, Lens, vignette
 from im_sim.cameras.light import Spot, add_spot, image_of_light, reflect
-from im_sim.cameras.plates import Plates, TargetPatch, target_patch
+from im_sim.cameras.plates import Plates, TargetPatch, printed, target_patch
 from im_sim.cameras.protocol import CameraSettings
 from im_sim.cameras.scene import SceneMirror
 from im_sim.cameras.sensor import noise_stream, read_out
@@ -43,6 +43,7 @@ class _Camera:
     patches: list[TargetPatch] | None = None
     scene: FloatImage | None = None
     scene_q: Array | None = None
+    scene_bodies: Array | None = None
 
     @cached_property
     def lens(self) -> Lens:
@@ -73,6 +74,8 @@ class CameraBank:
         self._laser = None if truth.laser is None else LaserLight(cell, truth.laser.model(), scene, seed)
         self._prismatic = np.array([joint.kind == "prismatic" for joint in cell.joints])
         self._watch = Stopwatch()
+        starts = [body.start for body in cell.objects]
+        self._seen = np.concatenate((*starts, np.full(len(cell.devices("gripper")), cell.gripper.initial)))
 
     def expected(self, camera: str, exposure: Exposure, exposure_s: float, sensor: SensorNoise) -> FloatImage:
         """Expected pixel values of a camera, with black level, shape (h, w) [DN].
@@ -85,6 +88,7 @@ class CameraBank:
         """
         unit = self._cameras[camera]
         self._scene.set_joints(exposure.q_true)
+        self._see_bodies(exposure)
         placed = self._placed(unit)
         strength = exposure_s / self._settings.nominal_exposure * self._settings.sensor.gain / sensor.gain
         mean = self._scene_of(unit, placed, exposure.q_true) * np.float32(BACKGROUND_DN)
@@ -203,7 +207,8 @@ class CameraBank:
 
     def _scene_of(self, unit: _Camera, placed: CameraModel, q: Array) -> FloatImage:
         """Return the brightness of the scene through the lens; rendered anew only after a visible motion."""
-        if unit.scene is None or unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX:
+        moved = unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX
+        if unit.scene is None or moved or self._bodies_moved(unit):
             with self._watch.step("render_s"):
                 brightness, depth = self._scene.render(unit.lens.pinhole, placed)
             with self._watch.step("warp_s"):
@@ -214,18 +219,33 @@ class CameraBank:
                     depth = unit.lens.warp_depth(depth)
                 for patch in patches:
                     patch.paint(scene, depth, self._cell.optics.blur)
-            unit.scene, unit.scene_q = scene, q.copy()
+            unit.scene, unit.scene_q, unit.scene_bodies = scene, q.copy(), self._seen
         return unit.scene
 
     def _patches(self, unit: _Camera, placed: CameraModel) -> list[TargetPatch]:
         """Return the targets in the image of a camera; the targets of a fixed camera are drawn once."""
         if unit.patches is not None:
             return unit.patches
-        drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in self._cell.targets)
+        targets = (*self._cell.targets, *printed(self._cell.objects, self._seen))
+        drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in targets)
         patches = [patch for patch in drawn if patch is not None]
-        if unit.parent == "world":
+        if unit.parent == "world" and len(targets) == len(self._cell.targets):
             unit.patches = patches
         return patches
+
+    def _see_bodies(self, exposure: Exposure) -> None:
+        """Move free bodies and jaws to where an exposure saw them."""
+        if self._cell.objects and exposure.bodies is not None and exposure.jaws is not None:
+            bodies = exposure.bodies[: len(self._cell.objects)]
+            self._scene.set_bodies(bodies, exposure.jaws)
+            self._seen = np.concatenate((bodies.ravel(), exposure.jaws))
+
+    def _bodies_moved(self, unit: _Camera) -> bool:
+        """Whether a free body or a jaw was elsewhere when a camera's scene was rendered."""
+        if unit.scene_bodies is None:
+            return True
+        reach = float(np.abs(self._seen - unit.scene_bodies).max(initial=0.0))
+        return reach * float(unit.mounted.K[0, 0]) / _NEAREST_M > STILL_PX
 
     def _motion_px(self, unit: _Camera, dq: Array) -> float:
         """Bound on how far anything moved in the image [px]."""

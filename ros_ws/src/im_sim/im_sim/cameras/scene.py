@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from im_cell.camera_model import CameraModel
 from im_cell.robot import ORIGIN, Cell, Vector, urdf
 from im_core.errors import ConfigError
+from im_sim.bodies import FreeBodies
 from im_sim.cameras.lens import FloatImage, Pinhole
 from im_sim.urdf_loader import load_urdf
 
@@ -37,7 +38,9 @@ class SceneMirror:
         self._client = pybullet.connect(pybullet.DIRECT)
         self.renderer, self._flag = self._choose(renderer)
         pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
-        self._body = load_urdf(urdf(cell, frames=False), self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
+        text = urdf(cell, frames=False, grippers=bool(cell.objects))
+        self._body = load_urdf(text, self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
+        self._bodies = FreeBodies(cell.objects, self._client)
         self._frames: dict[str, tuple[int, Vector, Vector]] = {"world": (_BASE, ORIGIN, ORIGIN)}
         indices: dict[str, int] = {}
         for index in range(pybullet.getNumJoints(self._body, physicsClientId=self._client)):
@@ -47,6 +50,10 @@ class SceneMirror:
         for frame in cell.tree.frames.values():
             self._frames[frame.name] = (self._frames[frame.parent][0], frame.xyz, frame.rpy)
         self._joints = [indices[name] for name in cell.joint_names]
+        grippers = [name.removesuffix("_gripper") for name in cell.devices("gripper") if cell.objects]
+        self._jaws = [(indices[f"{name}_jaw"], indices[f"{name}_gripper"]) for name in grippers]
+        starts = np.array([body.start for body in cell.objects])
+        self.set_bodies(starts, np.full(len(grippers), cell.gripper.initial))
 
     @property
     def renderer_offset(self) -> tuple[float, float]:
@@ -58,6 +65,14 @@ class SceneMirror:
         pybullet.resetJointStatesMultiDof(
             self._body, self._joints, [[float(value)] for value in q], physicsClientId=self._client
         )
+
+    def set_bodies(self, poses: Array, openings: Array) -> None:
+        """Move free bodies to poses, shape (m, 7) [m, -], and jaws to openings, shape (grippers,) [m]."""
+        for rank in range(len(self._bodies)):
+            self._bodies.place(rank, poses[rank])
+        for (first, second), opening in zip(self._jaws, openings.tolist(), strict=True):
+            for joint, place in ((first, opening / 2.0), (second, opening)):
+                pybullet.resetJointState(self._body, joint, place, physicsClientId=self._client)
 
     def pose(self, frame: str) -> tuple[Array, Array]:
         """Rotation frame -> world, shape (3, 3), and origin in the world, shape (3,) [m], of a link."""

@@ -24,7 +24,7 @@ from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.stamps import to_stamp
 from im_core.ros.node import ManagedNode
 from im_core.shm_names import remove_all
-from im_msgs.srv import Advance, GetTruth, InjectFault, PutInJaws, SetLight
+from im_msgs.srv import Advance, GetTruth, InjectFault, PlaceObject, PutInJaws, SetLight
 from im_sim.panel import FaultPanel, Lights
 from im_sim.truth import draw_truth
 
@@ -34,7 +34,7 @@ CLOCK_REPEAT_S = 1.0
 DIAGNOSTICS_PERIOD_S = 1.0
 LONGEST_ADVANCE_S = 3600.0
 
-_Answer = TypeVar("_Answer", InjectFault.Response, PutInJaws.Response)
+_Answer = TypeVar("_Answer", InjectFault.Response, PlaceObject.Response, PutInJaws.Response)
 
 
 class TestbedNode(ManagedNode):
@@ -62,6 +62,7 @@ class TestbedNode(ManagedNode):
         self.create_service(Advance, "/testbed/advance", self._advance)
         self.create_service(InjectFault, "/testbed/inject_fault", self._inject_fault)
         self.create_service(PutInJaws, "/testbed/put_in_jaws", self._put_in_jaws)
+        self.create_service(PlaceObject, "/testbed/place_object", self._place_object)
 
     def phase_configure(self) -> None:
         """Draw the truth, start the physics process and attach to the link."""
@@ -176,7 +177,8 @@ class TestbedNode(ManagedNode):
             response.message = "the testbed is not configured yet"
             return response
         response.success = True
-        response.json = self._truth.model_dump_json()
+        bodies = {} if self._link is None else FaultPanel(self._cell, self._link).bodies()
+        response.json = self._truth.model_copy(update={"objects": bodies}).model_dump_json()
         return response
 
     def _inject_fault(self, request: InjectFault.Request, response: InjectFault.Response) -> InjectFault.Response:
@@ -189,6 +191,11 @@ class TestbedNode(ManagedNode):
             response,
             lambda panel: panel.put_in_jaws(request.gripper, request.width, request.stiffness, request.mass),
         )
+
+    def _place_object(self, request: PlaceObject.Request, response: PlaceObject.Response) -> PlaceObject.Response:
+        p, o = request.pose.position, request.pose.orientation
+        pose = (p.x, p.y, p.z, o.x, o.y, o.z, o.w)
+        return self._at_panel(response, lambda panel: panel.place(request.name, pose))
 
     def _at_panel(self, response: _Answer, act: Callable[[FaultPanel], str]) -> _Answer:
         try:

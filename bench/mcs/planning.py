@@ -1,0 +1,92 @@
+"""CPU time of searches for free paths among the shipped free bodies, and an independent check of the paths."""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.figures import Line
+from im_cell.robot import load_cell
+from im_cell.robot.objects import ObjectsFile
+from im_coordinators.free_path import FreeSpace, find_path
+from im_core import clock
+from im_core.config import load_model, package_file
+from im_core.errors import ImError
+from im_mcs.collision import Bodies, Thing
+from im_mcs.limits.configuration import McsConfig
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+
+Array = NDArray[np.float64]
+
+_QUERIES, _QUERIES_OF_BOTH = 200, 40
+_WITHIN_S, _MEDIAN_S, _SHARE = 2.0, 0.3, 0.95
+_STEP = 1e-3
+#: Every so many paths, one is checked in steps: that takes far longer than to find it.
+_CHECKED = 5
+#: Least distance of the carts of two arms on their track [m]: they cannot pass each other.
+_APART_M = 0.5
+
+
+def lines(config: McsConfig, seed: int) -> list[Line]:
+    """Queries whose straight line is blocked: of the left and the right arm in turn, and of both."""
+    cell = load_cell()
+    model, limits = CellModel(cell), JointLimits(cell, config.limits, config.slots)
+    objects = load_model(package_file("im_cell", "cells/puma_pair/objects.yaml"), ObjectsFile).objects
+    things = [Thing(body, "world", body.start) for body in objects]
+    bodies = Bodies(model, things)
+    clearance, half = config.collision.clearance_m, model.n // 2
+    random = np.random.default_rng(seed)
+    arms = [np.arange(half), np.arange(half, model.n)]
+    found: list[Line] = []
+    for name, queries, groups in (
+        (f"{half} joints", _QUERIES, arms),
+        (f"{model.n} joints", _QUERIES_OF_BOTH, [np.arange(model.n)]),
+    ):
+        seconds, refused, steps, checked = [], 0, 0, 0
+        for number in range(queries):
+            index = groups[number % len(groups)]
+            q = cell.home.copy()
+            space = FreeSpace(model, limits, clearance, q, index, things)
+            q[index], goal = _blocked(space, random)
+            began = clock.cpu()
+            try:
+                path = find_path(FreeSpace(model, limits, clearance, q, index, things), q[index], goal, number)
+            except ImError:
+                seconds.append(np.inf)
+                continue
+            seconds.append(clock.cpu() - began)
+            if number % _CHECKED == 0:
+                closest, looked = _closest(bodies, q, index, np.vstack([q[index], path.points]))
+                refused, steps, checked = refused + (closest < clearance), steps + looked, checked + 1
+        share = float(np.mean(np.array(seconds) <= _WITHIN_S))
+        found += [
+            Line(f"{name}: CPU time of a path, median", float(np.median(seconds)), "s", bar=_MEDIAN_S),
+            Line(f"  95 % of {queries}", float(np.quantile(seconds, 0.95)), "s"),
+            Line(f"  share of {queries} within {_WITHIN_S:g} s", share, "", bar=_SHARE, at_least=True),
+            Line(f"  of {checked}, refused in {steps} steps of {_STEP:g} rad or m", float(refused), "", bar=0.0),
+        ]
+    return found
+
+
+def _blocked(space: FreeSpace, random: np.random.Generator) -> tuple[Array, Array]:
+    """Draw two free positions with something between them."""
+    while True:
+        a, b = (random.uniform(space.lower, space.upper) for _ in range(2))
+        half = len(a) // 2
+        passing = len(a) > 2 * 6 and any(q[0] > q[half] - _APART_M for q in (a, b))
+        if not passing and space.free(a) and space.free(b) and not space.line_free(a, b):
+            return a, b
+
+
+def _closest(bodies: Bodies, q_all: Array, index: NDArray[np.intp], points: Array) -> tuple[float, int]:
+    """Return the smallest distance on a path, at every step [m], and the number of steps."""
+    whole, least, steps = q_all.copy(), np.inf, 0
+    for a, b in pairwise(points):
+        count = int(np.ceil(np.abs(b - a).max() / _STEP))
+        steps += count
+        for k in range(count + 1):
+            whole[index] = a + (b - a) * (k / count)
+            bodies.place(whole)
+            least = min(least, bodies.closest().distance)
+    return least, steps

@@ -1,0 +1,74 @@
+"""Free bodies of the cell: what lies on the table, and what grippers hold by contact and friction."""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from im_cell.robot.parameters import NonNegative, Positive, Size, Vector
+from im_cell.rotations import matrix_of_rpy, quaternion_of_matrix
+from im_core.config import FieldError, Model
+
+#: Most free bodies of a cell; the link to the testbed has room for them.
+MAX_BODIES = 16
+
+
+class FreeBody(Model):
+    """Free body of the cell, homogeneous.
+
+    Attributes:
+        name: What it is.
+        kind: ``box`` or ``cylinder``, upright along z.
+        size: Edge lengths; of a cylinder diameter, diameter and height [m].
+        mass: [kg].
+        friction: Coefficient against a surface of coefficient 1; of two surfaces it is the product.
+        color: Red, green, blue, 0 to 1.
+        position: Of its middle in the world, at the start [m].
+        rpy: Orientation there [rad].
+        fiducial: Number of a code of OpenCV's dictionary 4X4_50 on its upper face; None: nothing is printed there.
+        fiducial_size: Side of the code [m].
+    """
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    kind: Literal["box", "cylinder"]
+    size: Size
+    mass: Positive
+    friction: NonNegative = 0.6
+    color: Vector
+    position: Vector
+    rpy: Vector = (0.0, 0.0, 0.0)
+    fiducial: Annotated[int, Field(ge=0, lt=50)] | None = None
+    fiducial_size: Positive = 0.04
+
+    @model_validator(mode="after")
+    def _has_shape(self) -> Self:
+        if self.kind == "cylinder" and self.size[0] != self.size[1]:
+            raise ValueError(f"a cylinder's size is diameter, diameter, height; the diameters of {self.size} differ")
+        if self.fiducial is not None and self.fiducial_size > self.face:
+            raise ValueError(f"fiducial_size {self.fiducial_size} is more than its face's {self.face} [m]")
+        return self
+
+    @property
+    def face(self) -> float:
+        """Side of the largest square on its upper face [m]."""
+        return min(self.size[:2]) * (1.0 if self.kind == "box" else 0.5**0.5)
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """Pose at the start: position [m] and quaternion x, y, z, w, shape (7,)."""
+        return np.array([*self.position, *quaternion_of_matrix(matrix_of_rpy(self.rpy))])
+
+
+class ObjectsFile(Model):
+    """The free bodies of a cell, in its own file or in one beside it."""
+
+    objects: Annotated[tuple[FreeBody, ...], Field(max_length=MAX_BODIES)] = ()
+
+    @model_validator(mode="after")
+    def _one_name_each(self) -> Self:
+        names = [body.name for body in self.objects]
+        for rank, name in enumerate(names):
+            if name in names[:rank]:
+                raise FieldError(("objects", rank, "name"), f"two objects have the same name, '{name}'")
+        return self

@@ -1,0 +1,92 @@
+"""``python -m im_coordinators.path_search``: a search of a free path, in a process of its own.
+
+The question comes as JSON on standard input; the answer, or the sentence of an error, is the last line written. The
+nodes of the process that asks go on meanwhile.
+"""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from im_cell.robot import Cell, load_cell
+from im_coordinators.free_path import FreeSpace, find_path
+from im_core import names
+from im_core.errors import ImError
+from im_core.processes.process import ChildProcess
+from im_mcs.collision import Thing
+from im_mcs.limits.configuration import load_config
+from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
+
+#: How long a search may take before it is ended [s]: far longer than its most checks take.
+PATIENCE_S = 60.0
+#: Exit codes: a path, no path, an error.
+FOUND, BLOCKED, WRONG = 0, 1, 2
+
+
+def search_apart(question: Mapping[str, object]) -> list[list[float]]:
+    """Search in a child process; blocks until it ends.
+
+    Args:
+        question: JSON data: ``joints``, names of those that move; ``positions``, of all joints by name; ``goal``, of
+            those that move; ``things``, each with ``name``, ``frame`` and ``pose``; ``seed``.
+
+    Returns:
+        Points behind the start, the last one is the goal.
+
+    Raises:
+        ImError: No path was found (code ``collision``), or the search failed (code ``planning``).
+    """
+    log = names.run_dir() / "path_search.log"
+    child = ChildProcess.of_module("im_coordinators.path_search", log=log, stdin=json.dumps(question))
+    if not child.await_end(PATIENCE_S):
+        child.stop()
+        raise ImError(f"the search of a path did not end within {PATIENCE_S:g} s", code="planning")
+    code, words = child.poll(), child.last_words()
+    if code == BLOCKED:
+        raise ImError(words, code="collision")
+    if code != FOUND:
+        raise ImError(f"the search of a path failed: {child.obituary()}", code="planning")
+    points: list[list[float]] = json.loads(log.read_bytes().splitlines()[-1])
+    return points
+
+
+def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
+    """Search; question and answer as of :func:`search_apart`.
+
+    Raises:
+        ImError: No path was found (code ``collision``).
+    """
+    model, config = CellModel(cell), load_config(cell=cell)
+    index = np.array([model.index(joint) for joint in question["joints"]], dtype=np.intp)
+    q_all = np.array([question["positions"].get(name, home) for name, home in zip(model.names, cell.home, strict=True)])
+    bodies = {body.name: body for body in cell.objects}
+    things = [Thing(bodies[each["name"]], each["frame"], np.array(each["pose"])) for each in question["things"]]
+    limits = JointLimits(cell, config.limits, config.slots)
+    space = FreeSpace(model, limits, config.collision.clearance_m, q_all, index, things)
+    found = find_path(space, q_all[index], np.array(question["goal"]), question["seed"])
+    return [[float(value) for value in point] for point in found.points]
+
+
+def main(_: Sequence[str] | None = None) -> int:
+    """Answer the question on standard input.
+
+    Returns:
+        Exit code: :data:`FOUND`, :data:`BLOCKED` or :data:`WRONG`.
+    """
+    try:
+        answer = json.dumps(search(load_cell(), json.load(sys.stdin)))
+    except ImError as error:
+        answer = error.message
+        code = BLOCKED if error.code == "collision" else WRONG
+    else:
+        code = FOUND
+    print(answer, flush=True)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
