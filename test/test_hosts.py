@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-import im_cell
 from im_bringup.tasks.middleware import PROFILE, loopback_profile, open_profile
 from im_core.config import package_file
 from support.whole_machine import write_few_poses
@@ -238,9 +237,11 @@ def test_a_host_without_an_agent_is_named_with_the_line_that_is_missing_there(tw
 
 def test_a_host_with_another_cell_or_other_tasks_is_named_and_gets_no_orders(two, tmp_path):
     here, there, deployment = two
-    cell = tmp_path / "cell.yaml"
-    shipped = (Path(im_cell.__file__).parent / "robot" / "cell.yaml").read_text()
-    cell.write_text(shipped.replace("gravity: 9.81", "gravity: 9.80"))
+    cell, shipped = tmp_path / "cell.yaml", package_file("im_cell", "cells/puma_pair/cell.yaml")
+    robot = (shipped.parent / "puma_pair.urdf").read_text()
+    assert 'upper="0.85"' in robot
+    (tmp_path / "puma_pair.urdf").write_text(robot.replace('upper="0.85"', 'upper="0.86"', 1))
+    cell.write_text(shipped.read_text())
     other = tmp_path / "other.yaml"
     other.write_text(f"cell: {cell}\n{TWO_HOSTS.replace('gripper_', 'motion_')}")
     there.start(*START, other, "--host", "far")

@@ -1,6 +1,7 @@
 """Digests of everything common to the hosts of a deployment."""
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from im_bringup.tasks.deployment import Deployment
 from im_core.files import read_bytes
+from im_core.names import OBJECTS
 
 _MESSAGES = "im_msgs"
 #: Of a definition of a message [bytes].
@@ -22,13 +24,16 @@ def digests(deployment: Deployment) -> dict[str, str]:
 
     Raises:
         ConfigError: The cell is missing or wrong.
+        FileError: The file of free bodies cannot be read.
     """
-    from im_cell.robot import load_cell  # half a second that starts on one host do not need
+    from im_cell.robot import load_cell, urdf  # half a second that starts on one host do not need
 
     cell = load_cell(deployment.cell or None)
+    bodies = os.environ.get(OBJECTS)
     return {
+        **({f"free bodies ({OBJECTS})": _digest([read_bytes(Path(bodies), _LARGEST)])} if bodies else {}),
         "tasks of the deployment file": _digest([deployment.model_dump_json(include={"hosts"}).encode()]),
-        "cell": _digest([cell.model_dump_json().encode()]),
+        "cell": _digest([cell.model_dump_json(exclude={"urdf"}).encode(), urdf(cell).encode()]),
         f"messages ({_MESSAGES})": _digest(_interfaces(Path(get_package_share_directory(_MESSAGES)))),
     }
 
