@@ -39,14 +39,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             draw(load_cell(options.cell), options.picture)
             print(f"picture: {options.picture}")
     except (ImError, OSError) as error:
-        print(f"cell: {error}", file=sys.stderr)
+        print(f"im cell: {error}", file=sys.stderr)
         return 1
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = NumberParser(
-        prog="cell",
+        prog="im cell",
         description="Write the first cell file of a URDF, or check a cell file.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
