@@ -94,7 +94,7 @@ def test_meshes_that_are_not_there_or_in_millimetres_are_said(robot):
 
 def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     assert main(["check", str(tmp_path / "none.yaml")]) == 1
-    assert capsys.readouterr().err.startswith("cell: ")
+    assert capsys.readouterr().err.startswith("im cell: ")
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
