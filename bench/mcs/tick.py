@@ -69,7 +69,7 @@ def _watch_parts(machine: Rig, present: dict[str, float]) -> None:
         ("limits of setpoints", mcs.loop._limiter, "limit"),
         ("collision", mcs._collision, "update"),
         ("gravity", mcs.control_model, "gravity"),
-        ("control law", group, "torque"),
+        ("control law", group, "command"),
         ("record", mcs.recorder, "put_row"),
         ("slots written", mcs._testbed, "write"),
     ):

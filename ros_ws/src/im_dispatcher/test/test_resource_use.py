@@ -92,7 +92,8 @@ class Played:
 def drawn(schema: ArgumentSchema, dice: random.Random) -> dict[str, object]:
     """Returns arguments of which those that decide something are drawn."""
     drawn = {name: dice.choice(each.choices) for name, each in schema.arguments.items() if each.choices}
-    return drawn | ({"joints": [0.0] * 9} if "joints" in schema.arguments else {})
+    given = {"joints": [0.0] * 9, "position": [0.0] * 3}
+    return drawn | {name: value for name, value in given.items() if name in schema.arguments}
 
 
 def test_what_is_done_for_a_command_is_within_what_it_needs() -> None:

@@ -268,6 +268,7 @@ CONSISTENCY = (
     "has neither input places nor a symbol",
     "both enables and disables",
     "has no transition",
+    "no transition sends",
     "of another net; only",
     "of this very net",
     "more than the capacity",

@@ -36,6 +36,8 @@ NEVER = {
     "errand": {"cancelled", "reach.person.give_up_again", "reach.near.end"}
     | {f"reach.{rule}.{part}" for rule in _RULES for part in ("end_stopped", "give_up")},
     "maintenance": {"grease_cancelled_1", "grease_cancelled_2", "cancelled"},
+    "pick": {"power.again", "guard ${false}"},
+    "place": {"power.again", "guard ${false}"},
     "palletising": {"lay_sheet_cancelled_1", "lay_sheet_cancelled_2"},
     "polishing_cell": {"change_wheel_cancelled_1", "change_wheel_cancelled_2", "cancelled"},
     "watch_dog": {"not_begun"},

@@ -453,6 +453,9 @@ _ADDED: Mapping[str, object] = {
     "resets": (),
     "unless": (),
     "servers": None,
+    "cancels": None,
+    "keeps_failure": False,
+    "silent": None,
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 
