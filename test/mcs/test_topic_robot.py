@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from im_core import clock, names
+from im_core.processes.procfs import stat_fields
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_mcs.testbed.joint_state import TopicLink
@@ -117,8 +118,9 @@ def test_a_bridge_that_was_stopped_publishes_no_effort_from_before_the_emergency
     client.until(lambda: efforts)
     pid = bridge_pid()
     os.kill(pid, signal.SIGSTOP)
-    stopped = clock.wall()
     try:
+        client.until(lambda: stat_fields(pid)[0] == "T")  # the signal may come to a thread that is just sending
+        stopped = clock.wall()
         client.until(lambda: client.state() == "estopped")
         efforts.clear()
     finally:
