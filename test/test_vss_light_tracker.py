@@ -51,18 +51,18 @@ def tracker():
 @pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE)
 def test_the_newest_pose_stands_whatever_others_send(tracker, noise):
     tracker.hear(noise)
-    assert tracker.wrist("left", 0) is None
+    assert tracker.wrist("left_wrist", 0) is None
     tracker.hear(TRUE)
-    rotation, origin = tracker.wrist("left", 0)
+    rotation, origin = tracker.wrist("left_wrist", 0)
     for _ in range(20):
         tracker.hear(noise)
-    np.testing.assert_array_equal(tracker.wrist("left", 0)[0], rotation)
-    np.testing.assert_array_equal(tracker.wrist("left", 0)[1], origin)
+    np.testing.assert_array_equal(tracker.wrist("left_wrist", 0)[0], rotation)
+    np.testing.assert_array_equal(tracker.wrist("left_wrist", 0)[1], origin)
     tracker.hear(message("left_link6", "world"))
-    np.testing.assert_allclose(origin - tracker.wrist("left", 0)[1], [1.0, 2.0, 3.0])
+    np.testing.assert_allclose(origin - tracker.wrist("left_wrist", 0)[1], [1.0, 2.0, 3.0])
 
 
 def test_a_pose_of_another_time_is_none(tracker):
     tracker.hear(TRUE)
-    assert tracker.wrist("left", 1_000_000_000) is not None
-    assert tracker.wrist("left", 1_000_000_001) is None
+    assert tracker.wrist("left_wrist", 1_000_000_000) is not None
+    assert tracker.wrist("left_wrist", 1_000_000_001) is None
