@@ -191,13 +191,14 @@ class Bootstrap:
         self._changed |= host in self._unheard
         self._unheard.discard(host)
         unlike = differences(self._digests, digests)
-        sentence = f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
         self._changed |= bool(unlike) != (host in self._unlike)
-        self._unlike.pop(host, None)
         if not unlike:
+            self._unlike.pop(host, None)
             return ""
-        self._unlike[host] = sentence
-        return sentence
+        self._unlike[host] = (
+            f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
+        )
+        return self._unlike[host]
 
     @property
     def awaits_nets(self) -> bool:

@@ -473,7 +473,7 @@ def spawn_bootstrap(
 
 
 def _cell(text: str) -> str:
-    return os.path.abspath(text) if "/" in text or "." in text or os.path.exists(text) else text
+    return text if deployments.is_name(text) and not os.path.exists(text) else os.path.abspath(text)
 
 
 def _folder(text: str) -> str:

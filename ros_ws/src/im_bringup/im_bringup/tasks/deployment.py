@@ -403,9 +403,9 @@ def require_calibration_here(deployment: Deployment, folder: str | None) -> None
             )
 
 
-def _is_name(field: str, path: str) -> bool:
-    """Whether a value names a shipped cell, no file."""
-    return field == "cell" and "/" not in path and "." not in path
+def is_name(text: str) -> bool:
+    """Return whether a text names something shipped, and no file."""
+    return "/" not in text and "." not in text
 
 
 def default_path() -> Path:
@@ -421,10 +421,10 @@ def load(path: str | Path) -> Deployment:
     """
     deployment = config.load_model(path, Deployment)
     here = Path(path).resolve().parent
-    named = [str((here / name).resolve()) if "/" in name or "." in name else name for name in deployment.commands]
+    named = [name if is_name(name) else str((here / name).resolve()) for name in deployment.commands]
     for rank, name in enumerate(named):
         if "," in name:
             raise config.fault_in(Path(path), ("commands", rank), f"{name}: {_NO_COMMA}")
-    given = {"cell": deployment.cell, "calibration": deployment.calibration}
-    paths = {name: str((here / path).resolve()) for name, path in given.items() if path and not _is_name(name, path)}
-    return deployment.model_copy(update={"commands": tuple(named), **paths})
+    cell = deployment.cell if is_name(deployment.cell) else str((here / deployment.cell).resolve())
+    calibration = deployment.calibration and str((here / deployment.calibration).resolve())
+    return deployment.model_copy(update={"commands": tuple(named), "cell": cell, "calibration": calibration})

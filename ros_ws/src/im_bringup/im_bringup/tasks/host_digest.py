@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
-from im_bringup.tasks.deployment import Deployment
+from im_bringup.tasks.deployment import Deployment, for_cell
 from im_core.files import read_bytes
 from im_core.names import OBJECTS
 
@@ -20,19 +20,20 @@ def digests(deployment: Deployment) -> dict[str, str]:
     """Return the digests by name, for :func:`differences`.
 
     Args:
-        deployment: As read from the file of the host.
+        deployment: As read from the file of the host, with all tasks or with those for its cell.
 
     Raises:
-        ConfigError: The cell is missing or wrong.
+        ConfigError: The cell is missing or wrong, or no task can work in it.
         FileError: The file of free bodies cannot be read.
     """
     from im_cell.robot import load_cell, urdf  # half a second that starts on one host do not need
 
     cell = load_cell(deployment.cell or None)
+    tasks = for_cell(deployment, cell.parts)  # a bootstrap has left out what the cell lacks already
     bodies = os.environ.get(OBJECTS)
     return {
         **({f"free bodies ({OBJECTS})": _digest([read_bytes(Path(bodies), _LARGEST)])} if bodies else {}),
-        "tasks of the deployment file": _digest([deployment.model_dump_json(include={"hosts"}).encode()]),
+        "tasks of the deployment file": _digest([tasks.model_dump_json(include={"hosts"}).encode()]),
         "cell": _digest([cell.model_dump_json(exclude={"urdf"}).encode(), urdf(cell).encode()]),
         f"messages ({_MESSAGES})": _digest(_interfaces(Path(get_package_share_directory(_MESSAGES)))),
     }
