@@ -37,8 +37,10 @@ from im_core.ros.peers.client_identity import client_of, nodes_of, process_of, s
 from im_core.ros.peers.servers import node_of
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
+from im_core.ros.rclpy_fixes.backlog import serve_waiting
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.rclpy_fixes.timers import punctual_timer
+from im_core.ros.urgent import UrgentReaders
 
 INTERNAL = "internal"
 
@@ -65,6 +67,7 @@ class GuardedNode(Node):
         failures: What they raised.
         late_answers: Answers whose clients are not reached yet.
         open_requests: Requests of its services that wait for their answers.
+        urgent: Requests taken before waiting callbacks; one for all nodes of a loop.
         turns: How many callbacks have begun; it stands still with the loop.
         standstill_s: How long the loop may stand still now [s]; see :class:`im_core.processes.loop_watch.LoopWatch`.
             Whoever lowers it counts a turn first.
@@ -88,6 +91,7 @@ class GuardedNode(Node):
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
         self.late_answers = LateAnswers(self, self._note_lost)
         self.open_requests = OpenRequests()
+        self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
         super().__init__(name, **options)
@@ -104,7 +108,8 @@ class GuardedNode(Node):
         self.executor.create_task(work)
 
     def turn(self) -> None:
-        """Turn once more."""
+        """Turn once more, after urgent requests."""
+        self.urgent.look()
         self.turns += 1
 
     def get_logger(self) -> RcutilsLogger:
@@ -121,7 +126,7 @@ class GuardedNode(Node):
         """
 
         def call(*arguments: Any) -> Any:
-            self.turns += 1
+            self.turn()
             try:
                 return callback(*arguments)
             except FOREIGN as error:  # whatever it is, the node goes on
@@ -190,16 +195,20 @@ class GuardedNode(Node):
         *,
         qos_profile: QoSProfile = qos.SERVICES,
         callback_group: CallbackGroup | None = None,
+        urgent: bool = False,
     ) -> Service:
         """Create a service as in rclpy, with queues for many clients; an answer is sent in any case.
 
         The callback may be a coroutine. It may also return a function: that is given who called, as
         :func:`im_core.ros.peers.client_identity.client_of` says, and returns what the callback would have returned.
+        Requests to an urgent service are taken before other callbacks that wait.
         """
         service = super().create_service(
             srv_type, srv_name, callback, qos_profile=qos_profile, callback_group=callback_group
         )
         _Answers(self, service)
+        if urgent:
+            self.urgent.add(partial(serve_waiting, service))
         return service
 
     def create_client(
@@ -218,7 +227,7 @@ class GuardedActionServer(ActionServer):
     """Action server with callbacks allowed to raise: the goal is rejected, or aborted with the reason in the result.
 
     What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of
-    thousands of points each, do not add up.
+    thousands of points each, do not add up. A cancellation is taken before other callbacks that wait.
 
     Args:
         node: Its node.
@@ -249,6 +258,15 @@ class GuardedActionServer(ActionServer):
             **_ACTION_SERVICES,
             **options,
         )
+        node.urgent.add(self._take_cancellations)
+
+    def _take_cancellations(self) -> None:
+        """Begin the cancellations that wait, each after the goals that wait: all goals may be meant."""
+        types = self._action_type.Impl
+        while all(cancellation := self._handle.take_cancel_request(types.CancelGoalService.Request)):
+            while all(goal := self._handle.take_goal_request(types.SendGoalService.Request)):
+                self._guard.begin(self.execute({"goal": goal}))
+            self._guard.begin(self.execute({"cancel": cancellation}))
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
         """Register the goal callback as in rclpy; a goal is rejected if the callback raises."""
@@ -287,7 +305,7 @@ class GuardedActionServer(ActionServer):
 
     async def execute(self, taken_data: Any) -> None:
         """Handle a taken request, as in rclpy; rclpy calls the method for every request."""
-        self._guard.turns += 1
+        self._guard.turn()
         try:
             await ActionServer.execute(self, taken_data)
         except Exception as error:  # the other goals go on
@@ -421,7 +439,7 @@ class GuardedActionClient(ActionClient):
 
     async def execute(self, taken_data: Any) -> None:
         """Handle a taken answer or feedback, as in rclpy; rclpy calls the method for each."""
-        self._guard.turns += 1
+        self._guard.turn()
         with self._asking:
             pass  # whoever has sent has noted it
         try:
@@ -458,7 +476,7 @@ class _Answers:
         hooked.callback, hooked.send_response = self._call, self._answer
 
     def _call(self, request: Any, response: Any) -> Any:
-        self._node.turns += 1
+        self._node.turn()
         try:
             return self._callback(request, response)
         except FOREIGN as error:  # answered where the client is known

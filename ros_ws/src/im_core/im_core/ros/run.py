@@ -105,6 +105,7 @@ class Spinner:
         faulthandler.enable()  # a fault in C leaves the stack of all threads, too
         self.executor: Any = GuardedExecutor(self.nodes[0].context, self._note)
         self.nodes[0].context.on_shutdown(self.executor.wake)
+        self._share_urgent()
         for node in self.nodes:
             self.executor.add_node(node)
         self._end = Future()
@@ -122,6 +123,13 @@ class Spinner:
                 if not context.ok():
                     return
                 self._note(error)
+
+    def _share_urgent(self) -> None:
+        """Have each node look into the urgent readers of all: the nodes wait for one loop."""
+        guarded = [node for node in self.nodes if isinstance(node, GuardedNode)]
+        for node in guarded[1:]:
+            guarded[0].urgent.join(node.urgent)
+            node.urgent = guarded[0].urgent
 
     def _note(self, error: Exception) -> None:
         guarded = next((node for node in self.nodes if isinstance(node, GuardedNode)), None)

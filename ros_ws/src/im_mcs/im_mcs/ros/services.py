@@ -67,10 +67,11 @@ class StateServices:
         offer(access, RenewLease, "/mcs/renew", self._renew)
         offer(access, SetPartition, "/mcs/set_partition", self._set_partition)
         for event in _TRANSITIONS:
-            offer(access, Trigger, f"/mcs/{event.value}", self._of_caller(event))
-            offer(access, GroupCommand, f"/mcs/group/{event.value}", self._of_group(event))
+            stops = event in (Event.POWER_OFF, Event.DISABLE_MOTION)
+            offer(access, Trigger, f"/mcs/{event.value}", self._of_caller(event), urgent=stops)
+            offer(access, GroupCommand, f"/mcs/group/{event.value}", self._of_group(event), urgent=stops)
         for event in _STOPS:
-            offer(access, Trigger, f"/mcs/{event.value}", self._of_all(event))
+            offer(access, Trigger, f"/mcs/{event.value}", self._of_all(event), urgent=event is Event.PROTECTIVE_STOP)
         for group in access.group_names:
             offer(access, Trigger, f"/mcs/{group}/ready", self._ready(group))
 
@@ -158,7 +159,7 @@ class MotionServices:
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
-        offer(access, GroupCommand, "/mcs/pause", self._pause)
+        offer(access, GroupCommand, "/mcs/pause", self._pause, urgent=True)
         offer(access, GroupCommand, "/mcs/resume", self._resume)
         offer(access, SetSpeed, "/mcs/set_speed", self._set_speed)
         offer(access, SetPayload, "/mcs/set_payload", self._set_payload)
@@ -321,7 +322,7 @@ async def switch_law(mcs: McsAccess, group: str, law: str, client: str) -> str:
     return f"{law} takes over {group}"
 
 
-def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
+def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work, *, urgent: bool = False) -> None:
     """Offer a service with the outcome of ``work`` as the answer, or the reason of a failure.
 
     What is asked is looked at for its size before anything else.
@@ -331,6 +332,7 @@ def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
         srv_type: With ``success`` or ``ok``, and ``message`` or ``status``, in its answer; a list may have none.
         name: Of the service.
         work: Given request, response and the client that asks; it may fill what else the response has.
+        urgent: Whether it stops something: its requests are taken before others that wait.
     """
 
     def serve(request: Any, response: Any) -> Callable[[str], Any]:
@@ -352,4 +354,4 @@ def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work) -> None:
 
         return answer
 
-    mcs.node.create_service(srv_type, name, serve)
+    mcs.node.create_service(srv_type, name, serve, urgent=urgent)

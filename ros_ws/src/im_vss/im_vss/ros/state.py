@@ -29,7 +29,7 @@ class StatePort:
         self._last: object = None
         self._publisher = node.create_publisher(VisionStateMessage, "/vss/state", qos.LATCHED)
         node.create_service(VisionQuery, "/vss/query", self._query)
-        node.create_service(VisionCancel, "/vss/cancel", self._cancel)
+        node.create_service(VisionCancel, "/vss/cancel", self._cancel, urgent=True)
         node.create_timer(STATE_PERIOD_S, self._publish, clock=node.steady_clock)
 
     def _query(self, _: VisionQuery.Request, response: VisionQuery.Response) -> VisionQuery.Response:

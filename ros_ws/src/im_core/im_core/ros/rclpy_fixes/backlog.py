@@ -54,7 +54,7 @@ def take_backlog(reader: Any, executor: Any) -> None:
         if isinstance(reader, Subscription):
             _hear(reader)
         elif isinstance(reader, Service):
-            _serve(reader)
+            serve_waiting(reader)
         elif isinstance(reader, Client):
             _complete(reader, executor)
         else:
@@ -71,7 +71,13 @@ def _hear(subscription: Any) -> None:
             subscription.callback(taken[0] if alone else taken)
 
 
-def _serve(service: Any) -> None:
+def serve_waiting(service: Any) -> None:
+    """Answer all requests waiting in a service.
+
+    Raises:
+        InvalidHandle: The service was destroyed.
+        Exception: What a callback raised.
+    """
     handle = service.handle
     with handle:
         while (taken := handle.service_take_request(service.srv_type.Request))[1] is not None:

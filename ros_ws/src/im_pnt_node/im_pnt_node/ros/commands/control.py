@@ -43,7 +43,7 @@ class ControlService:
         on_file: Callable[[], Coroutine[Any, Any, str]],
     ) -> None:
         self._nets, self._on_file = nets, on_file
-        node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control)
+        node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control, urgent=True)
         node.create_service(NetValues, f"/{node.task_name}/net_values", self._values)
 
     async def _control(self, request: Any, response: Any) -> Any:

@@ -71,7 +71,7 @@ class ExecuteServer:
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
         node.create_service(ListCommands, f"/{node.task_name}/list_commands", self._list_open)
-        node.create_service(ControlCommand, f"/{node.task_name}/control_command", self._control_command)
+        node.create_service(ControlCommand, f"/{node.task_name}/control_command", self._control_command, urgent=True)
         self._ended: dict[int, CommandState] = {}
         self.tell()
 
