@@ -33,6 +33,7 @@ WHY = {
     "scipy": "least squares, rotations, interpolation",
     "pybullet": "simulated physics and images",
     "pin": "dynamics of the arms (pinocchio)",
+    "cryptography": "keystores of SROS 2",
     "ompl": "search of free paths",
     "ruckig": "trajectories with limited jerk",
     "opencv-python-headless": "images, lens models",

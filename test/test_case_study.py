@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -431,6 +432,33 @@ def test_whatever_arrives_nothing_dies_and_the_command_goes_on(machine, few_pose
     home = dict(zip(load_cell().joint_names, load_cell().home, strict=True))
     right = [name for name in home if name.startswith("right")]
     assert [joints[name] for name in right] == pytest.approx([home[name] for name in right], abs=0.01)
+
+
+def test_a_keystore_lets_each_process_do_what_it_does_and_nothing_else(machine, tmp_path):
+    command = [ROOT / "scripts" / "im", "security", "make", tmp_path / "keystore"]
+    made = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_S, check=False)
+    assert made.returncode == 0, made.stderr
+
+    def may_publish(enclave):
+        path = tmp_path / "keystore" / "enclaves" / "im" / enclave / "permissions.xml"
+        rule = ElementTree.parse(path).find("permissions/grant/allow_rule/publish/topics")
+        return {topic.text for topic in rule}
+
+    processes = {f"{task.host}/{task.process}" for task in machine.tasks.values()}
+    assert processes | {"localhost/bootstrap", "client"} == {
+        str(path.parent.relative_to(tmp_path / "keystore" / "enclaves" / "im"))
+        for path in (tmp_path / "keystore" / "enclaves").rglob("permissions.xml")
+    }
+    owned = {
+        "rt/joint_states": "localhost/mcs",
+        "rr/mcs/estopReply": "localhost/mcs",
+        "rr/dispatcher/execute/_action/send_goalReply": f"localhost/{machine.tasks['dispatcher'].process}",
+        "rt/bootstrap/tasks": "localhost/bootstrap",
+    }
+    for topic, owner in owned.items():
+        assert {each for each in (*processes, "localhost/bootstrap", "client") if topic in may_publish(each)} == {owner}
+    assert "rt/left/joint_trajectory" in may_publish("client")
+    assert "rt/im/task_status" not in may_publish("client")
 
 
 def test_who_changes_the_net_changes_what_happens(machine, few_poses):

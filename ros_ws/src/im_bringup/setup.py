@@ -39,6 +39,7 @@ setup(
             "recover=im_bringup.ros.recover:main",
             "run=im_core.executables:main",
             "run_command=im_bringup.ros.run_command:main",
+            "security=im_bringup.ros.security:main",
             "service=im_bringup.ros.graph.service:main",
             "shared_process=im_bringup.ros.shared_process:main",
             "start=im_bringup.machine.start:main",

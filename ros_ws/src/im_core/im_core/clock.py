@@ -1,6 +1,7 @@
 """The only place to read the wall clock; all waiting is done here."""
 
 import time
+from datetime import UTC, datetime
 
 monotonic = time.monotonic
 """Seconds of a clock that never goes back [s]; the function itself, for it is called at every firing."""
@@ -9,6 +10,15 @@ monotonic = time.monotonic
 def wall() -> float:
     """Seconds since 1970 [s]."""
     return time.time()
+
+
+def utc(later_s: float = 0.0) -> datetime:
+    """Return the present time, or a later one, in UTC.
+
+    Args:
+        later_s: How much later [s].
+    """
+    return datetime.fromtimestamp(wall() + later_s, UTC)
 
 
 def cpu() -> float:

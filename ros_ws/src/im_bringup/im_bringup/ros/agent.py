@@ -13,6 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import String
 
 from im_bringup.machine import run_state
+from im_bringup.security.permissions import AGENT, ENCLAVE_OVERRIDE, enclave_arguments
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
@@ -149,7 +150,9 @@ def main() -> int:
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         return AgentNode(deployment, arguments.host, secret)
 
-    return run.main(make_node, args=[], at_end=AgentNode.shut_down)
+    os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients
+    enclave = enclave_arguments(arguments.host, AGENT)
+    return run.main(make_node, args=enclave, at_end=AgentNode.shut_down)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from im_bringup.machine.machine_state import MachineRecord
 from im_bringup.machine.nets import MachineNets
 from im_bringup.ros.agents import ACKNOWLEDGED_S, RemoteAgents
 from im_bringup.ros.shared_names import LOOK_S, SharedNames
+from im_bringup.security.permissions import BOOTSTRAP, enclave_arguments
 from im_bringup.tasks.agent import Died
 from im_bringup.tasks.deployment import Deployment, options_text
 from im_bringup.tasks.loads import Load
@@ -255,4 +256,5 @@ def load_status(record: TaskRecord, load: Load) -> DiagnosticStatus:
 def run(deployment: Deployment, path: Path, nets: MachineNets, bootstrap: Bootstrap, secret: bytes) -> int:
     """Run ``/bootstrap`` until SIGINT or SIGTERM, with the arguments of the node; return the exit code."""
     node = partial(BootstrapNode, deployment, path, nets, bootstrap, secret)
-    return spin(node, args=[], at_end=BootstrapNode.shut_down)
+    enclave = enclave_arguments(deployment.local_host(), BOOTSTRAP)
+    return spin(node, args=enclave, at_end=BootstrapNode.shut_down)

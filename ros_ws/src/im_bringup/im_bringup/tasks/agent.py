@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from im_bringup.security.permissions import ENCLAVE_OVERRIDE, enclave_arguments
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.loads import ProcessLoad
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
@@ -356,6 +357,7 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCo
         parameters = {each.task.node: deployment.parameters_of(each.task) for each in placed}
         file = write_parameters(run_dir, process, parameters)
         argv += ["--ros-args", "--disable-external-lib-logs", "--params-file", str(file)]
+        argv += enclave_arguments(host, process)
         tasks = tuple(each.name for each in placed)
         log = run_dir / "log" / f"{process}.log"
         result.append(ProcessCommand(process, tasks, argv, log, deployment.memory_mib))
@@ -392,4 +394,5 @@ def environment(base: Mapping[str, str], run_dir: Path, deployment: Deployment) 
     given = {**defaults(), "ROS_LOG_DIR": str(run_dir / "ros")}
     cell = {names.CELL: deployment.cell} if deployment.cell else {}
     own = {MARKER: names.instance(), "IM_RUN_DIR": str(run_dir), UNPROVED: unproved}
-    return {**given, **base, **core, **dds, **cell, **own}
+    started = {name: value for name, value in base.items() if name != ENCLAVE_OVERRIDE}  # that is of clients
+    return {**given, **started, **core, **dds, **cell, **own}
