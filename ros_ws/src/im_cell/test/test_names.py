@@ -1,4 +1,4 @@
-"""Packages above the cell, their nets and their settings name no joint, arm, camera or partition of the default cell."""
+"""Packages above the cell name no part of the default cell, nor do their nets and settings."""
 
 import re
 from pathlib import Path

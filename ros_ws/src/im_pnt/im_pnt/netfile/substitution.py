@@ -50,8 +50,10 @@ def substitute(text: str, values: Mapping[str, Parameter]) -> str:
         if depth:
             raise ExpressionError(f"'{text[begin : begin + 40]}' has no closing parenthesis")
         found = evaluated(text[begin + 2 : end - 1], values)
-        if isinstance(found, list):
-            raise ExpressionError(f"'{text[begin:end]}' is a list, and stands within a text")
+        if not isinstance(found, int | str):
+            raise ExpressionError(
+                f"'{text[begin + 2 : end - 1]}' is {as_text(found)}, neither a whole number nor a text"
+            )
         done += [text[at:begin], str(found)]
         at = end
     return "".join([*done, text[at:]])
@@ -81,14 +83,13 @@ def filled(location: Location, value: Value, bound: Mapping[str, Parameter], not
         if "$(" not in value.text:
             return replace(value, note=note)
         try:
-            quoted = value.quoted
             if is_whole(value.text):
                 found = evaluated(value.text[2:-1], bound)
                 if isinstance(found, list):
                     return _listed(found, replace(value, note=note))
-                # quoted for YAML's sake: it keeps the type of its value
-                quoted = quoted and not isinstance(found, int | float | Written)
-            return replace(value, text=substitute(value.text, bound), quoted=quoted, note=note)
+                quoted = isinstance(found, str) and not isinstance(found, Written)  # it keeps the type of its value
+                return replace(value, text=str(found), quoted=quoted, note=note)
+            return replace(value, text=substitute(value.text, bound), note=note)
         except ExpressionError as error:
             raise complaint(replace(value, note=note), str(error), location) from error
     if value.kind is Kind.LIST:
