@@ -38,7 +38,7 @@ def _of(_named: str | None) -> Mapping[str, object]:
 
 
 def _turned(cell: Cell, arm: str) -> list[float]:
-    """Return the home of an arm with its first joint turned, to where there is room."""
+    """Return the home of an arm with the first joint turned to the side with room."""
     joints, home = cell.joints_of(arm), list(cell.groups[arm].home)
     rank = joints.index(cell.arm_of(arm)[0])
     upper = next(joint.limits.upper for joint in cell.joints if joint.name == joints[rank])

@@ -17,7 +17,7 @@ from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
 from im_dispatcher.command import joined
 from im_dispatcher.report import StepTimes
-from im_pnt.errors import NetError, TooFewPartsError
+from im_pnt.errors import NetError, MissingPartsError
 from im_pnt.execution.functions import Functions
 from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
@@ -106,7 +106,7 @@ def test_the_nets_that_are_shipped_fit_every_cell_that_has_their_parts(
     for file in (*commands.net_files(commands.shipped()), *sorted(COORDINATORS.glob("*.yaml"))):
         try:
             there.append(load_net(file))
-        except TooFewPartsError as error:
+        except MissingPartsError as error:
             out[file.stem] = error.message
     assert lacking is None or out.keys() == lacking
     assert all("of the cell, which has" in why for why in out.values())

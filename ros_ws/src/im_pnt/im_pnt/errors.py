@@ -21,7 +21,7 @@ class NetFileError(ImError):
         super().__init__(f"{where}: {message}", code="net_file", file=file, line=line, column=column, **facts)
 
 
-class TooFewPartsError(NetFileError):
+class MissingPartsError(NetFileError):
     """Net file that needs more of something than there is, as of arms or lights; the net is sound elsewhere."""
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from im_pnt.errors import NetFileError, TooFewPartsError
+from im_pnt.errors import NetFileError, MissingPartsError
 from im_pnt.netfile import load_net, parameters, parse_net, yaml_text
 
 GIVEN = {"arms": ["one", "two"], "lights": [], "stroke": 0.08, "homes": [[0.0, -0.5], [1.5]], "words": ["on", "2"]}
@@ -49,10 +49,14 @@ def test_values_keep_their_types_and_a_list_in_a_list_is_spread() -> None:
 @pytest.mark.parametrize(
     ("declared", "error", "sentence"),
     [
-        ("[arms, stroke, homes, words, lights]", TooFewPartsError, "3:13: it needs 1 of the lights of the cell, which"),
+        (
+            "[arms, stroke, homes, words, lights]",
+            MissingPartsError,
+            "3:13: it needs 1 of the lights of the cell, which",
+        ),
         (
             "{arms: 3, stroke: 1, homes: 1, words: 1}",
-            TooFewPartsError,
+            MissingPartsError,
             "it needs 3 of the arms of the cell, which has 2",
         ),
         ("[arms, strok]", NetFileError, r"nobody gives the parameter 'strok' \(did you mean 'stroke'"),

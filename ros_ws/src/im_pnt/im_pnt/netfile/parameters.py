@@ -9,7 +9,7 @@ from dataclasses import replace
 from im_core.errors import nearest, quoted_text
 from im_core.plugins import extensions
 from im_core.text.yamltext import Value, find, mapping
-from im_pnt.errors import TooFewPartsError
+from im_pnt.errors import MissingPartsError
 from im_pnt.netfile.schema.net import FragmentFile
 from im_pnt.netfile.schema.templates import Parameter
 from im_pnt.netfile.substitution import filled
@@ -24,7 +24,7 @@ def with_parameters(root: Value) -> tuple[Value, Mapping[str, Parameter]]:
 
     Raises:
         NetFileError: A parameter has no value, or an expression none.
-        TooFewPartsError: There is less of one than the file needs.
+        MissingPartsError: There is less of one than the file needs.
     """
     declared = read_data(root).get("parameters")
     if declared is None:
@@ -42,7 +42,7 @@ def with_parameters(root: Value) -> tuple[Value, Mapping[str, Parameter]]:
         if isinstance(there, list) and len(there) < count:
             place = find(root, ("parameters",)).value
             sentence = f"it needs {count} of the {name} of the cell, which has {len(there)}"
-            raise TooFewPartsError(place.file, place.line, sentence, place.column, parameter=name)
+            raise MissingPartsError(place.file, place.line, sentence, place.column, parameter=name)
     given = {name: known[name] for name in needed}
     pairs = []
     for key, value in root.pairs:

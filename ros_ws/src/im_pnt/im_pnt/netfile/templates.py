@@ -39,7 +39,7 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
 
     Raises:
         NetFileError: A file that cannot be included, includes that go round, or a template that cannot be used.
-        TooFewPartsError: A file needs more of its parameters than there is.
+        MissingPartsError: A file needs more of its parameters than there is.
     """
     fragment = FragmentFile.model_fields.keys()
     assembled = {"include", "templates", "use", "interrupts", "parameters"}

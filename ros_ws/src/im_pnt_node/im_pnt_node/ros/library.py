@@ -13,7 +13,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
 from im_pnt.description import read_net
-from im_pnt.errors import NetError, TooFewPartsError
+from im_pnt.errors import NetError, MissingPartsError
 from im_pnt.model.groups import group_of, nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
@@ -71,7 +71,7 @@ class Library:
         for file in [Path(source) for source in found.values()] if found else self.files:
             try:
                 nets.append(load_net(file))
-            except TooFewPartsError as error:
+            except MissingPartsError as error:
                 self.left_out[file.stem] = error.message
         return list(nets_by_name(nets).values())
 
