@@ -17,7 +17,7 @@ from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
 from im_dispatcher.command import joined
 from im_dispatcher.report import StepTimes
-from im_pnt.errors import NetError, MissingPartsError
+from im_pnt.errors import MissingPartsError, NetError
 from im_pnt.execution.functions import Functions
 from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from im_pnt.errors import NetFileError, MissingPartsError
+from im_pnt.errors import MissingPartsError, NetFileError
 from im_pnt.netfile import load_net, parameters, parse_net, yaml_text
 
 GIVEN = {"arms": ["one", "two"], "lights": [], "stroke": 0.08, "homes": [[0.0, -0.5], [1.5]], "words": ["on", "2"]}

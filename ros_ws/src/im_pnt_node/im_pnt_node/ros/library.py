@@ -13,7 +13,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
 from im_pnt.description import read_net
-from im_pnt.errors import NetError, MissingPartsError
+from im_pnt.errors import MissingPartsError, NetError
 from im_pnt.model.groups import group_of, nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
