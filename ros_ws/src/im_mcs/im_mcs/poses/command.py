@@ -21,7 +21,7 @@ from im_mcs.poses.view import rides_on, stand
 
 _HEADER = """\
 # Wrist poses for a calibration: the light fills what {cameras} see{s} and faces {them}.
-# Reachable and free of collisions one after the other, with the other arm at home.
+# Reachable and free of collisions one after the other, with any other arm at home.
 # {spread}.
 """
 
