@@ -126,7 +126,7 @@ class PosesFile(Model):
 
 
 def load_named_poses(path: str) -> PosesFile:
-    """Read a poses file named by a message; of the package, or below the folders allowed for messages.
+    """Read a poses file named by a message; that of the cell, or one below the folders allowed for messages.
 
     Args:
         path: The file; empty for the cell's own.
@@ -138,9 +138,9 @@ def load_named_poses(path: str) -> PosesFile:
     own = load_cell().poses
     if not path and not own:
         raise ConfigError("the cell file names no poses; give poses_file (`scripts/run.sh im_mcs poses` finds poses)")
-    if not path:
+    if path in ("", own):
         return load_poses(own)
-    folders = [*message_folders(), *([Path(own).parent] if own else [])]
+    folders = message_folders()
     return load_model(resolve_below(path, folders, "poses_file"), PosesFile, within=folders)
 
 

@@ -380,7 +380,7 @@ def shipped_cells() -> tuple[str, ...]:
 
 
 def cell_file(named: Path | str) -> Path:
-    """Return the file of a cell: a shipped one by its name, or a path.
+    """Return the file of a cell, named as a shipped one or as a path.
 
     Raises:
         ConfigError: It is a name, and no cell is shipped under it.
