@@ -1,12 +1,20 @@
 """Machines of shipped cells other than the pair of PUMAs: started by name, moved, led along a line, stopped."""
 
+import json
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from im_cell.robot import load_cell
-from support.whole_machine import free_port, run_script, running_machine
+from support.whole_machine import free_port, report_of, run_script, running_machine
+
+COMMANDS = {
+    "ur5": {"home", "move", "look", "calibrate_camera"},
+    "panda": {"home", "move", "open_gripper", "close_gripper", "pick", "place"},
+}
 
 
 @pytest.fixture(scope="module", params=["ur5", "panda"])
@@ -72,11 +80,63 @@ def test_it_moves_draws_a_line_and_stops(machine, cell):
     assert machine.trigger("/mcs/reset").success  # an emergency stop outlives its machine
 
 
+def test_its_commands_are_those_that_its_parts_allow(machine, cell):
+    from std_msgs.msg import String
+
+    from im_core.ros import qos
+    from im_msgs.srv import GetGroupState
+
+    name, shipped = cell
+    told = json.loads(machine.message(String, "/dispatcher/commands", profile=qos.LATCHED).data)
+    assert {command["symbol"] for command in told["commands"]} == COMMANDS[name]
+    turned = (shipped.home + 0.1).tolist()
+    answer = machine.execute("move", group="arm", joints=turned)()
+    assert answer.success, answer.message
+    np.testing.assert_allclose(
+        machine.call(GetGroupState, "/mcs/get_group_state", group="arm").state.q, turned, atol=5e-4
+    )
+    answer = machine.execute("home")()
+    assert answer.success, answer.message
+    there = machine.call(GetGroupState, "/mcs/get_group_state", group="arm").state.q
+    np.testing.assert_allclose(there, shipped.home, atol=5e-4)
+    if shipped.devices("gripper"):
+        answer = machine.execute("close_gripper", width=0.02)()
+        assert answer.success, answer.message
+        assert json.loads(answer.results)["width"] == pytest.approx(0.02, abs=1e-3)
+
+
+def test_its_cameras_are_calibrated_by_the_light_on_its_wrist(machine, cell, tmp_path):
+    """The truth is asked only afterwards."""
+    from im_msgs.srv import GetTruth
+
+    shipped = cell[1]
+    if not shipped.poses:
+        pytest.skip("this cell has no cameras")
+    few = yaml.safe_load(Path(shipped.poses).read_text())
+    few["poses"] = few["poses"][:14]
+    (tmp_path / "few.yaml").write_text(yaml.safe_dump(few))
+    answer = machine.calibrate(tmp_path / "few.yaml")
+    assert answer.success, answer.message
+    report = report_of(answer)
+    assert [camera["name"] for camera in report["cameras"]] == list(shipped.cameras)
+    assert report["points_used"] >= 12
+    assert report["verdicts"] == []
+    truth = json.loads(machine.call(GetTruth, "/testbed/get_truth").json)
+    for camera in report["cameras"]:
+        true = np.array(truth["cameras"][camera["name"]]["K"])[0, 0]
+        assert np.array(camera["K"])[0, 0] == pytest.approx(true, rel=0.02), "focal length"
+    off = np.array(report["led_offset_m"]) - truth["leds"]["arm_led"]["offset_m"]
+    assert (np.abs(off) < 5.0 * np.array(report["led_offset_standard_deviation_m"]) + 1e-4).all()
+
+
 def test_what_the_cell_lacks_is_not_there_and_said(machine, cell):
     names = {name for name, _ in machine.node.get_topic_names_and_types()}
     assert ("/arm_gripper/gripper_cmd/_action/status" in names) == bool(cell[1].devices("gripper"))
-    assert not [name for name in names if "left" in name or "force" in name]
-    assert set(machine.tasks) == {"testbed", "mcs", "dom", "pnt_display"}
+    assert not [name for name in names if "left" in name or "force" in name or "laser" in name]
+    seeing = {"vss", "vision_coordinator"} if cell[1].cameras else set()
+    grasping = {"gripper_coordinator"} if cell[1].devices("gripper") else set()
+    rest = {"testbed", "mcs", "dom", "pnt_display", "dispatcher", "motion_coordinator", "path_planning_coordinator"}
+    assert set(machine.tasks) == rest | seeing | grasping
 
 
 def test_a_start_says_which_tasks_it_leaves_out_and_refuses_a_cell_that_is_not_there(tmp_path):

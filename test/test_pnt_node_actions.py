@@ -28,6 +28,7 @@ from im_msgs.msg import Firing, ObjectChange, Status, TaskStatus
 from im_msgs.srv import ControlCommand, GetObject, ListCommands
 from im_pnt.errors import NetFileError
 from im_pnt.execution.events import Answer, Outcome
+from im_pnt.execution.functions import ActionContext
 from im_pnt.expression.scope import check_net
 from im_pnt.model.action import GoalAction
 from im_pnt.netfile import parse_net
@@ -300,7 +301,7 @@ def test_a_goal_of_which_nobody_can_tell_any_more_is_not_followed(machine, monke
 
     monkeypatch.setattr(goals, "_follow", lambda *_: result)
     monkeypatch.setattr(goals._surroundings, "wait", died)
-    answer = in_loop(machine[0], goals.ask, activity, None)
+    answer = in_loop(machine[0], goals.ask, activity, ActionContext("machine", "move"))
     assert answer == Answer(Outcome.UNKNOWN, asked="hardware is missing")
     assert not goals._results
     assert result.cancelled()

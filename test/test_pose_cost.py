@@ -218,7 +218,7 @@ class Cast:
         # Here: what is asked, or answered, before client and server know each other is lost.
         self.calibration = self.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
         self.processes = {name: self.start(name) for name in PROCESSES}
-        own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
+        own = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text())
         own["poses"] = own["poses"][:POSES]
         self.file = folder / "poses.yaml"
         self.file.write_text(yaml.safe_dump(own))
@@ -285,7 +285,7 @@ FOLLOW = """
 net: follow
 description: Moves along a path that the command names.
 commands:
-  follow: {needs: [left_arm, left_cart], arguments: {path: {type: string}}}
+  follow: {needs: [left_arm], arguments: {path: {type: string}}}
 places: {idle: {tokens: 1, resource: true}, moved: , bad: }
 transitions:
   follow:
@@ -303,7 +303,7 @@ BOTH = """
 net: both
 description: Moves both arms at once.
 commands:
-  both: {needs: [left_arm, left_cart, right_arm, right_cart]}
+  both: {needs: [left_arm, right_arm]}
 templates:
   arm:
     parameters: [side]

@@ -95,8 +95,8 @@ URDF = package_file("im_cell", "cells/puma_pair/puma_pair.urdf").absolute()
 #: For each kind of file what is right, and its reader.
 FILES = {
     "deployment": (own("im_bringup", "deployments/default.yaml"), deployments.load),
-    "poses": (own("im_dispatcher", "poses/ceiling_40.yaml"), load_poses),
-    "candidates": (own("im_dispatcher", "poses/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
+    "poses": (own("im_cell", "cells/puma_pair/ceiling_40.yaml"), load_poses),
+    "candidates": (own("im_cell", "cells/puma_pair/ceiling_40.yaml"), lambda path: load_candidates(path, problem())),
     "cell": ({**own("im_cell", "cells/puma_pair/cell.yaml"), "urdf": str(URDF)}, load_cell),
     "objects": (own("im_cell", "cells/puma_pair/objects.yaml"), lambda path: load_model(path, ObjectsFile)),
     "target": (

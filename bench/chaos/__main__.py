@@ -190,7 +190,7 @@ def _keep(result: Result, results: list[Result], out: Path | None) -> None:
 
 def _few_poses(folder: Path) -> Path:
     """Some poses of the cell's own file, in a file of their own."""
-    content = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text(encoding="utf-8"))
     content["poses"] = [pose for pose in content["poses"][:POSES] if pose["name"] not in HIDING]
     path = folder / "few.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")

@@ -56,7 +56,7 @@ def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
 
 def poses_file(count: int, folder: Path) -> Path:
     """A file of so many poses: the cell's own, from the first on, as often as it takes."""
-    content = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text(encoding="utf-8"))
+    content = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text(encoding="utf-8"))
     own = content["poses"]
     content["poses"] = [{**own[number % len(own)], "name": f"n{number}"} for number in range(count)]
     path = folder / f"poses_{count}.yaml"

@@ -56,7 +56,7 @@ class Commander(InterruptibleNode):
         self._execute: ActionClient = GuardedActionClient(self, ExecuteCommand, "/dispatcher/execute")
         self._folder = tempfile.TemporaryDirectory(prefix="im_soak_")
         self._cell = load_cell()
-        poses = config.package_file("im_dispatcher", "poses/ceiling_40.yaml")
+        poses = config.package_file("im_cell", "cells/puma_pair/ceiling_40.yaml")
         self._poses: dict[str, Any] = yaml.safe_load(poses.read_text(encoding="utf-8"))
 
     def destroy_node(self) -> None:

@@ -31,7 +31,7 @@ def free_port() -> int:
 
 def write_few_poses(folder: Path) -> Path:
     """A file of a third of the cell's own poses."""
-    own = yaml.safe_load(package_file("im_dispatcher", "poses/ceiling_40.yaml").read_text())
+    own = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text())
     own["poses"] = own["poses"][::3]
     assert len(own["poses"]) == FEW
     path = folder / "few.yaml"

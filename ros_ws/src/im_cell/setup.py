@@ -18,4 +18,5 @@ setup(
     maintainer_email="maintainers@im.invalid",
     description="The cell: robot, camera and laser models, calibration files, and the ends of the testbed link.",
     license="MIT",
+    entry_points={"im_pnt.parameters": ["cell = im_cell.net_parameters:net_parameters"]},
 )

@@ -6,7 +6,7 @@ setup(
     name="im_dispatcher",
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"im_dispatcher": ["nets/*.yaml", "nets/parts/*.yaml", "poses/*.yaml"]},
+    package_data={"im_dispatcher": ["nets/*.yaml", "nets/parts/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_dispatcher"]),
         ("share/im_dispatcher", ["package.xml"]),

@@ -213,7 +213,7 @@ class Machine:
         return stereo(self.connection, first, second, exposure)
 
     @contextlib.contextmanager
-    def light(self, name: str = "left_led") -> Iterator[None]:
+    def light(self, name: str) -> Iterator[None]:
         """Switch a light on for the context.
 
         Args:

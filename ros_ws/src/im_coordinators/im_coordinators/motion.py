@@ -11,7 +11,7 @@ HOLDING_STATES = frozenset({"reserved", "active", "motion"})
 POWERED_STATES = frozenset({"active", "motion"})
 
 #: Arguments that say to where a path is planned.
-DESTINATIONS = ("destination", "position", "joints")
+DESTINATIONS = ("destination", "position", "joints", "posture")
 
 
 class ToldGroup(Protocol):

@@ -32,7 +32,8 @@ def asked(service, arguments, answer):
     sent = []
 
     async def perform(activity, context):
-        sent.append((activity.transition, activity.action.name, await context.filled(activity.action.fields)))
+        name, fields = await context.filled([activity.action.name, activity.action.fields])
+        sent.append((activity.transition, name, fields))
         return answer
 
     served = load_net(package_file("im_coordinators", "nets/gripper_coordinator.yaml"))
@@ -53,28 +54,27 @@ def at(width, force=0.0, stalled=False):
 
 
 @pytest.mark.parametrize(
-    ("service", "arguments", "transition", "command"),
+    ("service", "arguments", "side", "command"),
     [
-        ("open_gripper", "{gripper: left_gripper}", "open_left", {"position": 0.08, "max_effort": 0.0}),
+        ("open_gripper", "{gripper: left_gripper}", "left", {"position": 0.08, "max_effort": 0.0}),
         (
             "open_gripper",
             "{gripper: right_gripper, width: 0.02, force: 40}",
-            "open_right",
+            "right",
             {"position": 0.02, "max_effort": 40},
         ),
-        ("close_gripper", "{gripper: left_gripper}", "close_left", {"position": 0.0, "max_effort": 0.0}),
+        ("close_gripper", "{gripper: left_gripper}", "left", {"position": 0.0, "max_effort": 0.0}),
         (
             "close_gripper",
             "{gripper: right_gripper, width: 0.03, force: 5}",
-            "close_right",
+            "right",
             {"position": 0.03, "max_effort": 5},
         ),
     ],
 )
-def test_the_gripper_that_is_named_gets_what_is_asked(service, arguments, transition, command):
+def test_the_gripper_that_is_named_gets_what_is_asked(service, arguments, side, command):
     sent, ended = asked(service, arguments, at(command["position"]))
-    side = transition.partition("_")[2]
-    assert sent == [(transition, f"/{side}_gripper/gripper_cmd", {"command": command})]
+    assert sent == [(service.partition("_")[0], f"/{side}_gripper/gripper_cmd", {"command": command})]
     assert ended.success
 
 

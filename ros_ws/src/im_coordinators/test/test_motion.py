@@ -30,7 +30,7 @@ def test_a_move_is_asked_for_in_one_way(asked: dict[str, object]) -> None:
     ("asked", "told"), [({}, "none"), ({"destination": "goal", "joints": [0.0]}, "destination and joints")]
 )
 def test_a_move_that_is_asked_for_in_no_way_or_in_several_is_refused(asked: dict[str, object], told: str) -> None:
-    text = f"plan_path needs one of the arguments destination, position, joints; it was given {told}"
+    text = f"plan_path needs one of the arguments destination, position, joints, posture; it was given {told}"
     with pytest.raises(DataError, match=text):
         way_asked({**NOTHING, **asked}, DESTINATIONS, "plan_path")
 

@@ -2,11 +2,11 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar, overload
+from typing import Any, TypeVar, overload
 
 from im_core.errors import FOREIGN, ConfigError, ImError
 
@@ -52,6 +52,24 @@ def load(reference: str, contract: type[object] | None, what: str) -> object:
     if contract is not None and not (isinstance(found, type) and issubclass(found, contract)):
         raise ConfigError(f"{what} '{reference}' is no {contract.__name__}", what=what, reference=reference)
     return found
+
+
+def extensions(group: str, name: str | None = None) -> Iterator[Callable[..., Any]]:
+    """Yield the entry points of a group, additions of other packages, in the order of the names.
+
+    Args:
+        group: ``im_pnt.commands``: functions that add a command to the parser; ``im_pnt.counterexamples``: functions
+            that make a drawing for the page of nets and a firing sequence; ``im_pnt.programs``: functions that take
+            a command line and the name of the program; ``im_pnt.message_types``: types of messages;
+            ``im_pnt.resources``: functions that return the names of the resources of a cell; ``im_pnt.parameters``:
+            functions that return values for ``parameters`` of net files by name.
+        name: The entry point of this name alone; None: all.
+    """
+    from importlib.metadata import entry_points  # takes longer than many a command, most of which need none
+
+    chosen = entry_points(group=group) if name is None else entry_points(group=group, name=name)
+    for entry in sorted(chosen, key=lambda entry: entry.name):
+        yield entry.load()
 
 
 def make(reference: str, what: str, *arguments: object) -> object:

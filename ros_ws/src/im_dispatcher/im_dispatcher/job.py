@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
-#: Cameras that are calibrated where none is named.
-CEILING = ("ceiling_left", "ceiling_right")
-
 #: Fewer poses cannot determine two cameras with eight intrinsics each and say how well.
 FEWEST_POSES = 12
 
@@ -50,7 +47,7 @@ def order_of(
 
     Args:
         arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``.
-        known_cameras: Names of the cameras that exist.
+        known_cameras: Names of the cameras that exist; the first two are calibrated where none is named.
         load: Gives the poses of a file.
 
     Raises:
@@ -61,7 +58,7 @@ def order_of(
     """
     match arguments:
         case {"cameras": list(named), "poses_file": str(path), "group": str(group)}:
-            cameras, file = tuple(map(str, named)) or CEILING, load(path)
+            cameras, file = tuple(map(str, named)) or tuple(known_cameras[:2]), load(path)
         case _:
             raise DataError(f"calibrate_camera is to have cameras, poses_file and group, not {str(arguments)[:80]}")
     if file.group != group:

@@ -8,13 +8,10 @@ from typing import Annotated, Literal
 import pydantic
 
 from im_cell.robot import load_cell
-from im_core.config import Model, load_model, package_file
-from im_core.errors import DataError, StateError
+from im_core.config import Model, load_model
+from im_core.errors import ConfigError, DataError, StateError
 from im_core.message_paths import message_folders, resolve_below
 from im_core.text.yamltext import control_character
-
-#: The cell's own poses, for the two ceiling cameras.
-OWN_POSES = ("im_dispatcher", "poses/ceiling_40.yaml")
 
 #: What of the length of a quaternion is rounding: dividing by it would change the last digits each time it is read.
 ROUNDING = 1e-12
@@ -129,19 +126,21 @@ class PosesFile(Model):
 
 
 def load_named_poses(path: str) -> PosesFile:
-    """Read a poses file named by a message; of the package, or below the folders allowed for messages.
+    """Read a poses file named by a message; that of the cell, or one below the folders allowed for messages.
 
     Args:
         path: The file; empty for the cell's own.
 
     Raises:
         DataError: It is outside of those folders.
-        ConfigError: It is missing, empty, or malformed; names file and line.
+        ConfigError: It is missing, empty, or malformed; names file and line. Or the cell has no poses of its own.
     """
-    own = package_file(*OWN_POSES)
-    if not path:
+    own = load_cell().poses
+    if not path and not own:
+        raise ConfigError("the cell file names no poses; give poses_file (`scripts/run.sh im_mcs poses` finds poses)")
+    if path in ("", own):
         return load_poses(own)
-    folders = [*message_folders(), own.parent]
+    folders = message_folders()
     return load_model(resolve_below(path, folders, "poses_file"), PosesFile, within=folders)
 
 

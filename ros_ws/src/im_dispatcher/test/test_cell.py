@@ -291,7 +291,7 @@ def test_a_command_that_needs_what_there_is_not_is_refused_by_name(needs, error,
 
 def test_the_cell_has_each_arm_cart_gripper_light_camera_the_laser_and_the_zone():
     assert resources_of(load_cell()) == (
-        *("left_arm", "left_cart", "left_gripper", "left_led"),
-        *("right_arm", "right_cart", "right_gripper", "right_led"),
+        *("left_arm", "left_gripper", "left_led"),
+        *("right_arm", "right_gripper", "right_led"),
         *("ceiling_left", "ceiling_right", "wall", "table", "wrist_left", "laser", "zone"),
     )

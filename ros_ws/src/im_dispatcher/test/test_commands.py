@@ -11,12 +11,13 @@ from im_cell.robot import load_cell
 from im_core.clock import thread_cpu
 from im_core.config import package_file
 from im_core.errors import ConfigError, ImError
+from im_core.names import CELL
 from im_dispatcher import commands
 from im_dispatcher.cell.needs import Needs, resources_of
 from im_dispatcher.cell.net import cell_net
 from im_dispatcher.command import joined
 from im_dispatcher.report import StepTimes
-from im_pnt.errors import NetError
+from im_pnt.errors import MissingPartsError, NetError
 from im_pnt.execution.functions import Functions
 from im_pnt.model.action import FunctionAction, GoalAction, RequestAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
@@ -44,6 +45,8 @@ COMMAND = CommandDescription(
     functions=lambda host, _: Functions({"wave": lambda ctx: host.warn("waving")}),
 )
 """
+
+COORDINATORS = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent
 
 
 class Host:
@@ -85,14 +88,32 @@ def test_every_command_that_is_shipped_says_what_it_takes_and_needs_what_the_cel
         assert all(symbol in needs and declared.description for symbol, declared in net.commands.items())
 
 
-def test_home_is_where_the_cell_says() -> None:
-    home = {}
-    for net in map(load_net, commands.net_files(["home", "demo"])):
-        for transition in net.transitions.values():
-            if transition.name in ("go_left", "go_right", "left.turn_home", "right.turn_home"):
-                fields = transition.action.fields
-                home.setdefault(fields["group"], []).append(fields["joints"])
-    assert home == {name: [list(side.home)] * 2 for name, side in load_cell().groups.items()}
+@pytest.mark.parametrize(
+    ("cell", "lacking"),
+    [
+        ("puma_pair", set()),
+        ("ur5", {"demo", "close_gripper", "open_gripper", "pick", "place", "look_laser", "gripper_coordinator"}),
+        ("ur_pair", None),
+        ("panda", {"demo", "look", "look_laser", "calibrate_camera", "vision_coordinator"}),
+        ("so101", None),
+    ],
+)
+def test_the_nets_that_are_shipped_fit_every_cell_that_has_their_parts(
+    cell: str, lacking: set[str] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CELL, cell)
+    there, out = [], {}
+    for file in (*commands.net_files(commands.shipped()), *sorted(COORDINATORS.glob("*.yaml"))):
+        try:
+            there.append(load_net(file))
+        except MissingPartsError as error:
+            out[file.stem] = error.message
+    assert lacking is None or out.keys() == lacking
+    assert all("of the cell, which has" in why for why in out.values())
+    assert {"home", "move", "motion_coordinator", "path_planning_coordinator"} <= {net.name for net in there}
+    needs = Needs([net for net in there if net.commands], resources_of(load_cell()))
+    groups = [variant.choice["group"] for variant in needs.variants.values() if variant.symbol == "home"]
+    assert groups == list(load_cell().groups)
 
 
 def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:
@@ -108,11 +129,19 @@ def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:
 @pytest.mark.parametrize(
     ("command", "need", "sentence"),
     [
-        ("move", ', "${arguments.group}_cart"', "go of net move acts on left_cart, which command move with group=left"),
+        (
+            "move",
+            '"${arguments.group}_arm"',
+            "go of net move acts on left_arm, right_arm, which command move does not hold",
+        ),
         ("look", '"${arguments.camera}", ', "find_spot of net look acts on ceiling_left, ceiling_right, table, wall"),
-        ("demo", ", right_cart", "right.turn of net demo acts on right_cart, which command demo does not hold"),
+        ("demo", ', "$(arms[1])_arm"', "second.turn of net demo acts on right_arm, which command demo does not hold"),
         ("close_gripper", '"${arguments.group}_gripper", ', "close of net close_gripper acts on left_gripper, which"),
-        ("calibrate_camera", ", wrist_left", "find_spot of net calibrate_camera acts on wrist_left, which command"),
+        (
+            "calibrate_camera",
+            ", $(cameras)",
+            "find_spot of net calibrate_camera acts on ceiling_left, ceiling_right, ta",
+        ),
     ],
 )
 def test_a_shipped_command_that_needs_less_than_it_acts_on_is_refused(command: str, need: str, sentence: str) -> None:
@@ -125,7 +154,6 @@ def test_a_shipped_command_that_needs_less_than_it_acts_on_is_refused(command: s
     assert any(f"{command}.yaml:" in case.reason and sentence in case.reason and case.sequence for case in cases or ())
 
 
-COORDINATORS = package_file("im_coordinators", "nets/motion_coordinator.yaml").parent
 DIRECT = [
     (file.stem, name)
     for file in sorted(COORDINATORS.glob("*.yaml"))

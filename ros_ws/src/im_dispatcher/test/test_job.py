@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from im_core.errors import ConfigError, DataError, NotFoundError, StateError
 from im_dispatcher.commands.calibrate_camera import COMMAND, SYMBOL
-from im_dispatcher.job import CEILING, FEWEST_POSES, PoseLoop, order_of
+from im_dispatcher.job import FEWEST_POSES, PoseLoop, order_of
 from im_pnt.netfile import load_net
 
 DECLARED = load_net(COMMAND.net).commands[SYMBOL].arguments
+CEILING = ("ceiling_left", "ceiling_right")
 KNOWN = (*CEILING, "wall")
 
 

@@ -157,8 +157,9 @@ def test_a_link_that_is_put_in_after_the_path_was_resolved_leads_nowhere(
 
 
 def test_the_poses_and_nets_that_are_shipped_may_be_named(folder: Path) -> None:
+    from im_cell.robot import load_cell
     from im_dispatcher.commands import NETS
 
     own = load_named_poses("")
-    assert load_named_poses(str(NETS.parent / "poses/ceiling_40.yaml")) == own
+    assert load_named_poses(load_cell().poses) == own
     assert load_named_net(str(NETS / "move.yaml")).name == "move"

@@ -21,6 +21,10 @@ class NetFileError(ImError):
         super().__init__(f"{where}: {message}", code="net_file", file=file, line=line, column=column, **facts)
 
 
+class MissingPartsError(NetFileError):
+    """Net file that needs more of something than there is, as of arms or lights; the net is sound elsewhere."""
+
+
 _UNPROVED_HINT = (
     "; 'scripts/im pnt verify --timeout S' takes more time to prove it, 'start --unproved' starts it all the same"
 )

@@ -113,7 +113,8 @@ def test_expressions_are_what_they_are_in_print(text, value):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "()", "i i", "1.5", "i**2", "a.b", "i.b", "9" * 20, "(" * 300, f"{10**10}*{10**10}", "mod", "i == 7"]
+    "text",
+    ["", "()", "i i", "i == 1.5", "i**2", "a.b", "i.b", "9" * 20, "(" * 300, f"{10**10}*{10**10}", "mod", "i == 7"],
 )
 def test_what_is_no_expression_is_refused(text):
     with pytest.raises(ExpressionError):

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 
 from im_cell.robot import Cell
+from im_cell.robot.tree import WORLD
 from im_cell.sensor import SensorNoise
 from im_core.config import Model, fault_in, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError
@@ -54,11 +55,11 @@ class StereoSettings(Model):
     """Stereo.
 
     Attributes:
-        pairs: Left and right camera of each pair whose camera infos are rectified together.
+        pairs: Left and right camera of each pair whose camera infos are rectified together; None: not said.
         epipolar: Farthest that two spots of one light may be from each other's epipolar lines [px].
     """
 
-    pairs: tuple[tuple[str, str], ...]
+    pairs: tuple[tuple[str, str], ...] | None = None
     epipolar: Annotated[float, Field(gt=0.0)]
 
 
@@ -103,6 +104,7 @@ class LaserSettings(Model):
     """The laser scanner.
 
     Attributes:
+        services: Services in use where the cell has a scanner.
         spot_power: Power of the beam where it is a spot, 0 to 1.
         line_power: Where it sweeps the whole range of mirror 1; shorter lines are as bright, and need less.
         settle: Longest wait for the mirrors, wall time [s].
@@ -113,6 +115,7 @@ class LaserSettings(Model):
         calibration: When a calibration is good enough.
     """
 
+    services: tuple[str, ...] = ()
     spot_power: Annotated[float, Field(gt=0.0, le=1.0)]
     line_power: Annotated[float, Field(gt=0.0, le=1.0)]
     settle: Seconds
@@ -134,7 +137,7 @@ class VssSettings(Model):
     """Configuration of the Vision Services System; cameras' noise is the data sheet's."""
 
     services: tuple[str, ...]
-    cameras: Annotated[tuple[str, ...], Field(min_length=1)]
+    cameras: tuple[str, ...]
     sensor: SensorNoise
     exposure: ExposureRange
     controls: ControlRanges
@@ -147,6 +150,21 @@ class VssSettings(Model):
     laser: LaserSettings
     waits: Waits
     frame_source: FrameSourceEntry
+
+    def of_cell(self, cell: Cell) -> Self:
+        """Return the settings completed by a cell: cameras, light, stereo pair, Services of the laser."""
+        cameras, light, pairs = self.cameras or tuple(cell.cameras), self.light.name, self.stereo.pairs
+        if pairs is None:
+            standing = [name for name in cameras if name in cell.cameras and cell.cameras[name].parent == WORLD]
+            pairs = ((standing[0], standing[1]),) if len(standing) > 1 else ()
+        return self.model_copy(
+            update={
+                "services": (*self.services, *(self.laser.services if cell.laser else ())),
+                "cameras": cameras,
+                "light": Light(name=light or next(iter(cell.light_names), "")),
+                "stereo": StereoSettings(pairs=pairs, epipolar=self.stereo.epipolar),
+            }
+        )
 
     def exposure_time(self, wanted: float) -> float:
         """Return a checked exposure time [s].
@@ -184,16 +202,16 @@ def load_settings(cell: Cell, path: Path | None = None) -> VssSettings:
             and line.
     """
     path = path or package_file("im_vss", "config/vss.yaml")
-    settings = load_model(path, VssSettings)
+    settings = load_model(path, VssSettings).of_cell(cell)
     lights, ours = cell.light_names, settings.cameras
     named = [
         *((("cameras", i), "camera", name, cell.cameras) for i, name in enumerate(ours)),
         *(
             (("stereo", "pairs", i, side), "camera of a stereo pair", name, ours)
-            for i, pair in enumerate(settings.stereo.pairs)
+            for i, pair in enumerate(settings.stereo.pairs or ())
             for side, name in enumerate(pair)
         ),
-        (("light", "name"), "light", settings.light.name, lights),
+        *([(("light", "name"), "light", settings.light.name, lights)] if settings.light.name else []),
     ]
     for place, kind, name, known in named:
         if name not in known:

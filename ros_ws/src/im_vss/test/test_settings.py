@@ -21,6 +21,7 @@ from im_vss.settings import load_settings
 )
 def test_unknown_names_are_told_with_their_place(tmp_path, place, sentence):
     content = yaml.safe_load(package_file("im_vss", "config/vss.yaml").read_text())
+    content["cameras"], content["stereo"]["pairs"] = ["table", "wall"], [["table", "wall"]]
     inner = content
     for key in place[:-1]:
         inner = inner[key]

@@ -58,7 +58,7 @@ class Task(Model):
         package: ROS package of the executable.
         executable: Its console script.
         node: Fully qualified name of the node.
-        needs: Groups, grippers, lights, cameras or ``laser`` that the cell must have; else the task is left out.
+        needs: Parts that the cell must have, or kinds of parts, as ``lights``; else the task is left out.
         parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}``,
             ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
     """

@@ -34,7 +34,7 @@ def digests(deployment: Deployment) -> dict[str, str]:
     return {
         **({f"free bodies ({OBJECTS})": _digest([read_bytes(Path(bodies), _LARGEST)])} if bodies else {}),
         "tasks of the deployment file": _digest([tasks.model_dump_json(include={"hosts"}).encode()]),
-        "cell": _digest([cell.model_dump_json(exclude={"urdf"}).encode(), urdf(cell).encode()]),
+        "cell": _digest([cell.model_dump_json(exclude={"urdf", "poses"}).encode(), urdf(cell).encode()]),
         f"messages ({_MESSAGES})": _digest(_interfaces(Path(get_package_share_directory(_MESSAGES)))),
     }
 

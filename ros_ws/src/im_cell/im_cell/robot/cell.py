@@ -59,6 +59,7 @@ class Cell(ObjectsFile):
     """
 
     urdf: str
+    poses: str = ""
     mount: CellMount = CellMount()
     groups: Annotated[dict[str, CellGroup], Field(min_length=1)]
     presets: dict[str, dict[str, Group]] = Field(default_factory=dict)
@@ -83,10 +84,10 @@ class Cell(ObjectsFile):
     lamps: tuple[Lamp, ...] = ()
     laser: LaserScanner | None = None
 
-    @field_validator("urdf")
+    @field_validator("urdf", "poses")
     @classmethod
-    def _found(cls, urdf: str, info: ValidationInfo) -> str:
-        return str(resolved(urdf, Path(str((info.context or {}).get("file", "")))))
+    def _found(cls, named: str, info: ValidationInfo) -> str:
+        return str(resolved(named, Path(str((info.context or {}).get("file", ""))))) if named else ""
 
     @model_validator(mode="after")
     def _references(self) -> Self:
@@ -305,10 +306,17 @@ class Cell(ObjectsFile):
         return self.gripper.reach if self.groups[group].gripper else 0.0
 
     @property
+    def kinds(self) -> dict[str, list[str]]:
+        """Names of the parts by kind, in the order of the file; a kind without parts is empty."""
+        devices = {f"{kind}s": list(self.devices(kind)) for kind in ("gripper", "force", "light")}
+        scanners = ["laser"] if self.laser else []
+        return {"arms": list(self.groups), **devices, "cameras": list(self.cameras), "lasers": scanners}
+
+    @property
     def parts(self) -> tuple[str, ...]:
-        """Names of groups, devices and cameras, and ``laser``: needs of tasks are among the names."""
-        devices = (name for kind in ("gripper", "force", "light") for name in self.devices(kind))
-        return (*self.groups, *devices, *self.cameras, *(["laser"] if self.laser else []))
+        """Names of the parts, and of the kinds that there are, as ``lights``: needs of tasks are among the names."""
+        found = {kind: names for kind, names in self.kinds.items() if names}
+        return (*found, *(name for names in found.values() for name in names))
 
     @property
     def light_names(self) -> tuple[str, ...]:
@@ -372,7 +380,7 @@ def shipped_cells() -> tuple[str, ...]:
 
 
 def cell_file(named: Path | str) -> Path:
-    """Return the file of a cell: a shipped one by its name, or a path.
+    """Return the file of a cell, named as a shipped one or as a path.
 
     Raises:
         ConfigError: It is a name, and no cell is shipped under it.

@@ -56,7 +56,10 @@ def planning_functions(host: Host) -> Functions:
     guards = {
         "search_may_help": woken_by()(lambda ctx: search_may_help(ctx.failure)),
         "another_may_help": woken_by()(
-            lambda ctx: not ctx.request_arguments["joints"] and another_may_help(ctx.failure, ctx.memory)
+            lambda ctx: (
+                not (ctx.request_arguments["joints"] or ctx.request_arguments["posture"])
+                and another_may_help(ctx.failure, ctx.memory)
+            )
         ),
     }
     return Functions(functions, guards, {name: idempotent(function) for name, function in functions.items()})
@@ -133,6 +136,8 @@ class PathPlanningFunctions:
         match way:
             case "joints":
                 q = configuration(asked["joints"], here.joints, here.group)
+            case "posture":
+                q = self._home[here.group]
             case "position":
                 q = await self._for_tool(here, ToolTarget.asked(asked), seed)
             case _:

@@ -21,10 +21,10 @@ ZONE, LASER = "zone", "laser"
 
 
 def resources_of(cell: Cell) -> tuple[str, ...]:
-    """Return the resources of a cell: arm, cart, gripper and light of each group, cameras, laser, zone."""
+    """Return the resources of a cell: arm, gripper and light of each group, cameras, laser, zone."""
     found: list[str] = []
     for name, group in cell.groups.items():
-        there = {"arm": True, "cart": bool(cell.carriers_of(group.base)), "gripper": group.gripper, "led": group.light}
+        there = {"arm": True, "gripper": group.gripper, "led": group.light}
         found += [f"{name}_{part}" for part, has in there.items() if has]
     return (*found, *cell.cameras, *([LASER] if cell.laser else []), ZONE)
 

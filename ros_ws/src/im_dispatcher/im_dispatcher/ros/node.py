@@ -70,6 +70,8 @@ class Dispatcher(PntNode):
         """Load the nets of the commands, and the net of the resources."""
         self._library.files = net_files(self._commands_named.split(","))
         super().phase_configure()
+        for name, why in self._library.left_out.items():
+            self.get_logger().warning(f"command net {name} is left out: {why}")
 
     def completed(self, nets: list[Net]) -> list[Net]:
         """Return the nets, preceded by the resource net, which hands commands on.

@@ -21,7 +21,7 @@ from im_mcs.poses.view import rides_on, stand
 
 _HEADER = """\
 # Wrist poses for a calibration: the light fills what {cameras} see{s} and faces {them}.
-# Reachable and free of collisions one after the other, with the other arm at home.
+# Reachable and free of collisions one after the other, with any other arm at home.
 # {spread}.
 """
 
@@ -134,8 +134,8 @@ def to_yaml(group: str, cameras: Sequence[str], selection: Selection) -> str:
     """The file's text; one pose a line."""
     s, them = ("s", "it") if len(cameras) == 1 else ("", "them")
     header = _HEADER.format(cameras=" and ".join(cameras), s=s, them=them, spread=_spread(selection).capitalize())
-    (other,) = (list(each.home) for name, each in load_cell().groups.items() if name != group)
-    lines = [header + f"group: {group}", "frame: world", f"other_joints: {other}", "poses:"]
+    others = [f"other_joints: {list(each.home)}" for name, each in load_cell().groups.items() if name != group]
+    lines = [header + f"group: {group}", "frame: world", *others, "poses:"]
     width = len(str(len(selection.poses)))
     for number, one in enumerate(selection.poses, start=1):
         wrist = one.candidate.wrist

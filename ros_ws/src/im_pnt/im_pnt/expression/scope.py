@@ -84,6 +84,8 @@ def _complaint(net: Net, transition: Transition, location: Location, sentence: s
 def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object, ValueType]]:
     """Yield the places of a transition's values, the values, and the wanted types."""
     action = transition.action
+    if isinstance(action, GoalAction):
+        yield ("goal", "name"), action.name, ANY
     if isinstance(action, ServiceAction | GoalAction | TopicAction):
         yield _FIELDS[type(action)], dict(action.fields), message_type(f"{action.type}{_SENT[type(action)]}")
     elif isinstance(action, AwaitAction):

@@ -237,7 +237,8 @@ class Subnets:
         prefix = f"{level.prefix}{key.text}."
         note = f" (subnet {use.use}, used in {key.file}:{key.line}:{key.column})"
         given = self._given(level, value, use, template)
-        bound = {name: str(child.text) for name, child in given.items() if name in template.file.parameters}
+        bound = dict(template.given)
+        bound |= {name: str(child.text) for name, child in given.items() if name in template.file.parameters}
         raw = find(template.root, template.location).value
         objects = {name: prefix + name for name in _objects(raw)}
         sections = {k.text: filled(template.location, v, {**bound, **objects}, note) for k, v in raw.pairs}

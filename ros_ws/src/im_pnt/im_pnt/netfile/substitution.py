@@ -1,9 +1,9 @@
 """Templates of net files: ``$(...)`` in them becomes the value of a parameter."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from im_core.text.yamltext import Kind, Location, Value
+from im_core.text.yamltext import Kind, Location, Value, scalar, sequence
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text, evaluate
 from im_pnt.expression.syntax import parse
@@ -20,11 +20,13 @@ class Template:
         file: What it says.
         root: The file that it stands in.
         location: Where it stands there.
+        given: Values of the parameters of that file.
     """
 
     file: TemplateFile
     root: Value
     location: Location
+    given: Mapping[str, Parameter]
 
 
 def is_whole(text: str) -> bool:
@@ -47,13 +49,18 @@ def substitute(text: str, values: Mapping[str, Parameter]) -> str:
             end += 1
         if depth:
             raise ExpressionError(f"'{text[begin : begin + 40]}' has no closing parenthesis")
-        done += [text[at:begin], str(evaluated(text[begin + 2 : end - 1], values))]
+        found = evaluated(text[begin + 2 : end - 1], values)
+        if not isinstance(found, int | str):
+            raise ExpressionError(
+                f"'{text[begin + 2 : end - 1]}' is {as_text(found)}, neither a whole number nor a text"
+            )
+        done += [text[at:begin], str(found)]
         at = end
     return "".join([*done, text[at:]])
 
 
 def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
-    """Return the value of an expression with parameters as the only names: a whole number, or a text.
+    """Return the value of an expression with parameters as the only names: a number, a text, or a list of these.
 
     Raises:
         ExpressionError: It has none.
@@ -65,27 +72,47 @@ def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
         return values[name]
 
     found = evaluate(parse(text, tuple(values)), parameter)
-    if isinstance(found, bool) or not isinstance(found, int | str):
-        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a whole number nor a text")
+    if isinstance(found, bool) or not isinstance(found, int | float | str | list):
+        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a number, a text nor a list")
     return found
 
 
 def filled(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Value:
-    """Copy a value with the expressions evaluated; as deep as the file nests."""
+    """Copy a value with the expressions evaluated, as deep as the file nests; ``[zone, $(cameras)]`` is one list."""
     if value.kind is Kind.SCALAR:
         if "$(" not in value.text:
             return replace(value, note=note)
         try:
-            quoted = value.quoted
-            if quoted and is_whole(value.text):  # quoted for YAML's sake: it keeps the type of its value
-                quoted = not isinstance(evaluated(value.text[2:-1], bound), int | Written)
-            return replace(value, text=substitute(value.text, bound), quoted=quoted, note=note)
+            if is_whole(value.text):
+                found = evaluated(value.text[2:-1], bound)
+                if isinstance(found, list):
+                    return _listed(found, replace(value, note=note))
+                quoted = isinstance(found, str) and not isinstance(found, Written)  # it keeps the type of its value
+                return replace(value, text=str(found), quoted=quoted, note=note)
+            return replace(value, text=substitute(value.text, bound), note=note)
         except ExpressionError as error:
             raise complaint(replace(value, note=note), str(error), location) from error
     if value.kind is Kind.LIST:
-        return replace(value, children=tuple(filled(location, v, bound, note) for v in value.children), note=note)
+        return replace(value, children=tuple(_entries(location, value, bound, note)), note=note)
     pairs = tuple((filled(location, k, bound, note), filled(location, v, bound, note)) for k, v in value.pairs)
     return replace(value, pairs=pairs, note=note)
+
+
+def _listed(values: Sequence[object], near: Value) -> Value:
+    return sequence(
+        (
+            _listed(each, near) if isinstance(each, list) else scalar(str(each), near, quoted=isinstance(each, str))
+            for each in values
+        ),
+        near,
+    )
+
+
+def _entries(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Iterator[Value]:
+    for child in value.children:
+        one = filled(location, child, bound, note)
+        added = child.kind is Kind.SCALAR and one.kind is Kind.LIST
+        yield from one.children if added else (one,)
 
 
 def size(value: Value) -> int:

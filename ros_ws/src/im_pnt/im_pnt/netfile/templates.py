@@ -10,6 +10,7 @@ from im_core.text.yamltext import MAX_VALUES, Kind, Location, Value, find, mappi
 from im_pnt.errors import NetFileError
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.netfile.interrupts import Interrupt
+from im_pnt.netfile.parameters import with_parameters
 from im_pnt.netfile.schema.net import FragmentFile
 from im_pnt.netfile.schema.templates import Parameter, UseFile
 from im_pnt.netfile.subnets import Subnets, uses_subnets
@@ -33,19 +34,21 @@ def assemble(root: Value, file: Path | None, within: Sequence[Path] = ()) -> Val
         within: Folders that included files lie below; empty: they may lie anywhere.
 
     Returns:
-        The same net without ``include``, ``templates``, ``interrupts`` and ``use``, those of transitions too.
+        The same net without ``parameters``, ``include``, ``templates``, ``interrupts`` and ``use``, those of
+        transitions too.
 
     Raises:
         NetFileError: A file that cannot be included, includes that go round, or a template that cannot be used.
+        MissingPartsError: A file needs more of its parameters than there is.
     """
     fragment = FragmentFile.model_fields.keys()
-    if not {key.text for key, _ in root.pairs} & {"include", "templates", "use", "interrupts"} and not uses_subnets(
-        root
-    ):
+    assembled = {"include", "templates", "use", "interrupts", "parameters"}
+    if not {key.text for key, _ in root.pairs} & assembled and not uses_subnets(root):
         return root
     assembly = _Assembly(within)
+    root, given = with_parameters(root)
     own = {key: value for key, value in read_data(root).items() if key in fragment}
-    assembly.add(root, own, () if file is None else (file,))
+    assembly.add(root, own, () if file is None else (file,), given)
     assembly.copy()
     pairs = [(key, value) for key, value in root.pairs if key.text not in fragment]
     for name, section in assembly.sections.items():
@@ -70,8 +73,10 @@ class _Assembly:
         self._read: set[Path] = set()
         self._values = 0
 
-    def add(self, root: Value, data: Mapping[str, object], chain: tuple[Path, ...]) -> None:
-        """Add a file, after the included ones."""
+    def add(
+        self, root: Value, data: Mapping[str, object], chain: tuple[Path, ...], given: Mapping[str, Parameter]
+    ) -> None:
+        """Add a file with the values of its parameters, after the included ones."""
         fragment = checked(root, data, FragmentFile, FragmentFile.model_validate)
         for rank, name in enumerate(fragment.include):
             self._include(root, ("include", rank), name, chain)
@@ -83,7 +88,7 @@ class _Assembly:
                 line = (first.key or first.value).line
                 sentence = f"template {quoted_text(name)} is there twice; the first is in {other.root.file}:{line}"
                 raise complaint_at(root, location, sentence, key=True)
-            self._templates[name] = Template(template, root, location)
+            self._templates[name] = Template(template, root, location, given)
         for name, interrupt in fragment.interrupts.items():
             if name in {other.name for other in self._interrupts}:
                 raise complaint_at(
@@ -153,7 +158,7 @@ class _Assembly:
             text = read_text(path, self._within)
         except NetFileError as error:
             raise complaint_at(root, location, f"cannot be included: {error.message}") from error
-        included = read_values(text, str(path))
+        included, given = with_parameters(read_values(text, str(path)))
         data = read_data(included)
         if "net" in data:
             by = find(root, location).value
@@ -162,7 +167,7 @@ class _Assembly:
                 f"it may have {', '.join(FragmentFile.model_fields)}"
             )
             raise complaint_at(included, ("net",), sentence, key=True)
-        self.add(included, data, (*chain, path))
+        self.add(included, data, (*chain, path), given)
 
 
 def _copies(root: Value, location: Location, use: UseFile, template: Template) -> Iterator[dict[str, Value]]:
@@ -185,7 +190,7 @@ def _copies(root: Value, location: Location, use: UseFile, template: Template) -
     place = find(root, location).value
     for combination in product(*use.ranges.values()):
         running: dict[str, Parameter] = dict(zip(use.ranges, combination, strict=True))
-        bound = dict(running)
+        bound = {**template.given, **running}
         for key, value in use.given.items():
             try:
                 bound[key] = _value(value, running)

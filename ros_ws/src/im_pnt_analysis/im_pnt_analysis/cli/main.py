@@ -9,7 +9,7 @@ from importlib import import_module
 from im_bag.command_line import parsed
 from im_core.errors import ImError
 from im_core.options import NumberParser
-from im_pnt_analysis.cli.extensions import extensions
+from im_core.plugins import extensions
 from im_pnt_analysis.cli.terminal import BAD_INPUT, INTERRUPTED, OK, REFUSED
 
 _DESCRIPTION = """Works on Petri net transducers: YAML files with places, transitions, tapes, guards and actions, or

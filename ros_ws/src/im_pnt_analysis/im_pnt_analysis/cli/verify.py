@@ -2,20 +2,22 @@
 
 import argparse
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from im_core import plugins
 from im_core.clock import cpu
 from im_core.files import is_same
+from im_core.names import CELL
 from im_core.options import at_least, computing_seconds
+from im_core.plugins import extensions
 from im_pnt.errors import NetError
 from im_pnt.expression.scope import check_net
 from im_pnt.expression.types import MessageTypes
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
-from im_pnt_analysis.cli.extensions import extensions
 from im_pnt_analysis.cli.terminal import OK, REFUSED, UNPROVED, EndOnInterrupt, ProgressLine, titles, write_output
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.files import check_files
@@ -49,6 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run=run)
     add = parser.add_argument
     add("files", nargs="+", metavar="FILE", help="net files; of a machine all of them")
+    add("--cell", metavar="CELL", help="cell of nets with `parameters`: a shipped one, or a cell file (puma_pair)")
     add("--json", action="store_true", help="print one JSON object with every answer")
     add(
         "--all",
@@ -65,6 +68,8 @@ def run(options: argparse.Namespace) -> int:
     """Verify net files."""
     if options.counterexample and any(is_same(options.counterexample, file) for file in options.files):
         raise NetError(f"--counterexample {options.counterexample} is one of the nets", file=options.counterexample)
+    if options.cell is not None:
+        os.environ[CELL] = options.cell
     if options.loaded:
         return _verify_loaded(options)
     with EndOnInterrupt("\npnt: verification interrupted, nothing is decided"), ProgressLine() as progress:

@@ -13,7 +13,7 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
 from im_pnt.description import read_net
-from im_pnt.errors import NetError
+from im_pnt.errors import MissingPartsError, NetError
 from im_pnt.model.groups import group_of, nets_by_name
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net, yaml_text
@@ -36,10 +36,12 @@ class Library:
     Attributes:
         files: As given.
         verify: As given.
+        left_out: Why nets of files are not loaded: the cell lacks what they need; by name of the file.
     """
 
     def __init__(self, files: Sequence[Path], verifier: Verifier) -> None:
         self.files, self.verify = list(files), verifier
+        self.left_out: dict[str, str] = {}
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
         self._nodes: dict[str, str] = {}
@@ -56,7 +58,7 @@ class Library:
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
     def nets(self, found: Mapping[str, str]) -> list[Net]:
-        """Load the first nets.
+        """Load the first nets, without those that need more parts than the cell has.
 
         Args:
             found: The nets of the journal, with the files they came from; empty: those the node was made with.
@@ -65,8 +67,13 @@ class Library:
             NetFileError: A file is not a net.
             NetError: Two files have nets of the same name.
         """
-        files = [Path(source) for source in found.values()] if found else self.files
-        return list(nets_by_name(map(load_net, files)).values())
+        nets = []
+        for file in [Path(source) for source in found.values()] if found else self.files:
+            try:
+                nets.append(load_net(file))
+            except MissingPartsError as error:
+                self.left_out[file.stem] = error.message
+        return list(nets_by_name(nets).values())
 
     def kept(self, net: Net) -> Net:
         """Write a net down, if nets are kept; return the net with the new source."""

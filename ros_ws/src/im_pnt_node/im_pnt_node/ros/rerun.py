@@ -31,7 +31,7 @@ from im_pnt_node.rerun.rerun import TOLERANCE_S, Compared, NodeRerun
 from im_pnt_node.rerun.script import Script, ScriptHost
 from im_pnt_node.rerun.stream import NodeStream, streams_of
 from im_pnt_node.ros.execution.actions import answer_key, fields_of, handled, require_success, sent_key
-from im_pnt_node.ros.execution.goals import result_of
+from im_pnt_node.ros.execution.goals import chosen, result_of
 from im_pnt_node.ros.messages import packed_message
 from im_pnt_node.ros.objects.objects import DomObjects
 from im_pnt_node.ros.reporting.mission import TOPIC
@@ -118,8 +118,7 @@ class RosWorld:
             return await handled(functions, action, context, response)
 
         async def goal(activity: Activity, context: ActionContext) -> dict[str, object]:
-            action = activity.action
-            assert isinstance(action, GoalAction)
+            action = chosen(activity, context)
             interface = interface_class(action.type)
             await sent(activity, action, context, interface.Goal())
             status, _, data = await script.wait(answer_key(activity))

@@ -53,8 +53,9 @@ class LightTracker:
 
     def position(self, stamp_ns: int) -> Array | None:
         """The light in the world at a testbed time [ns], shape (3,) [m]; None if the pose then is not known."""
-        wrist = self.wrist(self._cell.devices("light")[self._light], stamp_ns)
-        if wrist is None:
+        carrier = self._cell.devices("light").get(self._light)
+        wrist = carrier and self.wrist(carrier, stamp_ns)
+        if not wrist:
             return None
         rotation, origin = wrist
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))

@@ -62,6 +62,7 @@ class VssNode(ManagedNode):
         self._process = declare("process", PROCESS, "name of this process in the catalogue; it runs the Services there")
         self._source: FrameSource | None = None
         self._vsm: VisionServicesManager | None = None
+        self._laser: LaserRig | None = None
         self._loads_ahead = False
 
     def phase_configure(self) -> None:
@@ -69,14 +70,16 @@ class VssNode(ManagedNode):
         cell = load_cell()
         settings = load_settings(cell, self._file("settings"))
         self._kept = names.results_dir() / "vss" / f"{names.instance()}-{clock.stamp_name()}"
-        self._book = CameraBook(cell, settings.cameras, self._kept, settings.stereo.pairs)
-        laser_book = LaserBook(cell.scanner, self._kept)
+        self._book = CameraBook(cell, settings.cameras, self._kept, settings.stereo.pairs or ())
+        laser_book = None if cell.laser is None else LaserBook(cell.laser, self._kept)
         self._in_use = None if self.get_parameter("standalone").value else names.run_dir() / names.CALIBRATION
         self._take_calibration(cell, laser_book)
-        self._laser = LaserRig(LinkedScanner(names.instance(), cell.scanner), laser_book)
+        if laser_book is not None:
+            self._laser = LaserRig(LinkedScanner(names.instance(), cell.scanner), laser_book)
+            laser_book.on_change = self._calibrated
         self._outputs = ImageOutputs(self, self._book, laser_book)
         self._markers = CellMarkers(self, cell, self._book, self._outputs.left)
-        self._book.on_change = laser_book.on_change = self._calibrated
+        self._book.on_change = self._calibrated
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
             cell,
@@ -116,7 +119,7 @@ class VssNode(ManagedNode):
             askers = Askers(self, f"/vss/{name}")
             self.create_service(port.kind, f"/vss/{name}", partial(self._serve, name, port, askers))
         StatePort(self, self._vsm)
-        DiagnosticsPort(self, self._vsm, self._book, self._laser.book)
+        DiagnosticsPort(self, self._vsm, self._book, None if self._laser is None else self._laser.book)
         for camera in self._book.entries():
             self.create_service(
                 SetCameraInfo, f"/{camera.name}/set_camera_info", partial(self._set_camera_info, camera.name)
@@ -128,6 +131,7 @@ class VssNode(ManagedNode):
         """Let go of the cameras."""
         if self._vsm is not None:
             self._vsm.close()
+        if self._laser is not None:
             self._laser.scanner.close()
         if self._source is not None:
             self._source.close()
@@ -184,7 +188,7 @@ class VssNode(ManagedNode):
         response.status_message = f"{camera} has new intrinsics; written to {folder}"
         return response
 
-    def _take_calibration(self, cell: Cell, laser_book: LaserBook) -> None:
+    def _take_calibration(self, cell: Cell, laser_book: LaserBook | None) -> None:
         """Use the calibration of a former incarnation, or a given one, and log the origin of each part."""
         found = self._left(cell)
         if found is not None:
@@ -195,10 +199,12 @@ class VssNode(ManagedNode):
             return
         for sentence in (*found.notes, *self._book.adopt(found)):
             self.get_logger().warning(sentence)
-        laser_book.adopt(found)
-        self._note_in_use()
         told = [entry.told() for entry in self._book.entries()]
-        for sentence in (*told, laser_book.entry.told()):
+        if laser_book is not None:
+            laser_book.adopt(found)
+            told.append(laser_book.entry.told())
+        self._note_in_use()
+        for sentence in told:
             self.get_logger().info(sentence)
 
     def _left(self, cell: Cell) -> CalibrationFiles | None:

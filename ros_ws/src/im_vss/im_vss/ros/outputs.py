@@ -26,7 +26,7 @@ class ImageOutputs:
         left: Spots and residuals of the last calibration of each camera, shape (n, 2) [px].
     """
 
-    def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook) -> None:
+    def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook | None) -> None:
         """Create ``image_raw``, ``camera_info``, ``image_display`` and ``spot`` of each camera, and ``/tf_static``.
 
         ``image_raw/compressed`` has the images once more, as JPEG, and ``image_rect`` rectified if the lens is known.
@@ -79,8 +79,10 @@ class ImageOutputs:
         """Publish the calibrations and poses of cameras and laser scanner, as far as known."""
         stamp_ns = self._node.get_clock().now().nanoseconds
         with self._telling:
-            scanner = self._laser.entry.model
-            places = [("world", "laser_scanner", scanner.position, scanner.rotation)]
+            places = []
+            if self._laser is not None:
+                scanner = self._laser.entry.model
+                places.append(("world", "laser_scanner", scanner.position, scanner.rotation))
             for entry in self._book.entries():
                 self._info[entry.name].publish(to_camera_info(entry, stamp_ns))
                 places.append((entry.parent, entry.frame, entry.model.position, entry.model.R_cam_base.T))

@@ -119,7 +119,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
         print(f"replay: {found}")
     problem = _problem(options, call, request, cell, settings)
     calibration = calibrate_possible(problem)
-    book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs)
+    book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs or ())
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)
     write_observations(directory, problem)

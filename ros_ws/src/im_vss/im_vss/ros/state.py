@@ -78,7 +78,9 @@ class StatePort:
 class DiagnosticsPort:
     """Port of ``/diagnostics``, once a second of wall time: origins of the calibrations, and users of the Modules."""
 
-    def __init__(self, node: ManagedNode, vsm: VisionServicesManager, book: CameraBook, laser: LaserBook) -> None:
+    def __init__(
+        self, node: ManagedNode, vsm: VisionServicesManager, book: CameraBook, laser: LaserBook | None
+    ) -> None:
         """Publish the diagnostics from `node`."""
         self._node = node
         self._vsm = vsm
@@ -95,11 +97,15 @@ class DiagnosticsPort:
 
     def _calibrations(self) -> DiagnosticStatus:
         """Return the status of the calibrations; a camera as drawn, as at the machine's start, is no fault."""
-        entries, laser = self._book.entries(), self._laser.entry
+        entries = self._book.entries()
         cameras = f"{sum(entry.calibrated for entry in entries)} of {len(entries)} cameras are calibrated"
-        origins = {entry.name: entry.origin for entry in entries} | {"laser_scanner": laser.origin}
+        origins = {entry.name: entry.origin for entry in entries}
+        if self._laser is None:
+            return _status("vss: calibrations", cameras, origins)
+        laser = self._laser.entry
         scanner = "calibrated" if laser.calibrated else "as drawn"
-        return _status("vss: calibrations", f"{cameras}; the laser scanner is {scanner}", origins)
+        told = f"{cameras}; the laser scanner is {scanner}"
+        return _status("vss: calibrations", told, origins | {"laser_scanner": laser.origin})
 
     def _modules(self) -> DiagnosticStatus:
         state = self._vsm.state()

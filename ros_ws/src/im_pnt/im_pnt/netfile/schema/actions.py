@@ -11,15 +11,16 @@ from im_pnt.netfile.schema.values import Fields, FilePart, Function, Given, Name
 _SERVICE = TextForm(rf"{NAME}\.{NAME}", "is not of the form net.service")
 
 _TOKEN = r"(?:[A-Za-z_]|\{(?:node|ns|namespace)\})(?:[A-Za-z0-9_]|\{(?:node|ns|namespace)\})*"
-_RosName = Annotated[
-    str,
-    TextForm(
-        rf"(?:~?/)?{_TOKEN}(?:/{_TOKEN})*",
-        "is no name of ROS (words of letters, digits and _, not starting with a digit, with / between them)",
-        like_truth=True,
-        longest=MAX_NAME,
-    ),
-]
+_ARGUMENT = r"\$\{arguments\.[A-Za-z_][A-Za-z0-9_]*\}"
+
+
+def _ros_name(token: str) -> TextForm:
+    says = "is no name of ROS (words of letters, digits and _, not starting with a digit, with / between them)"
+    return TextForm(rf"(?:~?/)?{token}(?:/{token})*", says, like_truth=True, longest=MAX_NAME)
+
+
+_RosName = Annotated[str, _ros_name(_TOKEN)]
+_ChosenName = Annotated[str, _ros_name(rf"(?:{_TOKEN}|{_ARGUMENT})")]
 
 
 class _MessageFile(FilePart):
@@ -69,6 +70,7 @@ class ServiceCallFile(_CallFile):
 class GoalFile(_CallFile):
     """A ROS action goal."""
 
+    name: _ChosenName = Field(description="Name of the action; ${arguments.NAME} in it is an argument with choices.")
     type: Annotated[str, type_form("action")] = Field(description="Its type, package/action/Type.")
     goal: Fields = Field({}, description="Fields of the goal.")
 

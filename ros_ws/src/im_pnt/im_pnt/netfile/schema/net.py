@@ -13,6 +13,7 @@ from im_pnt.netfile.schema.commands import CommandFile, ServiceFile
 from im_pnt.netfile.schema.interrupts import InterruptFile
 from im_pnt.netfile.schema.names import NAME
 from im_pnt.netfile.schema.places import PlaceFile
+from im_pnt.netfile.schema.scalars import as_arcs
 from im_pnt.netfile.schema.templates import TemplateFile, UseFile
 from im_pnt.netfile.schema.transitions import TransitionFile
 from im_pnt.netfile.schema.values import (
@@ -61,6 +62,11 @@ class FragmentFile(FilePart):
 
     include: Texts = Field(
         (), description="Files with further places, services, transitions and templates; paths from this file."
+    )
+    parameters: Annotated[dict[str, Weight], Named(), BeforeValidator(as_arcs)] = Field(
+        {},
+        description="Values that the cell gives, as arms, lights, cameras; $(arms) in the file is the list of them. "
+        "With a number ({arms: 2}), so many are needed; else one.",
     )
     templates: Annotated[dict[str, TemplateFile], Named()] = Field(
         {},

@@ -19,7 +19,7 @@ _MANY = 10_000
 
 _LARGEST_PARAMETER = 10**9
 _RANGE = re.compile(r"(-?[0-9]{1,9})\.\.(-?[0-9]{1,9})")
-Parameter = int | str
+Parameter = int | float | str | list[object]
 
 
 def _parameter(value: object) -> Parameter:

@@ -66,6 +66,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
 
     def prepare(self, action: Action) -> WatchedServer[ActionClient]:
         """Return the client of an action, with the new name; errors as of :meth:`.RosActions.prepare`."""
+        assert isinstance(action, GoalAction)
         return super().prepare(self._renamed(action))
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
@@ -76,13 +77,13 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         """
         self._performed.add(activity)
         try:
-            return await self._perform(activity, context, self._renamed(activity.action))
+            return await self._perform(activity, context, chosen(activity, context))
         finally:
             self._performed.discard(activity)
 
     async def _perform(self, activity: Activity, context: ActionContext, action: GoalAction) -> dict[str, object]:
-        around, server = self._surroundings, self.prepare(activity.action)
-        client = server.client
+        around, server = self._surroundings, self.prepare(action)
+        client, action = server.client, self._renamed(action)
         task = around.task(action)
         goal = await around.sent(activity, action, context, interface_class(action.type).Goal())
 
@@ -115,10 +116,11 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
 
     async def ask(self, activity: Activity, context: ActionContext) -> Answer:
         """Ask the server for the outcome of a goal from a former incarnation of the process."""
-        around, action = self._surroundings, self._renamed(activity.action)
+        around, action = self._surroundings, chosen(activity, context)
+        server, action = self.prepare(action), self._renamed(action)
         if activity in self._performed:
             return Answer(Outcome.RUNNING, asked=f"{action.name}: its result is awaited")
-        server, task = self.prepare(activity.action), around.task(action)
+        task = around.task(action)
         try:
             await around.until_ready(server, action.name, task, f"the action {action.name}")
             if activity not in self._results:
@@ -143,8 +145,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
             return Answer(Outcome.FAILED, error, asked=action.name)
         return Answer(Outcome.DONE, results=kept, asked=action.name)
 
-    def _renamed(self, action: Action) -> GoalAction:
-        assert isinstance(action, GoalAction)
+    def _renamed(self, action: GoalAction) -> GoalAction:
         return replace(action, name=self._remap.get(action.name, action.name))
 
     def _follow(self, activity: Activity, handle: ClientGoalHandle) -> Any:
@@ -183,6 +184,13 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
     def _destroy(self, endpoint: WatchedServer[ActionClient]) -> None:
         endpoint.stop()
         endpoint.client.destroy()
+
+
+def chosen(activity: Activity, context: ActionContext) -> GoalAction:
+    """Return the action of an activity with the name that its arguments choose."""
+    action = activity.action
+    assert isinstance(action, GoalAction)
+    return replace(action, name=str(context.filled_now(action.name)))
 
 
 def read_remap(text: str) -> dict[str, str]:

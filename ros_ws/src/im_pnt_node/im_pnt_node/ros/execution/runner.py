@@ -21,6 +21,7 @@ from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.rerun.log import MissionLog, NotedRequests, noted_answers
 from im_pnt_node.ros.execution.actions import RosActions, ServiceActions, Surroundings, TopicActions
 from im_pnt_node.ros.execution.awaits import AwaitActions
+from im_pnt_node.ros.execution.endpoints import addressed
 from im_pnt_node.ros.execution.goals import GoalActions
 from im_pnt_node.ros.execution.loop import NetLoop
 
@@ -78,8 +79,7 @@ class NodeRunner(FunctionRunner):
             EndpointGoesError: One is of another type, of a net that has gone, and goes now.
         """
         for transition in net.transitions.values():
-            action = transition.action
-            if isinstance(action, ServiceAction | GoalAction | TopicAction | AwaitAction):
+            for action in addressed(net, transition):
                 try:
                     self._kinds[type(action)].prepare(action)
                 except (RuntimeError, ValueError, NameValidationException) as error:  # the middleware has its rules

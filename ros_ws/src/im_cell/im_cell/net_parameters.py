@@ -1,0 +1,46 @@
+"""Parameters of nets: what the cell has, for ``parameters:`` of a net file."""
+
+import os
+from collections.abc import Mapping
+from functools import cache
+
+from im_cell.robot import Cell, load_cell
+from im_core.names import CELL
+
+TURN = 0.4
+"""How far ``demo`` turns the first joint of an arm [rad]."""
+
+
+def net_parameters() -> Mapping[str, object]:
+    """Return the values by name; names of parts are lists, in the order of the cell file.
+
+    Raises:
+        ConfigError: The cell is missing or wrong.
+    """
+    return _of(os.environ.get(CELL))
+
+
+@cache
+def _of(_named: str | None) -> Mapping[str, object]:
+    cell = load_cell()
+    joints = [len(cell.joints_of(arm)) for arm in cell.groups]
+    return {
+        **cell.kinds,
+        "lit_arms": [arm for arm, group in cell.groups.items() if group.light],
+        "gripping_arms": [arm for arm, group in cell.groups.items() if group.gripper],
+        "turned": [_turned(cell, arm) for arm in cell.groups],
+        "fewest_joints": min(joints),
+        "most_joints": max(joints),
+        "stroke": cell.gripper.stroke,
+        "force": cell.gripper.force,
+        "laser_range": cell.laser.range if cell.laser else 0.0,
+    }
+
+
+def _turned(cell: Cell, arm: str) -> list[float]:
+    """Return the home of an arm with the first joint turned to the side with room."""
+    joints, home = cell.joints_of(arm), list(cell.groups[arm].home)
+    rank = joints.index(cell.arm_of(arm)[0])
+    upper = next(joint.limits.upper for joint in cell.joints if joint.name == joints[rank])
+    home[rank] += TURN if home[rank] + TURN < upper else -TURN
+    return home
