@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 from bench.calibration.boards import Sensor, render
 from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
+from im_calibration.targets.image_message import grey_image
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
+from im_core.errors import DataError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -78,7 +80,7 @@ def write(path, messages, plugin=StoragePlugin.MCAP):
 
 @pytest.fixture(scope="module")
 def run_of_robot():
-    """Poses of the link at each 20 ms, and what the camera on it saw at each 250 ms, also while it moved."""
+    """Poses of the link at each 20 ms, and what the camera on it saw at each 500 ms, also while it moved."""
     rng, target = np.random.default_rng(3), target_of(TARGET)
     rests = []
     for _ in range(RESTS):
@@ -96,7 +98,7 @@ def run_of_robot():
             link[:3, :3] = link[:3, :3] @ Rotation.from_rotvec(share * step).as_matrix()
         if ms % 20 == 0:
             links[BEGIN + ms * MS] = link
-        if ms % 250 == 130:
+        if ms % 500 == 250:
             view = np.linalg.inv(LINK_CAMERA) @ np.linalg.inv(link) @ BASE_TARGET
             images[BEGIN + ms * MS] = render(target, LEFT, view[:3, :3], view[:3, 3], Sensor(), ms)
     return links, images
@@ -163,3 +165,153 @@ def test_a_camera_on_a_robot(run_of_robot, tmp_path, capsys, kind):
     assert "while it moves" in told
     observed = json.loads((tmp_path / "results" / "observations.json").read_text())
     assert len(observed["target"]["views"]) == RESTS
+
+
+def video(path, images, rate=30.0):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate, (LEFT.width, LEFT.height))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.dstack([image] * 3))
+    writer.release()
+    return path
+
+
+def test_a_video_of_a_target_in_the_hand(run_of_robot, tmp_path, capsys):
+    _, images = run_of_robot
+    path = video(tmp_path / "left.avi", images.values(), rate=10.0)
+    assert calibrate(tmp_path / "results", "--images", f"left={path}") == 0
+    told = capsys.readouterr().out
+    (camera,) = reported(tmp_path / "results")["cameras"]
+    assert np.abs(np.array(camera["K"]) - LEFT.K).max() < 6.0 * camera["standard_deviations"]["fx"]
+    views = len(json.loads((tmp_path / "results" / "observations.json").read_text())["target"]["views"])
+    assert f"left: chessboard:8x5:0.03m taken in {views} views" in told
+    assert RESTS <= views < len(images)
+    assert "move by more than" in told
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    calibrate(tmp_path / "cut", "--images", f"left={path}")
+    assert "left.avi: ends after" in capsys.readouterr().out
+    path.write_bytes(whole[:600])
+    assert calibrate(tmp_path / "cut", "--images", f"left={path}") == 1
+    assert "left.avi: " in (error := capsys.readouterr().err)
+    assert "is it cut off?" in error or "is the video cut off?" in error
+
+
+def nonsense(of, links, images):
+    """Messages beside images, options, and what is told of them."""
+    (first, _), stamps = next(iter(images.items())), list(images)
+    pictures = [(t, "/left", image_message(image, "mono8", t)) for t, image in images.items()][:10]
+    poses = [(t, "/tf", tf(t, "base", "tool", link)) for t, link in links.items()]
+    robot = ["--eye-in-hand", "--base", "base", "--tool", "tool"]
+    never = [
+        (t, "/tf", tf(t, "base", "tool", transform(np.zeros(3), np.array([1e-10 * (t - first), 0, 0])))) for t in links
+    ]
+    halves = [(t, "/left", image_message(image[::2, ::2], "mono8", t)) for t, image in images.items()][10:12]
+    later = [(t, "/tf", tf(t + 10**12, "base", "tool", link)) for t, link in links.items()]
+    grey = np.zeros((4, 4), np.uint8)
+    return {
+        "topic": (
+            pictures,
+            ["--camera", "left:=/right"],
+            "there is no topic '/right' in it; topics of images are /left",
+        ),
+        "no images": (poses, [], "there is no topic '/left' in it; no topic of it has images"),
+        "type": (
+            [(first, "/left", poses[0][2])],
+            [],
+            "'/left' is tf2_msgs/msg/TFMessage, not sensor_msgs/msg/Image or",
+        ),
+        "no tf": (pictures, robot, "there is no topic '/tf' in it"),
+        "frame": (
+            pictures + poses,
+            [*robot[:-1], "tol"],
+            "where 'tol' is in 'base': there is no frame 'tol' (did you mean",
+        ),
+        "apart": (
+            pictures + [(first, "/tf", tf(first, "x", "y", np.eye(4))), *poses],
+            [*robot[:-1], "y"],
+            "nothing connects them",
+        ),
+        "clocks": (pictures + later, robot, "no pose of the robot is of that time. Are both on one clock?"),
+        "moving": (pictures + never, robot, "The robot moves by more than 1 mm or 2 mrad within 0.2 s of each"),
+        "sizes": (
+            pictures + halves,
+            [],
+            "image 11 has 160 x 120 px, those before 320 x 240: images of one camera have",
+        ),
+        "encoding": (
+            [(first, "/left", image_message(grey, "32FC1"))],
+            [],
+            "images are of encoding '32FC1'; known are 16UC1",
+        ),
+        "bytes": (
+            [(first, "/left", image_message(grey, "rgb8"))],
+            [],
+            "an image of 4 x 4 px, rgb8, has 24 bytes in rows of 6",
+        ),
+        "depth": ([(first, "/left", compressed(grey, "16UC1; compressedDepth png"))], [], "has images of depth"),
+        "stamps": (
+            [*pictures, (stamps[0], "/left", image_message(grey, "mono8", 0))],
+            [],
+            "1 of 11 messages on '/left' have no",
+        ),
+        "joints": (pictures, ["--urdf", "gantry.urdf", "--eye-in-hand", "--base", "l0", "--tool", "l6"], "gantry.urdf"),
+    }[of]
+
+
+@pytest.mark.parametrize(
+    "of",
+    ["topic", "no images", "type", "no tf", "frame", "apart", "clocks", "moving", "sizes", "encoding", "bytes", "depth",
+     "stamps", "joints"],
+)  # fmt: skip
+def test_what_is_wrong_with_a_bag_is_one_sentence(run_of_robot, tmp_path, capsys, of):
+    messages, options, sentence = nonsense(of, *run_of_robot)
+    bag = write(tmp_path / "bag", messages)
+    options = options if "--camera" in options else ["--camera", "left:=/left", *options]
+    assert calibrate(tmp_path / "results", "--bag", bag, *options) == 1
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+GREY = np.random.default_rng(5).integers(0, 256, (6, 8)).astype(np.uint8)
+RED = np.dstack([np.full((6, 8), 200), np.zeros((6, 8)), np.zeros((6, 8))]).astype(np.uint8)  # red, green, blue
+LUMA_OF_RED = 0.299
+
+
+def mosaic(pattern, rgb):
+    """What a sensor behind a Bayer mosaic sees of a colour image; a pattern is the two rows of a cell."""
+    seen = np.zeros(rgb.shape[:2], rgb.dtype)
+    for k, color in enumerate(pattern):
+        seen[k // 2 :: 2, k % 2 :: 2] = rgb[k // 2 :: 2, k % 2 :: 2, "rgb".index(color)]
+    return seen
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        *((image_message(GREY, name), GREY) for name in ("mono8", "8UC1")),
+        *((image_message(np.dstack([GREY] * n), name), GREY) for n, name in ((3, "rgb8"), (4, "bgra8"), (3, "8UC3"))),
+        *((image_message(257 * GREY.astype(np.uint16), "mono16", big=big), 257 * GREY.astype(int)) for big in (0, 1)),
+        (image_message(np.dstack([GREY // 2, GREY]), "yuv422"), GREY),
+        (image_message(np.dstack([GREY, GREY // 2]), "yuv422_yuy2"), GREY),
+        (image_message(RED, "rgb8"), LUMA_OF_RED * 200),
+        (image_message(RED[..., ::-1], "bgr8"), LUMA_OF_RED * 200),
+        (compressed(GREY, "mono8; png compressed "), GREY),
+        (compressed(RED[..., ::-1], "rgb8; png compressed bgr8"), LUMA_OF_RED * 200),
+        *((image_message(mosaic(p, RED), f"bayer_{p}8"), LUMA_OF_RED * 200) for p in ("rggb", "bggr", "gbrg", "grbg")),
+        (image_message(mosaic("rggb", RED).astype(np.uint16) * 256, "bayer_rggb16"), LUMA_OF_RED * 200 * 256),
+        (compressed(mosaic("gbrg", RED), "bayer_gbrg8; png compressed "), LUMA_OF_RED * 200),
+    ],
+)
+def test_grey_images_of_messages(message, expected):
+    image = grey_image(message, "/left")
+    assert image.shape == (6, 8)
+    inner = (slice(2, -2), slice(2, -2))  # a mosaic is not known at the rim
+    np.testing.assert_allclose(image[inner], np.broadcast_to(expected, (6, 8))[inner], rtol=0.01, atol=1.0)
+
+
+def test_an_image_that_cannot_be_read_is_told():
+    message = compressed(GREY, "h264")
+    message.data = np.frombuffer(b"\x00\x00\x00\x01\x67", np.uint8)
+    with pytest.raises(DataError, match="/left: an image of format 'h264' cannot be read; JPEG and PNG can"):
+        grey_image(message, "/left")

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from im_calibration.targets.detection import Image
 from im_core.errors import DataError
@@ -77,8 +78,9 @@ def _raw(message: Any, topic: str) -> Image:
             topic=topic,
         )
     rows = np.lib.stride_tricks.as_strided(data, (height, row), (step, 1))
-    kind = np.dtype(np.uint8) if encoding.size == 1 else np.dtype(">u2" if message.is_bigendian else "<u2")
-    values = np.ascontiguousarray(rows).view(kind).astype(kind.newbyteorder("="), copy=False)
+    values: NDArray[np.integer[Any]] = np.ascontiguousarray(rows)
+    if encoding.size > 1:
+        values = values.view(">u2" if message.is_bigendian else "<u2").astype(np.uint16)
     pixels = values if encoding.values == 1 else values.reshape(height, width, encoding.values)
     if encoding.conversion is not None:
         return _grey(cv2.cvtColor(pixels, encoding.conversion))
@@ -99,8 +101,9 @@ def _decompressed(message: Any, topic: str) -> Image:
     if image.ndim == 3:
         return _grey(cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY))
     encoding = _ENCODINGS.get(message.format.partition(";")[0].strip())
-    mosaic = encoding is not None and encoding.values == 1 and encoding.conversion is not None
-    return _grey(cv2.cvtColor(image, encoding.conversion) if encoding is not None and mosaic else image)
+    if encoding is None or encoding.values > 1 or encoding.conversion is None:
+        return _grey(image)
+    return _grey(cv2.cvtColor(image, encoding.conversion))
 
 
 def _grey(image: Any) -> Image:

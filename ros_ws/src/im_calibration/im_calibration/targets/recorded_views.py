@@ -221,13 +221,13 @@ def _moved_px(one: Detection, other: Detection) -> float:
 
 
 def _speed(recording: ImageRecording, seen: Mapping[int, Detection], rank: int) -> float:
-    """Return the speed of a target from the images before and after, 0 where none is near [px/s]."""
+    """Return the speed of a target to the image before or after, the smaller one, 0 where none is near [px/s]."""
     near = [
         (other, lasted)
         for other in (rank - 1, rank + 1)
         if other in seen and (lasted := abs(int(recording.stamps[other] - recording.stamps[rank]))) <= _NEIGHBOUR_NS
     ]
-    return max((_moved_px(seen[rank], seen[other]) / max(1e-9 * lasted, 1e-6) for other, lasted in near), default=0.0)
+    return min((_moved_px(seen[rank], seen[other]) / max(1e-9 * lasted, 1e-6) for other, lasted in near), default=0.0)
 
 
 def _span(what: str, stamps: Stamps) -> str:
