@@ -228,7 +228,7 @@ def nonsense(of, links, images):
             "where 'tol' is in 'base': there is no frame 'tol' (did you mean",
         ),
         "apart": (
-            pictures + [(first, "/tf", tf(first, "x", "y", np.eye(4))), *poses],
+            [*pictures, (first, "/tf", tf(first, "x", "y", np.eye(4))), *poses],
             [*robot[:-1], "y"],
             "nothing connects them",
         ),
