@@ -23,7 +23,7 @@ from im_core.ros.run import spin_in_thread
 from im_msgs.srv import FiducialPose, Snap, SpotFind
 from im_vss.catalogue import load_catalogue
 from im_vss.ros.ports import Port
-from im_vss.ros.run_alone import main
+from im_vss.ros.vss_run import main
 
 WIDTH, HEIGHT, SIDE_M, NUMBER = 320, 240, 0.08, 7
 K = np.array([[300.0, 0.0, 158.0], [0.0, 300.0, 121.0], [0.0, 0.0, 1.0]])
@@ -83,11 +83,11 @@ class Cameras(GuardedNode):
             publisher.publish(info)
 
 
-def test_a_camera_that_sends_nothing_is_named(capsys, tmp_path, monkeypatch):
+def test_a_camera_that_sends_nothing_is_named(capfd, tmp_path, monkeypatch):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
-    monkeypatch.setattr("im_vss.ros.run_alone._FIRST_S", 0.5)
+    monkeypatch.setattr("im_vss.ros.vss_run._FIRST_S", 0.5)
     assert main(["run", "--camera", "left:=/nowhere/image_raw"]) == 1
-    assert "an image of left on /nowhere/image_raw (nobody publishes it)" in capsys.readouterr().err
+    assert "an image of left on /nowhere/image_raw (nobody publishes it)" in capfd.readouterr().err
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +100,7 @@ def ask(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch, open(folder / "log", "w") as log:
         patch.setenv("IM_RUN_DIR", str(folder))
         patch.setenv("IM_RESULTS_DIR", str(folder / "results"))
-        command = [sys.executable, "-m", "im_vss.ros.run_alone", "run", "--light", "/lamp", "--fiducials", "7-8=80mm"]
+        command = [sys.executable, "-m", "im_vss.ros.vss_run", "run", "--light", "/lamp", "--fiducials", "7-8=80mm"]
         cameras = ["--camera", "left:=/left/image_raw", "right:=/right/image_raw/compressed"]
         vss = subprocess.Popen([*command, *cameras], stdout=log, stderr=log)
 

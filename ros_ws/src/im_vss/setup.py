@@ -21,8 +21,8 @@ setup(
     entry_points={
         "console_scripts": [
             "recalibrate = im_vss.ros.recalibrate:main",
-            "run_alone = im_vss.ros.run_alone:main",
             "vss = im_vss.ros.launch:main",
+            "vss_run = im_vss.ros.vss_run:main",
         ]
     },
 )

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from bench.calibration.boards import Sensor, render
 from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
-from im_calibration.targets.image_message import grey_image
+from im_calibration.recorded.image_message import grey_image
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError

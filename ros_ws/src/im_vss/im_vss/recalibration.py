@@ -10,8 +10,8 @@ import numpy as np
 from im_bag.reading import messages_of, topics_of
 from im_calibration import SeenSpot
 from im_calibration.problem.bags import RecordedCalibration
-from im_calibration.problem.transforms import stamp_of
-from im_calibration.targets.image_message import grey_image
+from im_calibration.recorded.image_message import grey_image
+from im_calibration.recorded.stamps import stamp_of
 from im_core.errors import DataError
 from im_vss.services.calibrate import CalibrateRequest
 from im_vss.settings import VssSettings

@@ -2,7 +2,7 @@
 
 ``calibrate_dataset --again FOLDER``, or ``im calibrate --again FOLDER``: those of a folder of results once more.
 ``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``: from images of a target, or with ``--bag``
-of its images in a bag.
+or ``--seconds`` of its images on topics.
 """
 
 import argparse

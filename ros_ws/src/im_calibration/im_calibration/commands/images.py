@@ -5,7 +5,9 @@ Or of a bag: ``im calibrate --bag BAG --camera NAME:=TOPIC ... --target TARGET -
 
 import argparse
 import json
+import math
 import re
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -23,6 +25,7 @@ from im_cell.lens import PLUMB_BOB, lens_of
 from im_core.config import Model, faults, field_name, parse_model
 from im_core.errors import DataError
 from im_core.files import make_folder, read_text, write_whole
+from im_core.processes.process import ChildProcess
 from im_core.text.jsontext import load_json
 
 if TYPE_CHECKING:
@@ -32,6 +35,7 @@ Array = NDArray[np.float64]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Units of length [m]."""
+_END_OF_RECORDING_S = 30.0
 
 
 def add_images(parser: argparse.ArgumentParser) -> None:
@@ -43,6 +47,9 @@ def add_images(parser: argparse.ArgumentParser) -> None:
     images.add_argument("--bag", type=Path, metavar="BAG", help="instead: a bag with images, see --camera")
     images.add_argument(
         "--camera", nargs="+", type=_remapped, metavar="NAME:=TOPIC", help="cameras, and topics of their images in BAG"
+    )
+    images.add_argument(
+        "--seconds", type=float, metavar="S", help="instead of BAG: record one for so long, or until Ctrl-C, and use it"
     )
     images.add_argument("--target", metavar="TARGET", help="such as chessboard:9x6:25mm, or a file of Kalibr")
     images.add_argument("--results", type=Path, metavar="FOLDER", help="where the results go")
@@ -69,12 +76,16 @@ def add_images(parser: argparse.ArgumentParser) -> None:
 
 def check_images(options: argparse.Namespace) -> str:
     """Return the fault in the options of a calibration from images; empty if there is none."""
-    if bool(options.bag) != bool(options.camera) or bool(options.bag) == bool(options.images):
-        return "--images are needed, or --bag and --camera"
+    if (options.bag is not None) + (options.seconds is not None) + bool(options.images) != 1:
+        return "--images are needed, or --camera with --bag or --seconds"
+    if bool(options.images) == bool(options.camera):
+        return "--camera names topics of a bag"
+    if options.seconds is not None and not 0.0 < options.seconds < math.inf:
+        return "--seconds needs a number > 0"
     if not (options.target and options.results):
         return "images need --target and --results"
-    if bool(options.base) != bool(options.tool) or (options.base and not options.bag):
-        return "--base and --tool go together, with --bag"
+    if bool(options.base) != bool(options.tool) or (options.base and not options.camera):
+        return "--base and --tool go together, with --camera"
     if options.urdf and (options.robot or not options.base):
         return "--urdf needs --base and --tool, and no --robot"
     if options.robot and options.base:
@@ -103,13 +114,15 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         DataError: A file cannot be used, the target is in too few images, or the views do not belong together.
     """
     from im_calibration.problem.target_problem import table_of
+    from im_calibration.recorded.recordings import VIDEOS, BagImages, ImageRecording, VideoFile
     from im_calibration.targets.images import find_target
-    from im_calibration.targets.recordings import VIDEOS, BagImages, ImageRecording, VideoFile
     from im_calibration.targets.robot_file import read_poses
     from im_calibration.targets.target import target_of
     from im_calibration.targets.views import RobotPoses, TargetViews
 
     target = target_of(options.target)
+    if options.seconds is not None:
+        options.bag = _recorded(options)
     sources: dict[str, Path | ImageRecording] = {name: BagImages(options.bag, at) for name, at in options.camera or ()}
     for name, path in options.images or ():
         sources[name] = VideoFile(Path(path)) if Path(path).suffix.lower() in VIDEOS else Path(path)
@@ -118,7 +131,7 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
     given = {name: _given(name, Path(path), options.lens_model) for name, path in options.intrinsics}
     if foreign := given.keys() - sources.keys():
         raise DataError(f"--intrinsics names {', '.join(sorted(foreign))}, --images {', '.join(sources)}.")
-    motion = _motion(options) if options.bag and (options.base or options.robot) else None
+    motion = _motion(options) if options.camera and (options.base or options.robot) else None
     seen = find_target(sources, target, motion)
     lenses = tuple(given[name][0] if name in given else options.lens_model or PLUMB_BOB.name for name in sources)
     robot = None
@@ -151,9 +164,30 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
     return problems(content)[0], "\n".join(seen.told)
 
 
+def _recorded(options: argparse.Namespace) -> Path:
+    """Record the topics of the cameras and of the robot, and return the bag.
+
+    Raises:
+        DataError: The recorder fails; it says why.
+    """
+    from im_calibration.recorded.transforms import JOINT_STATES, TF, TF_STATIC
+
+    bag: Path = options.results / "bag"
+    robot = [JOINT_STATES] if options.urdf else [TF, TF_STATIC] if options.base else []
+    topics = [*(topic for _, topic in options.camera), *robot]
+    make_folder(options.results)
+    recorder = ChildProcess.of_module("im_bag.ros.recorder", ["-o", str(bag), "--topics", *topics])
+    with suppress(KeyboardInterrupt):
+        recorder.await_end(options.seconds)
+    recorder.stop(_END_OF_RECORDING_S)
+    if recorder.poll() != 0:
+        raise DataError(f"{bag}: was not recorded: {recorder.obituary()}.")
+    return bag
+
+
 def _motion(options: argparse.Namespace) -> "Motion":
     """Return the poses of the robot's link over time, by transforms, joint states or a file."""
-    from im_calibration.problem.transforms import tree_of_bag, tree_of_file, tree_of_joints
+    from im_calibration.recorded.transforms import tree_of_bag, tree_of_file, tree_of_joints
 
     if options.robot:
         return partial(tree_of_file(options.robot, "base", "link").poses, "base", "link")

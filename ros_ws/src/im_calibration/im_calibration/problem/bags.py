@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from im_bag.reading import BagMessage, messages_of, topics_of
 from im_calibration.problem.convert import dataset_head
-from im_calibration.problem.transforms import TF_TYPE, stamp_of, tree_of_bag
+from im_calibration.recorded.stamps import moments, stamp_of
+from im_calibration.recorded.transforms import TF_TYPE, tree_of_bag
 from im_cell.lens import LENSES, PLUMB_BOB
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
@@ -214,24 +215,6 @@ def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
         left_out=sum(map(len, spots)) - int((spot_of >= 0).sum()),
         apart_s=max((apart for apart, _ in best.values()), default=0) * 1e-9,
     )
-
-
-def moments(stamps: Sequence[Stamps], tolerance_s: float) -> list[dict[int, tuple[int, int]]]:
-    """Group what several cameras saw at once: stamp [ns] and number by camera, in order of time.
-
-    Args:
-        stamps: Of each camera, ascending, shape (k,) each [ns].
-        tolerance_s: Largest distance of stamps of one moment [s].
-    """
-    every = sorted((int(stamp), camera, i) for camera, each in enumerate(stamps) for i, stamp in enumerate(each))
-    groups: list[dict[int, tuple[int, int]]] = []
-    begun = 0
-    for stamp, camera, i in every:
-        if not groups or stamp - begun > round(tolerance_s * 1e9) or camera in groups[-1]:
-            groups.append({})
-            begun = stamp
-        groups[-1][camera] = (stamp, i)
-    return groups
 
 
 def _readings(tool: _Track, pose_of: NDArray[np.intp]) -> list[int]:

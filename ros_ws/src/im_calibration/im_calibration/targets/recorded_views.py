@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration.problem.bags import moments
+from im_calibration.recorded.recordings import ImageRecording
+from im_calibration.recorded.stamps import Stamps, moments
 from im_calibration.targets.detection import Detection, detect
-from im_calibration.targets.recordings import ImageRecording
 from im_calibration.targets.target import CalibrationTarget
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 Motion = Callable[[Stamps], Array]
 """Poses of the robot's link at some stamps, NaN where not known, shape (k,) [ns] -> (k, 4, 4)."""

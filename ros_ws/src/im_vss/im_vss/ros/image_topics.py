@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
+from rclpy.client import Client
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool
 
-from im_calibration.problem.transforms import stamp_of
-from im_calibration.targets.image_message import grey_image
+from im_calibration.recorded.image_message import grey_image
+from im_calibration.recorded.stamps import stamp_of
 from im_cell.frames import Exposed, Frame, FrameSet, FrameSource, FrameSourceSetup, SnapOrder, nobody
 from im_cell.sensor import SensorControls
 from im_core import clock
@@ -87,15 +88,16 @@ class ImageTopics(FrameSource):
         """
         if len(set(order.blank_laser)) > 1:
             raise StateError("the laser cannot be switched off for some images: cameras of topics do not strobe it")
-        if any(order.blank_light) and self._light is None:
+        light = self._light
+        if any(order.blank_light) and light is None:
             raise StateError("the light cannot be switched for an image: give the service that switches it (--light)")
         if changed := [name for name, each in order.controls.items() if each != SensorControls()]:
             raise StateError(f"gain and noise of {', '.join(changed)} are those of its driver")
         begin = clock.monotonic()
         frames: dict[str, list[Frame]] = {name: [] for name in order.cameras}
         for blank in order.blank_light:
-            if any(order.blank_light):
-                self._switch(not blank, order.timeout_s)
+            if light is not None and any(order.blank_light):
+                self._switch(light, not blank, order.timeout_s)
             until = self._topics.counts()
             deadline = clock.monotonic() + order.timeout_s
             for name in order.cameras:
@@ -105,8 +107,8 @@ class ImageTopics(FrameSource):
         taken = {name: tuple(each) for name, each in frames.items()}
         return FrameSet(taken, {"expose_s": clock.monotonic() - begin}, self._exposure_s)
 
-    def _switch(self, on: bool, timeout_s: float) -> None:
-        answer = call_blocking(self._light, SetBool.Request(data=on), timeout_s, self._settings.light)
+    def _switch(self, light: Client, on: bool, timeout_s: float) -> None:
+        answer = call_blocking(light, SetBool.Request(data=on), timeout_s, self._settings.light)
         if not answer.success:
             raise StateError(f"{self._settings.light} does not switch the light: {answer.message}")
 

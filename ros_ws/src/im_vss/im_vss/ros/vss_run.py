@@ -5,14 +5,14 @@ import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import rclpy
-import yaml
 from sensor_msgs.msg import CameraInfo
 
-from im_calibration.targets.image_message import grey_image
+from im_calibration.recorded.image_message import grey_image
 from im_cell.calibration_files import camera_info_yaml
 from im_cell.robot.cell import DEFAULT_CELL, cell_file, resolved
 from im_core import clock
@@ -24,6 +24,7 @@ from im_core.options import NumberParser
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
 from im_core.ros.run import spin_in_thread
+from im_core.text.yamltext import as_data, read_yaml, write_yaml
 from im_vss.ros.image_topics import TopicImages
 from im_vss.ros.messages import from_camera_info
 
@@ -82,7 +83,7 @@ def first_images(topics: Mapping[str, str]) -> dict[str, tuple[tuple[int, int], 
     infos: dict[str, CameraInfo] = {}
     beside = {name: f"{_camera_of(topic)}/camera_info" for name, topic in topics.items()}
     for name, topic in beside.items():
-        node.create_subscription(CameraInfo, topic, lambda info, name=name: infos.setdefault(name, info), qos.SENSOR)
+        node.create_subscription(CameraInfo, topic, partial(infos.__setitem__, name), qos.SENSOR)
     images = TopicImages(node, topics)
     spinner = spin_in_thread(node)
     try:
@@ -122,7 +123,7 @@ def write_files(
     for left in (folder / "calibration").iterdir():
         left.unlink()
     base = cell_file(os.environ.get(CELL) or DEFAULT_CELL)
-    cell: dict[str, Any] = yaml.safe_load(read_text(base))
+    cell = _content(base)
     cell["urdf"] = str(resolved(cell["urdf"], base))
     cell["cameras"] = {name: _camera(*size) for name, (size, _) in found.items()}
     cell["targets"] = [
@@ -130,8 +131,8 @@ def write_files(
          "position": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0], "up": [0.0, 1.0, 0.0]}
         for number, size in plates.items()
     ]  # fmt: skip
-    write_whole(folder / "cell.yaml", yaml.safe_dump(cell, sort_keys=False))
-    own: dict[str, Any] = yaml.safe_load(read_text(settings or package_file("im_vss", "config/vss.yaml")))
+    write_whole(folder / "cell.yaml", write_yaml(cell))
+    own = _content(settings or package_file("im_vss", "config/vss.yaml"))
     own |= {
         "cameras": list(found),
         "stereo": {**own["stereo"], "pairs": []},
@@ -140,10 +141,17 @@ def write_files(
             "settings": {"topics": dict(topics), "light": light},
         },
     }
-    write_whole(folder / "vss.yaml", yaml.safe_dump(own, sort_keys=False))
+    write_whole(folder / "vss.yaml", write_yaml(own))
     for name, (_, info) in found.items():
         if info is not None and info.k[0] > 0.0:
             write_whole(folder / "calibration" / f"{name}.yaml", camera_info_yaml(name, from_camera_info(info)))
+
+
+def _content(path: Path) -> dict[str, Any]:
+    content = as_data(read_yaml(read_text(path), str(path)))
+    if not isinstance(content, dict):
+        raise DataError(f"{path}: is no mapping.", file=str(path))
+    return content
 
 
 def _camera(width: int, height: int) -> dict[str, Any]:

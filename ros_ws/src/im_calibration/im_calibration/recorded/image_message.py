@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration.targets.detection import Image
 from im_core.errors import DataError
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class _Encoding(NamedTuple):

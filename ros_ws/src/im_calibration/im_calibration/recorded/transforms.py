@@ -3,19 +3,18 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_bag.reading import messages_of, topics_of
+from im_calibration.recorded.stamps import Stamps, stamp_of
 from im_cell.robot.description import UrdfJoint, parse_description
 from im_cell.rotations import cross_matrix, matrix_of_quaternion, matrix_of_rpy
 from im_core.errors import DataError, nearest
 from im_core.files import read_text
 
 Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 TF, TF_STATIC, JOINT_STATES = "/tf", "/tf_static", "/joint_states"
 TF_TYPE, _JOINT_STATE = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/JointState"
@@ -187,11 +186,6 @@ def tree_of_file(path: Path, base: str, tool: str) -> TransformTree:
     if not samples:
         raise DataError(f"{path}: holds no poses.", file=str(path))
     return TransformTree({tool: _interpolated(base, samples, f"{path}: a quaternion")}, str(path))
-
-
-def stamp_of(stamped: Any) -> int:
-    """Return the stamp of a header, or of another message of a bag [ns]."""
-    return int(stamped.stamp.sec) * 10**9 + int(stamped.stamp.nanosec)
 
 
 def _rotation_of(bag: Path, frame: str) -> str:

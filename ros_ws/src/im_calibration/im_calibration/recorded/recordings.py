@@ -7,16 +7,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from im_bag.reading import messages_of, topics_of
-from im_calibration.problem.transforms import stamp_of
-from im_calibration.targets.detection import Image
-from im_calibration.targets.image_message import grey_image
+from im_calibration.recorded.image_message import Image, grey_image
+from im_calibration.recorded.stamps import Stamps, stamp_of
 from im_core.errors import DataError
 from im_core.files import check_regular
-
-Stamps = NDArray[np.int64]
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 VIDEOS = (".avi", ".mkv", ".mov", ".mp4", ".mpg", ".mpeg", ".webm", ".m4v", ".ts")
