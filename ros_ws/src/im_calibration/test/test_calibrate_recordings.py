@@ -1,6 +1,11 @@
 """``im calibrate --bag``, and of videos: rests of a robot are found, cameras are as drawn, bad recordings are told."""
 
+import contextlib
+import io
 import json
+import re
+import shlex
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -34,7 +39,9 @@ JOINTS = "".join(
          ("revolute", "0 0 1"), ("revolute", "0 1 0"), ("revolute", "1 0 0")]
     )
 )  # fmt: skip
-URDF = f'<robot name="gantry"><link name="l0"/>{JOINTS}</robot>'
+URDF = f'<robot name="gantry"><link name="base_link"/>{JOINTS}</robot>'.replace("l0", "base_link").replace(
+    "l6", "tool0"
+)
 
 
 def header(stamp_ns, frame="base"):
@@ -66,9 +73,9 @@ def tf(stamp_ns, parent, child, pose):
     )
 
 
-def write(path, messages, plugin=StoragePlugin.MCAP):
+def write(path, messages):
     """A bag of ``(when, topic, message)``."""
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections = {}
         for when, topic, message in sorted(messages, key=lambda each: each[:2]):
             kind = message.__msgtype__
@@ -104,6 +111,58 @@ def run_of_robot():
     return links, images
 
 
+@pytest.fixture(scope="module")
+def guide(run_of_robot, tmp_path_factory):
+    """The folder of results after the commands of the guide for bags, all of which end well, and what they print."""
+    folder, (links, images) = tmp_path_factory.mktemp("guide"), run_of_robot
+    mount = transform(np.array([0.3, 0.2, -0.4]), np.array([0.1, 0.0, 0.2]))
+    messages = [
+        (BEGIN, "/tf_static", tf(BEGIN, "flange", "tool0", np.linalg.inv(mount))),
+        (BEGIN + 1, "/tf_static", tf(BEGIN, "world", "base_link", mount)),
+    ]
+    rows = ["# stamp x y z qx qy qz qw"]
+    for t, image in images.items():
+        messages.append((t, "/left/image_raw", image_message(np.dstack([image] * 3), "bgr8", t)))
+        messages.append((t, "/left/image_raw/compressed", compressed(image, "mono8; png compressed ", t)))
+    for t, link in links.items():
+        turn = Rotation.from_matrix(link[:3, :3])
+        q = np.array([*link[:3, 3], *turn.as_euler("ZYX")])
+        names = [f"j{i}" for i in range(6)]
+        state = TYPES["sensor_msgs/msg/JointState"](header(t), names, q, np.zeros(0), np.zeros(0))
+        messages += [(t, "/joint_states", state), (t, "/tf", tf(t, "world", "flange", mount @ link @ mount))]
+        numbers = " ".join(f"{x:.9f}" for x in (*link[:3, 3], *turn.as_quat()))
+        rows.append(f"{t // 10**9}.{t % 10**9:09d} {numbers}")
+    (folder / "bags").mkdir()
+    write(folder / "bags" / "hand", messages)
+    (folder / "arm.urdf").write_text(URDF)
+    (folder / "trajectory.txt").write_text("\n".join(rows) + "\n")
+    text = (Path(__file__).resolve().parents[4] / "docs" / "calibration.md").read_text()
+    commands = re.findall(r"^scripts/im calibrate (--bag .*)$", text, re.MULTILINE)
+    assert len(commands) == 3
+    printed = {}
+    with contextlib.chdir(folder):
+        for line in commands:
+            words = shlex.split(line)
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                assert main(words) == 0, line
+            printed[Path(words[words.index("--results") + 1]).name] = out.getvalue()
+    return folder / "results", printed
+
+
+@pytest.mark.parametrize("poses", ["tf", "joints", "file"])
+def test_a_camera_on_a_robot(guide, poses):
+    results, printed = guide
+    (camera,) = reported(results / poses)["cameras"]
+    off = np.array(camera["t_cam_base_m"]) - np.linalg.inv(LINK_CAMERA)[:3, 3]
+    assert np.all(np.abs(off) < 6.0 * np.array([camera["standard_deviations"][name] for name in ("tx", "ty", "tz")]))
+    assert np.abs(np.array(camera["K"]) - LEFT.K).max() < 6.0 * camera["standard_deviations"]["fx"]
+    assert camera["standard_deviations"]["fx"] < 2.0
+    observed = json.loads((results / poses / "observations.json").read_text())
+    assert len(observed["target"]["views"]) == RESTS
+    assert f"{RESTS} rests, the target is seen in {RESTS}" in printed[poses]
+    assert f"{2 * (RESTS - 1)} while it moves" in printed[poses]
+
+
 def calibrate(results, *more, target=TARGET):
     return main(["--target", target, "--results", str(results), *map(str, more)])
 
@@ -112,59 +171,6 @@ def reported(folder):
     report = json.loads((folder / "report.json").read_text())
     assert report["success"], report["message"]
     return report
-
-
-def check_camera(report):
-    (camera,) = report["cameras"]
-    off = np.array(camera["t_cam_base_m"]) - np.linalg.inv(LINK_CAMERA)[:3, 3]
-    sd = np.array([camera["standard_deviations"][name] for name in ("tx", "ty", "tz")])
-    assert np.all(np.abs(off) < 6.0 * sd)
-    assert np.abs(np.array(camera["K"]) - LEFT.K).max() < 6.0 * camera["standard_deviations"]["fx"]
-    assert camera["standard_deviations"]["fx"] < 2.0
-
-
-@pytest.mark.parametrize("kind", ["transforms", "joints", "file"])
-def test_a_camera_on_a_robot(run_of_robot, tmp_path, capsys, kind):
-    links, images = run_of_robot
-    messages = [
-        (t, "/left/image_raw", image_message(np.dstack([image] * 3), "bgr8", t)) if kind == "transforms" else
-        (t, "/left/image_raw/compressed", compressed(image, "mono8; png compressed ", t)) for t, image in images.items()
-    ]  # fmt: skip
-    topic = messages[0][1]
-    if kind == "transforms":
-        mount = transform(np.array([0.3, 0.2, -0.4]), np.array([0.1, 0.0, 0.2]))
-        for t, link in links.items():
-            messages.append((t, "/tf", tf(t, "world", "flange", mount @ link @ mount)))
-        messages += [(BEGIN, "/tf_static", tf(BEGIN, "flange", "tool0", np.linalg.inv(mount)))]
-        messages += [(BEGIN + 1, "/tf_static", tf(BEGIN, "world", "base_link", mount))]
-        options = ["--base", "base_link", "--tool", "tool0"]
-    elif kind == "joints":
-        for t, link in links.items():
-            q = [*link[:3, 3], *Rotation.from_matrix(link[:3, :3]).as_euler("ZYX")]
-            state = TYPES["sensor_msgs/msg/JointState"](
-                header(t), [f"j{i}" for i in range(6)], np.array(q), np.zeros(0), np.zeros(0)
-            )
-            messages.append((t, "/joint_states", state))
-        (tmp_path / "gantry.urdf").write_text(URDF)
-        options = ["--urdf", tmp_path / "gantry.urdf", "--base", "l0", "--tool", "l6"]
-    else:
-        rows = (
-            f"{t // 10**9}.{t % 10**9:09d} " + " ".join(
-                f"{x:.9f}" for x in (*link[:3, 3], *Rotation.from_matrix(link[:3, :3]).as_quat())
-            )
-            for t, link in links.items()
-        )  # fmt: skip
-        (tmp_path / "trajectory.txt").write_text("# stamp x y z qx qy qz qw\n" + "\n".join(rows) + "\n")
-        options = ["--robot", tmp_path / "trajectory.txt"]
-    bag = write(tmp_path / "bag", messages, StoragePlugin.SQLITE3 if kind == "joints" else StoragePlugin.MCAP)
-    camera = ["--bag", bag, "--camera", f"left:={topic}", "--eye-in-hand"]
-    assert calibrate(tmp_path / "results", *camera, *options) == 0
-    check_camera(reported(tmp_path / "results"))
-    told = capsys.readouterr().out
-    assert f"{RESTS} rests, the target is seen in {RESTS}" in told
-    assert "while it moves" in told
-    observed = json.loads((tmp_path / "results" / "observations.json").read_text())
-    assert len(observed["target"]["views"]) == RESTS
 
 
 def video(path, images, rate=30.0):

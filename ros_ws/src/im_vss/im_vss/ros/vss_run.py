@@ -17,7 +17,7 @@ from im_cell.calibration_files import camera_info_yaml
 from im_cell.robot.cell import DEFAULT_CELL, cell_file, resolved
 from im_core import clock
 from im_core.config import package_file
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError
 from im_core.files import make_folder, read_text, write_whole
 from im_core.names import CELL, run_dir
 from im_core.options import NumberParser
