@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from im_calibration.recorded.image_message import Image
 from im_calibration.recorded.recordings import ImageRecording
-from im_calibration.targets.detection import Image, detect
+from im_calibration.targets.detection import detect
 from im_calibration.targets.recorded_views import Motion, views_at_rest, views_in_motion
 from im_calibration.targets.target import CalibrationTarget
 from im_core.errors import DataError
