@@ -1,4 +1,4 @@
-"""Stamps of messages, and moments that several cameras saw."""
+"""Stamps of messages, and moments common to several cameras."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -60,7 +60,7 @@ class TransformTree:
         self._tracks, self._source = tracks, source
 
     def stamps(self, base: str, tool: str) -> Stamps:
-        """Return the stamps of all samples that move a frame in another one, shape (m,) [ns].
+        """Return the stamps of all samples between two frames, shape (m,) [ns].
 
         Raises:
             DataError: The frames are not connected.
@@ -70,7 +70,7 @@ class TransformTree:
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *every]))
 
     def poses(self, base: str, tool: str, stamps: Stamps) -> Array:
-        """Return poses of a frame in another one, NaN where they are not known, shape (k, 4, 4).
+        """Return poses of a frame in another one, NaN where unknown, shape (k, 4, 4).
 
         Args:
             base: The frame in which they are.
@@ -213,7 +213,7 @@ def _interpolated(parent: str, samples: list[tuple[int, list[float]]], whose: st
 def _link_tracks(
     joints: tuple[UrdfJoint, ...], samples: Mapping[str, list[tuple[int, float]]]
 ) -> Iterator[tuple[str, TransformTrack]]:
-    """Yield the track of the child of each joint that is fixed or told of; others connect nothing."""
+    """Yield the track of the child of each fixed or known joint; others connect nothing."""
     for joint in joints:
         if joint.kind != "fixed" and joint.name not in samples:
             continue
