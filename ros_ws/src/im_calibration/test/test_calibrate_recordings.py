@@ -18,6 +18,8 @@ from bench.calibration.boards import Sensor, render
 from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
 from im_calibration.recorded.image_message import grey_image
+from im_calibration.recorded.recordings import ImageRecording
+from im_calibration.targets.recorded_views import views_in_motion
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
@@ -201,6 +203,30 @@ def test_a_video_of_a_target_in_the_hand(run_of_robot, tmp_path, capsys):
     assert calibrate(tmp_path / "cut", "--images", f"left={path}") == 1
     assert "left.avi: " in (error := capsys.readouterr().err)
     assert "is it cut off?" in error or "is the video cut off?" in error
+
+
+class Recorded(ImageRecording):
+    """Images a tenth of a second apart."""
+
+    def __init__(self, pictures):
+        self.name, self.pictures = "recorded", pictures
+        self.stamps = np.arange(len(pictures), dtype=np.int64) * 100 * MS
+
+    def images(self, chosen):
+        return ((i, self.pictures[i]) for i in sorted(chosen))
+
+
+def test_views_of_a_hand_are_those_at_rest(run_of_robot, monkeypatch):
+    pictures, target = list(run_of_robot[1].values()), target_of(TARGET)
+    first, second, blurred = pictures[0], pictures[4], np.full((240, 320), 90, np.uint8)
+    alone = Recorded([first, first, blurred, second, blurred])
+    (view,) = views_in_motion({"left": alone}, target).views
+    assert view.images["left"][0] in (0, 1)
+    monkeypatch.setattr("im_calibration.targets.recorded_views._MOST_DETECTIONS", 4)
+    long = Recorded([first, first, *[blurred] * 3, second, first, *[blurred] * 3])
+    chosen = views_in_motion({"left": long}, target)
+    assert [view.images["left"][0] for view in chosen.views] == [0]
+    assert "has 10 images, two in 5 are looked at" in chosen.told[0]
 
 
 def nonsense(of, links, images):

@@ -120,10 +120,11 @@ def views_in_motion(recordings: Mapping[str, ImageRecording], target: Calibratio
     told = list[str]()
     ranks = {}
     for name, recording in recordings.items():
-        step = -(-len(recording.stamps) // _MOST_DETECTIONS)
-        ranks[name] = set(range(0, len(recording.stamps), step))
+        count = len(recording.stamps)
+        step = 1 if count <= _MOST_DETECTIONS else -(-2 * count // _MOST_DETECTIONS)
+        ranks[name] = {i for k in range(0, count, step) for i in (k, k + 1) if i < count}  # two show the motion
         if step > 1:
-            told.append(f"{name}: has {len(recording.stamps)} images, one in {step} is looked at")
+            told.append(f"{name}: has {count} images, two in {step} are looked at")
     seen, sizes = _detected(recordings, target, ranks)
     names = list(recordings)
     looked = {name: sorted(seen[name]) for name in names}
@@ -132,7 +133,7 @@ def views_in_motion(recordings: Mapping[str, ImageRecording], target: Calibratio
     for group in together:
         images = {names[c]: (looked[names[c]][i], stamp) for c, (stamp, i) in group.items()}
         found = {name: seen[name][rank] for name, (rank, _) in images.items()}
-        speed = max(_speed(recordings[name], seen[name], rank) for name, (rank, _) in images.items())
+        speed = max(_speed(recordings[name], ranks[name], seen[name], rank) for name, (rank, _) in images.items())
         view = RecordedView(min(stamp for _, stamp in images.values()), images, found)
         if found.keys() != last.keys() or any(
             _moved_px(found[name], last[name]) > _SAME_SHARE * sizes[name][0] for name in found
@@ -219,14 +220,15 @@ def _moved_px(one: Detection, other: Detection) -> float:
     return float(np.median(moves)) if len(moves) else np.inf
 
 
-def _speed(recording: ImageRecording, seen: Mapping[int, Detection], rank: int) -> float:
-    """Return the speed of a target to the image before or after, the smaller one, 0 where none is near [px/s]."""
-    near = [
-        (other, lasted)
-        for other in (rank - 1, rank + 1)
-        if other in seen and (lasted := abs(int(recording.stamps[other] - recording.stamps[rank]))) <= _NEIGHBOUR_NS
-    ]
-    return min((_moved_px(seen[rank], seen[other]) / max(1e-9 * lasted, 1e-6) for other, lasted in near), default=0.0)
+def _speed(recording: ImageRecording, looked: set[int], seen: Mapping[int, Detection], rank: int) -> float:
+    """Return the speed of a target to the image before or after, the smaller one, 0 where none is near [px/s].
+
+    Where the target is found in no image near, it may be blurred there: the speed is infinite.
+    """
+    stamps = recording.stamps
+    near = [i for i in {rank - 1, rank + 1} & looked if abs(int(stamps[i] - stamps[rank])) <= _NEIGHBOUR_NS]
+    moves = [(_moved_px(seen[rank], seen[i]), 1e-9 * abs(int(stamps[i] - stamps[rank]))) for i in near if i in seen]
+    return min((px / max(lasted, 1e-6) for px, lasted in moves), default=np.inf if near else 0.0)
 
 
 def _span(what: str, stamps: Stamps) -> str:
