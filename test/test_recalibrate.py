@@ -311,7 +311,7 @@ def test_images_of_no_height_are_refused(tmp_path, asked, report, capsys):
     others.append((LOOKS, LOOK, next(iter(events(SpotFind, [(SpotFind.Request(), None)])))))
     bag = write_bag(tmp_path / "bag", (asked, answer(report)), others=others)
     assert run(bag, tmp_path / "out", "--from", "images") == recalibrate.BAD_INPUT
-    assert "/ceiling_left/image_raw: an image of 0 bytes, mono8; mono8 is needed" in capsys.readouterr().err
+    assert "/ceiling_left/image_raw: an image of 5 x 0 px, mono8, has 0 bytes in rows of 5" in capsys.readouterr().err
 
 
 def test_bags_without_a_calibration_are_one_sentence(tmp_path, asked, capsys):

@@ -45,10 +45,10 @@ def test_no_point_from_cameras_as_drawn(machine):
     assert all(spot.found for spot in answer.spots)
     poses = machine.call(FiducialPose, "/vss/fiducial_pose", cameras=CEILING[:1])
     assert (poses.success, poses.fiducials) == (True, [])
-    assert "no pose from ceiling_left: it is not calibrated" in poses.cause
+    assert "no pose from ceiling_left: its lens is not calibrated" in poses.cause
     lines = machine.call(LineFind, "/vss/line_find", camera="ceiling_left")
     assert (lines.success, lines.status.code, bool(lines.lines)) == (True, "ok", True)
-    assert "ceiling_left is not calibrated: its lens is taken as drawn" in lines.status.message
+    assert "the lens of ceiling_left is not calibrated: it is taken as drawn" in lines.status.message
 
 
 def test_stereo_point_is_within_its_covariance(calibrated):

@@ -197,7 +197,11 @@ def nonsense(of):
         "quaternion": ([("/tool", long)], [], "the orientation of '/tool' has length"),
         "points": (points, ["--led-offset", "0", "0", "1"], "'/tool' has points; an LED offset needs poses"),
         "transforms": (moving, [], "'/tool' has transforms; give --frames BASE TOOL"),
-        "way": (moving, ["--frames", "base", "led"], "'/tool' does not say where 'led' is in 'base'; it moves arm"),
+        "way": (
+            moving,
+            ["--frames", "base", "led"],
+            "does not say where 'led' is in 'base': there is no frame 'led' (known: arm, base)",
+        ),
         "apart": (shifted, [], "no spot has a pose within 0.02 s; the first spot comes -0.504 s after the first pose"),
         "nan": ([("/tool", point(1, [np.nan] * 3))], [], "topic '/tool' has no message with finite numbers"),
         "size": (poses(), [], "The image size of left, right is not known; give --image-size WIDTHxHEIGHT."),

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,7 @@ class FrameSourceSetup:
         nominal_exposure_s: Usual length of an exposure [s].
         start_timeout_s: How long it may take until the cameras are ready [s].
         settings: Settings of the source's own, as written in ``vss.yaml``.
+        node: The ROS node of VSS, for a source of topics.
     """
 
     cell: Cell
@@ -99,6 +101,7 @@ class FrameSourceSetup:
     nominal_exposure_s: float
     start_timeout_s: float
     settings: Mapping[str, object]
+    node: Any = None
 
 
 class FrameSource(ABC):

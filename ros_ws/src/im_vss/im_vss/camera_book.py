@@ -54,12 +54,17 @@ class CameraEntry:
         return frame_of(self.name)
 
     @property
+    def lens_known(self) -> bool:
+        """Whether intrinsics and lens are better known than by the drawing: enough for poses relative to the camera."""
+        return self.intrinsics_file is not None
+
+    @property
     def calibrated(self) -> bool:
         """Whether intrinsics and lens, and the pose, are better known than by the drawing.
 
         Either alone does not tell where in the world a pixel looks.
         """
-        return self.intrinsics_file is not None and self.pose_file is not None
+        return self.lens_known and self.pose_file is not None
 
     def told(self) -> str:
         """Return the origin of the calibration, as a sentence."""

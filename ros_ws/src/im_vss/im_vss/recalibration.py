@@ -9,7 +9,9 @@ import numpy as np
 
 from im_bag.reading import messages_of, topics_of
 from im_calibration import SeenSpot
-from im_calibration.problem.bags import RecordedCalibration, stamp_of
+from im_calibration.problem.bags import RecordedCalibration
+from im_calibration.recorded.image_message import grey_image
+from im_calibration.recorded.stamps import stamp_of
 from im_core.errors import DataError
 from im_vss.services.calibrate import CalibrateRequest
 from im_vss.settings import VssSettings
@@ -100,15 +102,8 @@ def _pairs(bag: Path, camera: str, stamps: set[int]) -> Iterator[tuple[int, Any,
         return
     before: tuple[int, Any] | None = None
     for message in messages_of(bag, {topic: (_IMAGE,)}):
-        stamp, image = stamp_of(message.content.header), _pixels(message.content, topic)
+        stamp, image = stamp_of(message.content.header), grey_image(message.content, topic)
         follows = before is not None and before[0] not in stamps and 0 < stamp - before[0] < _PAIR_NS
         if stamp in stamps and follows and before is not None and before[1].shape == image.shape:
             yield stamp, before[1], image
         before = stamp, image
-
-
-def _pixels(image: Any, topic: str) -> Any:
-    fits = len(image.data) == image.height * image.step and image.step >= image.width
-    if image.encoding != "mono8" or not fits or min(image.width, image.height) < 1:
-        raise DataError(f"{topic}: an image of {len(image.data)} bytes, {image.encoding}; mono8 is needed", topic=topic)
-    return np.ascontiguousarray(np.frombuffer(image.data, np.uint8).reshape(image.height, -1)[:, : image.width])

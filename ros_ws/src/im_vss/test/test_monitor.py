@@ -104,10 +104,10 @@ def test_fiducials_have_outline_axes_and_number(shown, plates):
 def test_a_camera_as_drawn_gives_marks_but_no_pose_and_lines_with_a_remark(shown):
     poses, picture = shown("fiducial_pose", FiducialPoseRequest((CAMERA,), ids=(7,)), calibrated=False)
     assert poses.found == ()
-    assert poses.cause == "no pose from ceiling_left: it is not calibrated"
+    assert poses.cause == "no pose from ceiling_left: its lens is not calibrated"
     assert np.ptp(picture, axis=2).max() > 100  # colours on a grey scene
     lines, _ = shown("line_find", LineFindRequest(CAMERA), calibrated=False)
-    assert "ceiling_left is not calibrated" in lines.remark
+    assert "the lens of ceiling_left is not calibrated" in lines.remark
     lines, _ = shown("line_find", LineFindRequest(CAMERA))
     assert lines.remark == ""
 

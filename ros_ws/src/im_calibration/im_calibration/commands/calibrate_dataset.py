@@ -1,7 +1,8 @@
 """``calibrate_dataset IN.json OUT.json``: calibrate the cameras of each trial of a data set.
 
 ``calibrate_dataset --again FOLDER``, or ``im calibrate --again FOLDER``: those of a folder of results once more.
-``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``: from images of a target.
+``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``: from images of a target, or with ``--bag``
+or ``--seconds`` of its images on topics.
 """
 
 import argparse
@@ -59,6 +60,8 @@ examples: scripts/im calibrate data.json cameras.json
           scripts/im calibrate --noise estimated data.json cameras.json
           scripts/im calibrate --again results/latest --lens-model rational_polynomial
           scripts/im calibrate --images left=images/left --target chessboard:9x6:25mm --results results/left
+          scripts/im calibrate --bag bags/hand --camera left:=/left/image_raw --base base_link --tool tool0 \\
+              --eye-in-hand --target chessboard:9x6:25mm --results results/hand
 """
 
 
@@ -93,8 +96,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add_images(parser)
     options = parser.parse_args(arguments)
-    if options.images or options.target or options.results or options.robot:
-        if wrong := check_images(options) or ("--images stands alone" if options.again or options.input else ""):
+    if any((options.images, options.bag, options.camera, options.target, options.results, options.robot)):
+        if wrong := check_images(options) or ("images stand alone" if options.again or options.input else ""):
             parser.error(wrong)
         return command.run("calibrate_dataset", lambda: _from_images(options))
     if (options.again is None) == (options.output is None) or (options.input is None) != (options.output is None):

@@ -1,10 +1,16 @@
-"""Calibration from images of a target: ``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``."""
+"""Calibration from images of a target: ``im calibrate --images CAMERA=FOLDER ... --target TARGET --results FOLDER``.
+
+Or of a bag: ``im calibrate --bag BAG --camera NAME:=TOPIC ... --target TARGET --results FOLDER``.
+"""
 
 import argparse
 import json
+import math
 import re
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +25,45 @@ from im_cell.lens import PLUMB_BOB, lens_of
 from im_core.config import Model, faults, field_name, parse_model
 from im_core.errors import DataError
 from im_core.files import make_folder, read_text, write_whole
+from im_core.processes.process import ChildProcess
 from im_core.text.jsontext import load_json
+
+if TYPE_CHECKING:
+    from im_calibration.targets.recorded_views import Motion
 
 Array = NDArray[np.float64]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254}
 """Units of length [m]."""
+_END_OF_RECORDING_S = 30.0
 
 
 def add_images(parser: argparse.ArgumentParser) -> None:
     """Add the options of a calibration from images."""
     images = parser.add_argument_group("from images of a target, instead of IN.json OUT.json")
-    images.add_argument("--images", nargs="+", type=named, metavar="CAMERA=FOLDER", help="images of each camera")
+    images.add_argument(
+        "--images", nargs="+", type=named, metavar="CAMERA=FOLDER", help="folder of images of each camera, or its video"
+    )
+    images.add_argument("--bag", type=Path, metavar="BAG", help="instead: a bag with images, see --camera")
+    images.add_argument(
+        "--camera", nargs="+", type=_remapped, metavar="NAME:=TOPIC", help="cameras, and topics of their images in BAG"
+    )
+    images.add_argument(
+        "--seconds", type=float, metavar="S", help="instead of BAG: record one for so long, or until Ctrl-C, and use it"
+    )
     images.add_argument("--target", metavar="TARGET", help="such as chessboard:9x6:25mm, or a file of Kalibr")
     images.add_argument("--results", type=Path, metavar="FOLDER", help="where the results go")
     images.add_argument(
         "--intrinsics", nargs="+", type=named, default=[], metavar="CAMERA=FILE",
         help="known intrinsics: a camera's YAML or Kalibr's camera chain, which are held, or a report.json",
     )  # fmt: skip
-    images.add_argument("--robot", type=Path, metavar="POSES", help="poses of the robot's link in its base")
+    images.add_argument(
+        "--robot", type=Path, metavar="POSES",
+        help="poses of the robot's link in its base; with BAG: lines of stamp, place and quaternion x, y, z, w",
+    )  # fmt: skip
+    images.add_argument("--base", metavar="FRAME", help="with BAG: the robot's base in its transforms")
+    images.add_argument("--tool", metavar="FRAME", help="with BAG: the robot's link in its transforms")
+    images.add_argument("--urdf", type=Path, metavar="FILE", help="description of the robot: BAG has its joint states")
     images.add_argument("--order", choices=("xyzw", "wxyz"), help="order of quaternions in lines of POSES")
     images.add_argument("--unit", choices=sorted(UNITS), default="m", help="unit of places in POSES (%(default)s)")
     eye = images.add_mutually_exclusive_group()
@@ -50,13 +76,27 @@ def add_images(parser: argparse.ArgumentParser) -> None:
 
 def check_images(options: argparse.Namespace) -> str:
     """Return the fault in the options of a calibration from images; empty if there is none."""
-    if not (options.images and options.target and options.results):
-        return "--images needs --target and --results"
-    if bool(options.robot) != (options.eye_in_hand or options.eye_to_hand):
-        return "--robot needs --eye-in-hand or --eye-to-hand, and they need --robot"
-    if options.sd_robot and not (options.robot and all(0.0 < value < 1e3 for value in options.sd_robot)):
-        return "--sd-robot needs --robot, and two numbers > 0"
-    if len(dict(options.images)) < len(options.images):
+    if (options.bag is not None) + (options.seconds is not None) + bool(options.images) != 1:
+        return "--images are needed, or --camera with --bag or --seconds"
+    if bool(options.images) == bool(options.camera):
+        return "--camera names topics of a bag"
+    if options.seconds is not None and not 0.0 < options.seconds < math.inf:
+        return "--seconds needs a number > 0"
+    if not (options.target and options.results):
+        return "images need --target and --results"
+    if bool(options.base) != bool(options.tool) or (options.base and not options.camera):
+        return "--base and --tool go together, with --camera"
+    if options.urdf and (options.robot or not options.base):
+        return "--urdf needs --base and --tool, and no --robot"
+    if options.robot and options.base:
+        return "the robot's poses are in --robot, or between --base and --tool"
+    robot = bool(options.robot or options.base)
+    if robot != (options.eye_in_hand or options.eye_to_hand):
+        return "poses of a robot need --eye-in-hand or --eye-to-hand, and they need --robot, or --base and --tool"
+    if options.sd_robot and not (robot and all(0.0 < value < 1e3 for value in options.sd_robot)):
+        return "--sd-robot needs poses of a robot, and two numbers > 0"
+    cameras = options.images or options.camera
+    if len(dict(cameras)) < len(cameras):
         return "each camera may be given once"
     return ""
 
@@ -74,32 +114,43 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         DataError: A file cannot be used, the target is in too few images, or the views do not belong together.
     """
     from im_calibration.problem.target_problem import table_of
+    from im_calibration.recorded.recordings import VIDEOS, BagImages, ImageRecording, VideoFile
     from im_calibration.targets.images import find_target
     from im_calibration.targets.robot_file import read_poses
     from im_calibration.targets.target import target_of
     from im_calibration.targets.views import RobotPoses, TargetViews
 
     target = target_of(options.target)
-    folders = {name: Path(folder) for name, folder in options.images}
+    if options.seconds is not None:
+        options.bag = _recorded(options)
+    sources: dict[str, Path | ImageRecording] = {name: BagImages(options.bag, at) for name, at in options.camera or ()}
+    for name, path in options.images or ():
+        sources[name] = VideoFile(Path(path)) if Path(path).suffix.lower() in VIDEOS else Path(path)
+        if options.robot and isinstance(sources[name], VideoFile):
+            raise DataError(f"{path}: images of a video have no stamps of the robot; record both in a bag.")
     given = {name: _given(name, Path(path), options.lens_model) for name, path in options.intrinsics}
-    if foreign := given.keys() - folders.keys():
-        raise DataError(f"--intrinsics names {', '.join(sorted(foreign))}, --images {', '.join(folders)}.")
-    seen = find_target(folders, target)
-    lenses = tuple(given[name][0] if name in given else options.lens_model or PLUMB_BOB.name for name in folders)
+    if foreign := given.keys() - sources.keys():
+        raise DataError(f"--intrinsics names {', '.join(sorted(foreign))}, --images {', '.join(sources)}.")
+    motion = _motion(options) if options.camera and (options.base or options.robot) else None
+    seen = find_target(sources, target, motion)
+    lenses = tuple(given[name][0] if name in given else options.lens_model or PLUMB_BOB.name for name in sources)
     robot = None
-    if options.robot:
-        poses = read_poses(options.robot, seen.names, options.order, UNITS[options.unit])
+    if options.robot or motion:
+        if motion is not None and seen.stamps is not None:
+            poses = motion(seen.stamps)
+        else:
+            poses = read_poses(options.robot, seen.names, options.order, UNITS[options.unit])
         mm, mrad = options.sd_robot or (1.0, 2.0)
         robot = RobotPoses(poses, options.eye_in_hand, 1e-3 * mm, 1e-3 * mrad)
     known = {name: (values, covariance) for name, (_, values, covariance) in given.items()}
     views = TargetViews(
-        str(target), target.points, tuple(folders), seen.image_sizes, lenses, seen.names, seen.spots, seen.deviations,
+        str(target), target.points, tuple(sources), seen.image_sizes, lenses, seen.names, seen.spots, seen.deviations,
         robot, known,
     )  # fmt: skip
     unknown = ["image"] + ["robot"] * bool(robot and not options.sd_robot)
     content: dict[str, Any] = {
         "schema": SCHEMA,
-        "camera_names": list(folders),
+        "camera_names": list(sources),
         "image_size": [list(size) for size in seen.image_sizes],
         "distortion_model": list(lenses),
         "noise_to_estimate": unknown,
@@ -110,12 +161,46 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         write_whole(options.results / OBSERVATIONS, json.dumps(content, allow_nan=False) + "\n")
     except OSError as error:
         raise DataError(f"The results cannot be written to {options.results}: {error.strerror}.") from error
-    told = []
-    for c, name in enumerate(folders):
-        here = np.isfinite(seen.spots[c, :, :, 0]).any(axis=1).sum()
-        told.append(f"{name}: {target} found in {here} of {here + len(seen.missing[name])} images")
-        told += [f"  {reason}" for reason in seen.missing[name]]
-    return problems(content)[0], "\n".join(told)
+    return problems(content)[0], "\n".join(seen.told)
+
+
+def _recorded(options: argparse.Namespace) -> Path:
+    """Record the topics of the cameras and of the robot, and return the bag.
+
+    Raises:
+        DataError: The recorder fails; it says why.
+    """
+    from im_calibration.recorded.transforms import JOINT_STATES, TF, TF_STATIC
+
+    bag: Path = options.results / "bag"
+    robot = [JOINT_STATES] if options.urdf else [TF, TF_STATIC] if options.base else []
+    topics = [*(topic for _, topic in options.camera), *robot]
+    make_folder(options.results)
+    recorder = ChildProcess.of_module("im_bag.ros.recorder", ["-o", str(bag), "--topics", *topics])
+    with suppress(KeyboardInterrupt):
+        recorder.await_end(options.seconds)
+    recorder.stop(_END_OF_RECORDING_S)
+    if recorder.poll() != 0:
+        raise DataError(f"{bag}: was not recorded: {recorder.obituary()}.")
+    return bag
+
+
+def _motion(options: argparse.Namespace) -> "Motion":
+    """Return the poses of the robot's link over time, by transforms, joint states or a file."""
+    from im_calibration.recorded.transforms import tree_of_bag, tree_of_file, tree_of_joints
+
+    if options.robot:
+        return partial(tree_of_file(options.robot, "base", "link").poses, "base", "link")
+    tree = tree_of_joints(options.bag, options.urdf) if options.urdf else tree_of_bag(options.bag)
+    return partial(tree.poses, options.base, options.tool)
+
+
+def _remapped(text: str) -> tuple[str, str]:
+    """Return name and topic of ``NAME:=TOPIC``."""
+    name, remapped, topic = text.partition(":=")
+    if not (remapped and topic):
+        raise argparse.ArgumentTypeError(f"'{text}' is not of the form NAME:=TOPIC")
+    return named(f"{name}={topic}")
 
 
 def named(text: str) -> tuple[str, str]:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from im_bag.reading import BagMessage, messages_of, topics_of
 from im_calibration.problem.convert import dataset_head
+from im_calibration.recorded.stamps import moments, stamp_of
+from im_calibration.recorded.transforms import TF_TYPE, tree_of_bag
 from im_cell.lens import LENSES, PLUMB_BOB
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError
@@ -19,8 +21,7 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _POINT, _POSE = "geometry_msgs/msg/PointStamped", "geometry_msgs/msg/PoseStamped"
-_TF, _CAMERA_INFO = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/CameraInfo"
-_TF_STATIC = "/tf_static"
+_CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 _CALLS, _CALL = "/vss/calibrate/_service_event", "im_msgs/srv/Calibrate_Event"
 _REQUEST_RECEIVED, _RESPONSE_SENT = 1, 2
 #: What is read of the messages of this workspace.
@@ -150,7 +151,7 @@ def dataset_from_bag(
         DataError: The bag cannot be read, lacks a topic, or what is in it does not go together; one sentence.
     """
     seen = {name: _track(bag, topic, (_POINT,)) for name, topic in topics.spots.items()}
-    if topics.frames is None and topics_of(bag).get(topics.poses) == _TF:
+    if topics.frames is None and topics_of(bag).get(topics.poses) == TF_TYPE:
         raise DataError(f"{bag}: '{topics.poses}' has transforms; give --frames BASE TOOL, between which frames.")
     tool = _transforms(bag, topics) if topics.frames else _track(bag, topics.poses, (_POSE, _POINT))
     light = tool.positions
@@ -194,15 +195,7 @@ def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
         poses: Ascending, shape (m,) [ns].
         tolerance_s: Largest distance of what belongs together [s].
     """
-    tolerance = round(tolerance_s * 1e9)
-    every = sorted((int(stamp), camera, i) for camera, stamps in enumerate(spots) for i, stamp in enumerate(stamps))
-    groups: list[dict[int, tuple[int, int]]] = []
-    begun = 0
-    for stamp, camera, i in every:
-        if not groups or stamp - begun > tolerance or camera in groups[-1]:
-            groups.append({})
-            begun = stamp
-        groups[-1][camera] = (stamp, i)
+    tolerance, groups = round(tolerance_s * 1e9), moments(spots, tolerance_s)
     best: dict[int, tuple[int, dict[int, tuple[int, int]]]] = {}
     for group in groups:
         middle = sum(stamp for stamp, _ in group.values()) // len(group)
@@ -219,7 +212,7 @@ def pair(spots: list[Stamps], poses: Stamps, tolerance_s: float) -> Pairing:
     return Pairing(
         pose_of,
         spot_of,
-        left_out=len(every) - int((spot_of >= 0).sum()),
+        left_out=sum(map(len, spots)) - int((spot_of >= 0).sum()),
         apart_s=max((apart for apart, _ in best.values()), default=0) * 1e-9,
     )
 
@@ -275,55 +268,15 @@ def _row(message: BagMessage) -> list[float]:
 
 
 def _transforms(bag: Path, topics: BagTopics) -> _Track:
-    """Return the tool's pose in the base at each message moving the tool, by the newest transforms on the way."""
+    """Return the tool's pose in the base at each transform that moves the tool."""
     assert topics.frames is not None
-    base, tool = topics.frames
-    known: dict[str, tuple[str, Array, Array]] = {}
-    if _TF_STATIC in topics_of(bag):
-        for message in messages_of(bag, {_TF_STATIC: (_TF,)}):
-            known.update(_steps(message.content, bag))
-    rows: list[tuple[int, Array, Array]] = []
-    for message in messages_of(bag, {topics.poses: (_TF,)}):
-        steps = _steps(message.content, bag)
-        known.update(steps)
-        way = _way(known, base, tool)
-        if way is None or not set(way) & set(steps):
-            continue
-        position, rotation = np.zeros(3), np.eye(3)
-        for frame in way:
-            _, shift, turn = known[frame]
-            position, rotation = turn @ position + shift, turn @ rotation
-        stamps = [stamp_of(each.header) for each in message.content.transforms if each.child_frame_id in way]
-        rows.append((max(stamps) or message.logged_ns, position, rotation))
-    if not rows:
-        frames = ", ".join(sorted(known)) or "none"
-        raise DataError(f"{bag}: '{topics.poses}' does not say where '{tool}' is in '{base}'; it moves {frames}.")
-    rows.sort(key=lambda row: row[0])
-    when, positions, rotations = zip(*rows, strict=True)
-    return _Track(np.array(when, dtype=np.int64), np.array(positions), np.array(rotations))
-
-
-def _steps(content: Any, bag: Path) -> dict[str, tuple[str, Array, Array]]:
-    """Return parent, translation and rotation by the frame of each finite transform."""
-    steps = {}
-    for each in content.transforms:
-        shift, turn = _vector(each.transform.translation), _quaternion(each.transform.rotation)
-        if np.isfinite(shift + turn).all():
-            rotation = matrix_of_quaternion(turn, f"{bag}: the rotation of '{each.child_frame_id}'")
-            steps[each.child_frame_id] = (each.header.frame_id, np.array(shift), rotation)
-    return steps
-
-
-def _way(known: Mapping[str, tuple[str, Array, Array]], base: str, tool: str) -> list[str] | None:
-    """Return the frames from the tool up to the base, without the base; None if tool and base are not connected."""
-    way: list[str] = []
-    frame = tool
-    while frame != base:
-        if frame not in known or frame in way:
-            return None
-        way.append(frame)
-        frame = known[frame][0]
-    return way
+    tree = tree_of_bag(bag, topics.poses)
+    stamps = tree.stamps(*topics.frames)
+    poses = tree.poses(*topics.frames, stamps)
+    known = np.isfinite(poses[:, 0, 0])
+    if not known.any():
+        raise DataError(f"{bag}: '{topics.poses}' does not move '{topics.frames[1]}' in '{topics.frames[0]}'.")
+    return _Track(stamps[known], poses[known, :3, 3], poses[known, :3, :3])
 
 
 def recorded_calibrations(bag: Path) -> list[RecordedCalibration]:
@@ -400,11 +353,6 @@ def _image_size(info: Any) -> tuple[int, int]:
     """Return width and height of images [px]: the size at calibration, reduced by region and binning."""
     width, height = info.roi.width or info.width, info.roi.height or info.height
     return int(width) // max(1, int(info.binning_x)), int(height) // max(1, int(info.binning_y))
-
-
-def stamp_of(stamped: Any) -> int:
-    """Return the stamp of a header, or of another message of a bag [ns]."""
-    return int(stamped.stamp.sec) * 10**9 + int(stamped.stamp.nanosec)
 
 
 def _vector(v: Any) -> list[float]:

@@ -13,12 +13,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from im_calibration.recorded.image_message import Image
 from im_calibration.targets.target import CalibrationTarget
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 _FEWEST = 8
 _MANY, _REWEIGHTINGS, _DETECTED_PX = 24, 6, 4.0

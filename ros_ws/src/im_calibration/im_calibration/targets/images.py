@@ -1,4 +1,4 @@
-"""Images of a folder, and the views of a target in the images."""
+"""Images of a folder or a recording, and the views of a target in the images."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration.targets.detection import Image, detect
+from im_calibration.recorded.image_message import Image
+from im_calibration.recorded.recordings import ImageRecording
+from im_calibration.targets.detection import detect
+from im_calibration.targets.recorded_views import Motion, views_at_rest, views_in_motion
 from im_calibration.targets.target import CalibrationTarget
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, read_bytes
@@ -26,18 +29,20 @@ class SeenTarget:
 
     Attributes:
         image_sizes: Width and height of each camera's images [px].
-        names: Names of the k views: of images of the same name, without the ending, in any camera.
+        names: Names of the k views: of images of the same name, without the ending, in any camera; or the stamps [s].
         spots: Points, NaN where not found, shape (c, k, p, 2) [px].
         deviations: Standard deviation of each coordinate by the noise of the image, NaN where not known, shape
             (c, k, p) [px].
-        missing: Images in which the target was not found, each with the reason, by camera.
+        told: Sentences on images in which it was found, and on those left out.
+        stamps: When the views were recorded, shape (k,) [ns]; None: not known.
     """
 
     image_sizes: tuple[tuple[int, int], ...]
     names: tuple[str, ...]
     spots: Array
     deviations: Array
-    missing: Mapping[str, Sequence[str]]
+    told: Sequence[str]
+    stamps: NDArray[np.int64] | None = None
 
 
 def read_image(path: Path) -> Image:
@@ -56,25 +61,56 @@ def read_image(path: Path) -> Image:
     return np.asarray(image, dtype=np.uint8) if image.dtype == np.uint8 else np.asarray(image, dtype=np.uint16)
 
 
-def find_target(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenTarget:
-    """Find a target in the images of a folder for each camera.
+def find_target(
+    sources: Mapping[str, Path | ImageRecording], target: CalibrationTarget, motion: Motion | None = None
+) -> SeenTarget:
+    """Find a target in the images of each camera.
 
     Args:
-        folders: Folder of each camera.
+        sources: Folder of each camera, of which each image counts, or the recording, of which views are chosen.
         target: The target.
+        motion: Where the robot was in recordings.
 
     Raises:
         DataError: A folder has no images, or images of two sizes; or the target is in too few of them: told is what
             may be wrong, and with which other rows and columns it is found.
     """
+    recordings = {name: source for name, source in sources.items() if isinstance(source, ImageRecording)}
+    if not recordings:
+        return _in_folders({name: source for name, source in sources.items() if isinstance(source, Path)}, target)
+    if len(recordings) < len(sources):
+        raise DataError("Cameras have images of folders and of recordings; which belong together is not known.")
+    chosen = views_at_rest(recordings, target, motion) if motion else views_in_motion(recordings, target)
+    count = (len(recordings), len(chosen.views), len(target.points))
+    spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
+    told = list(chosen.told)
+    for c, (name, recording) in enumerate(recordings.items()):
+        for k, view in enumerate(chosen.views):
+            if name in view.found:
+                spots[c, k], deviations[c, k] = view.found[name].points, view.found[name].standard_deviations
+        seen = sum(name in view.found for view in chosen.views)
+        told.append(f"{name}: {target} taken in {seen} views")
+        if seen < _FEWEST_VIEWS:
+            some = np.unique(np.linspace(0, len(recording.stamps) - 1, _TRIED).astype(int)).tolist()
+            raise DataError(
+                f"{recording.name}: the target {target} can be used in {seen} views, {_FEWEST_VIEWS} are needed: "
+                f"{'; '.join(chosen.told)}. {_advice([image for _, image in recording.images(some)], target)}",
+                camera=name,
+            )
+    stamps = np.array([view.stamp_ns for view in chosen.views], dtype=np.int64)
+    names = tuple(f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps.tolist())
+    return SeenTarget(tuple(chosen.sizes[name] for name in recordings), names, spots, deviations, told, stamps)
+
+
+def _in_folders(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenTarget:
     files = {name: _images(folder) for name, folder in folders.items()}
     names = sorted({path.stem for paths in files.values() for path in paths})
     count = (len(folders), len(names), len(target.points))
     spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
-    sizes, missing = [], {}
+    sizes, told = [], list[str]()
     for c, (name, paths) in enumerate(files.items()):
         size: tuple[int, int] | None = None
-        missing[name] = list[str]()
+        missing = list[str]()
         for path in paths:
             image = read_image(path)
             here = (image.shape[1], image.shape[0])
@@ -86,21 +122,23 @@ def find_target(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenT
                     file=str(path),
                 )
             if float(np.ptp(np.percentile(image, (1.0, 99.0)))) < _BLANK * (1.0 if image.dtype == np.uint8 else 257.0):
-                missing[name].append(f"{path.name} is blank")
+                missing.append(f"{path.name} is blank")
             elif found := detect(image, target):
                 spots[c, names.index(path.stem)] = found.points
                 deviations[c, names.index(path.stem)] = found.standard_deviations
             else:
-                missing[name].append(f"{path.name} does not show it")
+                missing.append(f"{path.name} does not show it")
         sizes.append(size or (0, 0))
-        seen = len(paths) - len(missing[name])
+        seen = len(paths) - len(missing)
         if seen < min(_FEWEST_VIEWS, len(paths)):
+            tried = [read_image(path) for path in paths[:: max(1, len(paths) // _TRIED)]]
             raise DataError(
                 f"{name}: the target {target} was found in {seen} of {len(paths)} images"
-                f"{': ' + ', '.join(missing[name][:3])}. {_advice(paths, target)}",
+                f"{': ' + ', '.join(missing[:3])}. {_advice(tried, target)}",
                 camera=name,
             )
-    return SeenTarget(tuple(sizes), tuple(names), spots, deviations, missing)
+        told += [f"{name}: {target} found in {seen} of {len(paths)} images", *(f"  {reason}" for reason in missing)]
+    return SeenTarget(tuple(sizes), tuple(names), spots, deviations, told)
 
 
 def _images(folder: Path) -> list[Path]:
@@ -119,9 +157,9 @@ def _images(folder: Path) -> list[Path]:
     return paths
 
 
-def _advice(paths: list[Path], target: CalibrationTarget) -> str:
+def _advice(tried: list[Image], target: CalibrationTarget) -> str:
     """Return advice, after a trial of the sizes for which such targets are mistaken."""
-    columns, rows, most = target.columns, target.rows, max(1, len(paths) // _TRIED)
+    columns, rows = target.columns, target.rows
     tries = [(rows, columns, "rows and columns are exchanged")]
     if target.kind == "chessboard":
         tries.append((columns - 1, rows - 1, "count its inner corners, not its squares"))
@@ -131,7 +169,6 @@ def _advice(paths: list[Path], target: CalibrationTarget) -> str:
         other = CalibrationTarget(
             target.kind, other_columns, other_rows, target.size, target.part, target.dictionary, target.upwards
         )
-        tried = [read_image(path) for path in paths[::most]]
         found = sum(detect(image, other) is not None for image in tried)
         if found > len(tried) // 2:
             return f"As {other} it is found in {found} of {len(tried)}: {meaning}."

@@ -27,9 +27,11 @@ class Target(Model):
 
     Attributes:
         name: Its name.
-        kind: ``fiducial`` (black square with a code), ``circle`` (black disc) or ``edge`` (its right half is black).
+        kind: ``fiducial`` (black square with a code), ``circle`` (black disc), ``edge`` (its right half is black) or
+            ``chessboard``.
         id: Number of the fiducial's code in OpenCV's dictionary 4X4_50.
-        size: Side of the fiducial, diameter of the disc, or length of the edge [m].
+        size: Side of the fiducial or of a chessboard's square, diameter of the disc, or length of the edge [m].
+        corners: Columns and rows of a chessboard's inner corners.
         plate: Side of the white plate [m].
         position: Its centre in the world [m].
         normal: Direction it faces.
@@ -37,9 +39,10 @@ class Target(Model):
     """
 
     name: str
-    kind: Literal["fiducial", "circle", "edge"]
+    kind: Literal["fiducial", "circle", "edge", "chessboard"]
     id: Annotated[int, Field(ge=0, lt=50)] = 0
     size: Positive
+    corners: tuple[Annotated[int, Field(ge=2, le=50)], Annotated[int, Field(ge=2, le=50)]] = (8, 5)
     plate: Positive
     position: Vector
     normal: Vector
@@ -47,8 +50,8 @@ class Target(Model):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if self.size > self.plate:
-            raise ValueError(f"size {self.size} is more than the plate's {self.plate} [m]")
+        if (printed := self.size * (max(self.corners) + 1 if self.kind == "chessboard" else 1)) > self.plate:
+            raise ValueError(f"size {printed:g} is more than the plate's {self.plate} [m]")
         if np.linalg.norm(np.cross(self.up, self.normal)) < 1e-6:
             raise ValueError(f"up {self.up} and normal {self.normal} are parallel")
         return self

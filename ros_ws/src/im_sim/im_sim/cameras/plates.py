@@ -137,6 +137,11 @@ def ink(target: Target, x: Array, y: Array) -> NDArray[np.bool_]:
     half = target.size / 2.0
     if target.kind == "circle":
         return np.asarray(np.hypot(x, y) <= half)
+    if target.kind == "chessboard":  # the upper left square is black
+        (columns, rows), right, down = target.corners, x / target.size, -y / target.size
+        square = np.floor(right + (columns + 1) / 2.0) + np.floor(down + (rows + 1) / 2.0)
+        printed = (np.abs(right) < (columns + 1) / 2.0) & (np.abs(down) < (rows + 1) / 2.0)
+        return np.asarray(printed & (square % 2 == 0))
     inside = (np.abs(x) < half) & (np.abs(y) < half)
     if target.kind == "edge":
         return np.asarray(inside & (x > 0.0))

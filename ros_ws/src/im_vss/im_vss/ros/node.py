@@ -88,6 +88,7 @@ class VssNode(ManagedNode):
             settings.exposure.nominal,
             patience_s(),
             settings.frame_source.settings,
+            self,
         )
         self._source = frame_source(setup)
         tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)

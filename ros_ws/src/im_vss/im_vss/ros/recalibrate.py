@@ -23,8 +23,9 @@ from im_calibration import (
     report_of,
     write_observations,
 )
-from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes, stamp_of
+from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes
 from im_calibration.problem.problem import NOISE_SOURCES
+from im_calibration.recorded.stamps import stamp_of
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock

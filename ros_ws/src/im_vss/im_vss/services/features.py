@@ -108,7 +108,9 @@ class SvcCircleFind(FeatureFind):
         return CircleFindResult(*self.find(client, request, tool, gates, Circles))
 
 
-_AS_DRAWN = "{} is not calibrated: its lens is taken as drawn, without distortion; long edges are bent or in pieces"
+_AS_DRAWN = (
+    "the lens of {} is not calibrated: it is taken as drawn, without distortion; long edges are bent or in pieces"
+)
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ class SvcLineFind(FeatureFind):
         tool = self.tool("tool_line_find")
         found = self.find(client, request, tool, tool.gates(request.length_min), Lines)
         book = self.rig.book
-        remark = book.remark([request.camera]) if book[request.camera].calibrated else _AS_DRAWN.format(request.camera)
+        remark = book.remark([request.camera]) if book[request.camera].lens_known else _AS_DRAWN.format(request.camera)
         return LineFindResult(*found, remark)
 
 
@@ -194,7 +196,7 @@ class SvcFiducialPose(VisionService):
     name: ClassVar[str] = "fiducial_pose"
 
     def serve(self, client: VisionClient, request: FiducialPoseRequest) -> FiducialPoseResult:
-        """Find plates; plates in images of an uncalibrated camera are marked, but have no pose.
+        """Find plates; plates in images of a camera without a calibrated lens are marked, but have no pose.
 
         Raises:
             ImError: A camera or a plate is unknown, the exposure out of range, or the cameras do not deliver.
@@ -209,10 +211,10 @@ class SvcFiducialPose(VisionService):
             for camera in request.cameras:
                 (frame,) = images.frames[camera]
                 fits, missed = self.tool("tool_fiducial_pose")(frame, wanted)
-                if self.rig.book[camera].calibrated:
+                if self.rig.book[camera].lens_known:
                     found += [SeenFiducial(camera, frame.stamp_ns, fit) for fit in fits]
                 else:
-                    causes.append(f"no pose from {camera}: it is not calibrated")
+                    causes.append(f"no pose from {camera}: its lens is not calibrated")
                 why = [f"{wanted[number].name} in {camera} {cause}" for number, cause in missed.items()]
                 causes += why
                 shown[camera] = Fiducials(tuple(fits), "; ".join(why))

@@ -1,0 +1,1 @@
+"""Recorded images and poses: bags, videos, trajectories."""
