@@ -17,7 +17,14 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "ros_ws" / "build" / "steps"
-FLAGS = ("-O2", "-ffp-contract=off", "-fno-strict-aliasing", "-fPIC", "-shared", "-DNPY_NO_DEPRECATED_API=NPY_1_22_API_VERSION")
+FLAGS = (
+    "-O2",
+    "-ffp-contract=off",
+    "-fno-strict-aliasing",
+    "-fPIC",
+    "-shared",
+    "-DNPY_NO_DEPRECATED_API=NPY_1_22_API_VERSION",
+)
 SUFFIX = importlib.machinery.EXTENSION_SUFFIXES[0]
 
 
