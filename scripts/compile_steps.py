@@ -1,7 +1,7 @@
 """Compile the Cython modules of the workspace, each beside its source; those whose source has not changed are left.
 
-``.venv/bin/python scripts/compile_steps.py``; ``scripts/setup.sh`` runs it. Sums stay in the order of the source, without
-fused multiply-add, for the least processor: a run is the same to the last digit on each.
+``.venv/bin/python scripts/compile_steps.py``; ``scripts/setup.sh`` runs it. Sums stay in the order of the source,
+without fused multiply-add, for the least processor: a run is the same to the last digit on each.
 """
 
 import hashlib

@@ -83,6 +83,12 @@ class Actuators:
     """
 
     def __init__(self, cell: Cell, dynamics: Dynamics, dt: float) -> None: ...
+    def command(self, tau: NDArray[np.float64], power: bool, brakes: NDArray[np.bool_]) -> None:
+        """Set the torques [Nm or N], shape (n,), and which brakes hold, shape (n,).
+
+        Beyond the motors' limits torques are cut, NaN gives none. Without power there is no torque.
+        """
+
     @property
     def brakes(self) -> NDArray[np.bool_]:
         """Which brakes are engaged, shape (n,)."""

@@ -44,7 +44,8 @@ def test_the_torque_is_that_of_the_motion_under_friction(braked, speed, mass):
         forwards, backwards = CELL.per_joint("coulomb_positive") + held, CELL.per_joint("coulomb_negative") + held
         after, close = v + DT * a, 1e-6 * (1.0 + np.abs(torque).max())
         moves = np.abs(after) > 1e-9
-        assert (felt <= backwards + close).all() and (felt >= -forwards - close).all()
+        assert (felt <= backwards + close).all()
+        assert (felt >= -forwards - close).all()
         np.testing.assert_allclose(felt[moves & (after > 0)], -forwards[moves & (after > 0)], atol=close)
         np.testing.assert_allclose(felt[moves & (after < 0)], backwards[moves & (after < 0)], atol=close)
         assert actuators.stuck == (not moves.any())
@@ -59,7 +60,8 @@ def test_torques_are_cut_and_what_is_no_number_gives_none():
     for given in (np.full(N, np.nan), np.zeros(N), 9.0 * most, most):
         actuators.command(given, True, OPEN)
         torques.append(actuators.applied(CELL.home, np.ones(N)))
-    assert (torques[0] == torques[1]).all() and (torques[2] == torques[3]).all()
+    assert (torques[0] == torques[1]).all()
+    assert (torques[2] == torques[3]).all()
     actuators.command(most, False, OPEN)
     assert (actuators.applied(CELL.home, np.ones(N)) == torques[1]).all()
 

@@ -38,16 +38,13 @@ class BrakingDistance:
         grouped = {int(joint) for index in groups for joint in index}
         single = [np.array([joint]) for joint in range(len(limits.velocity)) if joint not in grouped]
         self._reaction_s = reaction_s
-        self._groups = [
-            BrakingGroup(
-                *(limit[index] for limit in (limits.velocity, limits.acceleration, limits.jerk)),
-                index,
-                place_of(index),
-                _ALONG,
-                reaction_s,
+        self._groups: list[BrakingGroup] = []
+        for index in (*groups, *single):
+            own = limits.of(index)
+            place = place_of(index)
+            self._groups.append(
+                BrakingGroup(own.velocity, own.acceleration, own.jerk, index, place, _ALONG, reaction_s)
             )
-            for index in (*groups, *single)
-        ]
 
     def displacement(
         self, v: NDArray[np.float64], a: NDArray[np.float64], curves: Mapping[int, Ahead] = STRAIGHT
