@@ -62,7 +62,8 @@ class MatchedFilter:
         on, off = on[rows, columns], off[rows, columns]
         self._corner = columns.start, rows.start
         deviations = np.sqrt(2.0 * noise.variance(np.arange(256, dtype=np.float32)))  # of all values of a background
-        whitened = cv2.subtract(on, off, dtype=cv2.CV_32F) / cv2.LUT(cv2.blur(off, (3, 3)), deviations)
+        deviation = cv2.LUT(cv2.blur(off, (3, 3)), deviations)
+        whitened = np.asarray(cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation, dtype=np.float32)
         self._response = np.asarray(
             cv2.sepFilter2D(whitened, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
         )
