@@ -54,16 +54,20 @@ def test_the_torque_is_that_of_the_motion_under_friction(braked, speed, mass):
 
 
 def test_torques_are_cut_and_what_is_no_number_gives_none():
-    actuators = Actuators(CELL, Dynamics(CELL), DT)
-    torques = []
-    most = CELL.per_joint("limits.torque")
-    for given in (np.full(N, np.nan), np.zeros(N), 9.0 * most, most):
-        actuators.command(given, True, OPEN)
+    most, torques = CELL.per_joint("limits.torque"), []
+    for given, power in (
+        (np.full(N, np.nan), True),
+        (np.zeros(N), True),
+        (most, False),
+        (9 * most, True),
+        (most, True),
+    ):
+        actuators = Actuators(CELL, Dynamics(CELL), DT)
+        actuators.command(given, power, OPEN)
         torques.append(actuators.applied(CELL.home, np.ones(N)))
-    assert (torques[0] == torques[1]).all()
-    assert (torques[2] == torques[3]).all()
-    actuators.command(most, False, OPEN)
-    assert (actuators.applied(CELL.home, np.ones(N)) == torques[1]).all()
+    np.testing.assert_array_equal(torques[:2], [torques[1], torques[2]])
+    np.testing.assert_array_equal(torques[3], torques[4])
+    assert (torques[3] != torques[2]).all()
 
 
 def test_arrays_of_another_size_are_refused():
