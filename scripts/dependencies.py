@@ -22,6 +22,7 @@ WHY = {
     "cmake": "builds messages",
     "ninja": "builds messages",
     "setuptools": "links the Python packages",
+    "cython": "compiles the steps of a tick",
     "colcon-ros": "builds the workspace",
     "colcon-bash": "makes `setup.bash`",
     "colcon-package-selection": "builds some packages alone",

@@ -200,11 +200,11 @@ make_underlay() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/underlay.py" "$IM_VENV
 # What decides whether the workspace must be built anew. Python files need no build: they are linked.
 workspace_files() {
   find "$IM_WS/src" "$IM_WS/standard_msgs" \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name setup.cfg \
-    -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
+    -o -name '*.pyx' -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
     -o -path '*/moveit/*' -o -path '*/foxglove/*' \) -type f -print0 | LC_ALL=C sort -z
 }
 # Paths are part of the hash: a file that is added, moved or removed counts.
-workspace_hash() { { cat "$INSTALLED"; workspace_files | xargs -0 sha256sum; } | sha256sum | cut -d' ' -f1; }
+workspace_hash() { { cat "$INSTALLED" "$IM_ROOT/scripts/compile_steps.py"; workspace_files | xargs -0 sha256sum; } | sha256sum | cut -d' ' -f1; }
 
 # Makes the environment of a build, and nothing of another workspace that happens to be sourced.
 enter_underlay() {
@@ -250,6 +250,9 @@ link_packages() {
   rm -rf "$IM_WS"/install/*/lib/im_*/
   build --base-paths "$IM_WS/src" --packages-skip im_msgs --symlink-install
 }
+
+# The modules that are compiled: the steps of a servo tick and of physics. Those that have not changed stay as they are.
+compile_steps() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/compile_steps.py"; }
 
 # What the machine imports is compiled to bytecode now, and not by a dozen processes at once when it starts first; where
 # the user wants none written, they would do it at each start. Of all that is installed that is a third.
@@ -357,6 +360,7 @@ if [[ "$(cat "$BUILT" 2>/dev/null)" != "$wanted" ]]; then
   ready_messages
   packages="$(find "$IM_WS/src" -name package.xml -not -path '*/im_msgs/*' | wc -l)"
   step "linking $packages Python packages" built link_packages
+  step "compiling the steps of a tick" : compile_steps
   step "importing every module once" : import_modules
   write_stamp "$BUILT" "$wanted"
 fi

@@ -16,7 +16,8 @@ def words(text):
 
 def names():
     """Names of all modules and classes of the packages, each with its file."""
-    for path in sorted((ROOT / "ros_ws" / "src").glob("im_*/im_*/**/*.py")):
+    sources = ROOT / "ros_ws" / "src"
+    for path in sorted([*sources.glob("im_*/im_*/**/*.py"), *sources.glob("im_*/im_*/**/*.pyi")]):
         package, top, *_ = path.relative_to(ROOT / "ros_ws" / "src").parts
         if package != top:
             continue

@@ -94,7 +94,7 @@ def imports(path):
 
 
 def files(package):
-    return sorted((SOURCES / package / package).rglob("*.py"))
+    return sorted((SOURCES / package / package).rglob("*.py")) + sorted((SOURCES / package / package).rglob("*.pyi"))
 
 
 def relative(path):

@@ -53,7 +53,7 @@ def test_the_stopping_position_is_that_of_ruckig_s_fastest_stop(v, a, most_a, je
     expected = trajectory.at_time(trajectory.duration)[0][0]
     found = stopping_position(np.zeros(1), np.array([v]), np.array([a]), limits)[0]
     assert found == pytest.approx(expected, abs=1e-6)
-    assert abs(found) <= Reach(limits).way(np.array([[abs(v)], [abs(a)]]))[0] + 1e-9
+    assert abs(found) <= Reach(limits).slopes[:, 0].dot([abs(v), abs(a)]) + 1e-9
 
 
 def test_setpoints_within_limits_pass_bit_for_bit(limiter, limits, cell):

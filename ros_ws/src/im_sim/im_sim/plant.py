@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults, JawObject, Sensors, TickCommand
 from im_cell.robot import Cell
-from im_sim.actuators import Actuators, HoldingBrakes
+from im_sim.actuators import Actuators
+from im_sim.brakes import HoldingBrakes
 from im_sim.dynamics import Dynamics
 from im_sim.fingers import FingerJaws
 from im_sim.grippers import GripperJaws

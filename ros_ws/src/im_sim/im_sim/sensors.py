@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from im_cell.link import Faults
 from im_cell.robot import Cell, SensorSpec
 from im_sim.dynamics import Dynamics, contact_wrench
+from im_sim.readings import quantised
 from im_sim.world import Contact
 
 _TICKS_PER_BLOCK = 256
@@ -97,8 +98,7 @@ class Signals:
             What encoders, wrist sensors and jaws say, shapes as those given.
         """
         self._q[:], self._wrench[:], self._force[:] = q, wrench, force
-        steps = np.rint((self._true + self._noise.at(tick)) / self._resolution) * self._resolution
-        return self._parts(np.minimum(np.maximum(steps, self._least), self._most))
+        return self._parts(quantised(self._true, self._noise.at(tick), self._resolution, self._least, self._most))
 
     def _parts(
         self, signals: NDArray[np.float64]

@@ -1,6 +1,5 @@
 """The pybullet world: the cell's links as one multibody, floor and table as obstacles."""
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from im_cell.robot import Cell, Gripper, urdf
 from im_core.errors import DataError
 from im_sim.bodies import FIXED, HULLS, LINKS, FreeBodies
+from im_sim.readings import joint_readings
 from im_sim.urdf_loader import load_urdf
 
 _CENTRING_N = 1e4  # the jaws travel together: what keeps them in the middle gives way to nothing
@@ -70,7 +70,6 @@ class World:
         self._joints = [self._indices[name] for name in cell.joint_names]
         self.bodies = FreeBodies(cell.objects, self.client)
         self._jaws = self._find_jaws(cell) if cell.objects else []
-        self._state = struct.Struct(f"{2 * len(self._joints)}d")
         self._make_exact(cell)
         self._make_jaws(cell.gripper)
         self.reset(cell.home, np.zeros(len(self._joints)))
@@ -89,9 +88,7 @@ class World:
 
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and velocities, shape (n,) each [rad or m, by s]."""
-        q, v, _, _ = zip(*pybullet.getJointStates(self.body, self._joints, self.client), strict=True)
-        both = np.frombuffer(self._state.pack(*q, *v))  # in half the time of an array made from numbers
-        return both[: len(q)], both[len(q) :]
+        return joint_readings(pybullet.getJointStates(self.body, self._joints, self.client))
 
     def step(self, tau: NDArray[np.float64]) -> None:
         """One step under joint torques, shape (n,) [Nm or N]."""

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from im_sim.friction import DryFriction
+from im_sim.actuators import DryFriction
 
 
 def problem(rng, n):

@@ -68,3 +68,18 @@ def test_a_predicted_region_leaves_other_lights_out():
     missed = find_spot(*pair(lamps[1]), NOISE, GATES, SearchDisc(22.0, 21.0, 15.0))
     assert missed.spot is None
     assert missed.cause == "no light seen: it is off, blocked or out of view; searched within 15 px of (22, 21) px"
+
+
+@pytest.mark.parametrize(
+    ("u", "v", "radius"), [(5.0, 4.0, 6.0), (95.0, 77.0, 9.0), (50.0, 40.0, 12.0), (50.0, 40.0, 300.0)]
+)
+def test_a_region_changes_no_digit_of_what_is_in_it(u, v, radius):
+    frames = pair(Lamp(u + 1.3, v - 0.6, 150.0, 1.2))
+    everywhere, there = (find_spot(*frames, NOISE, GATES, region) for region in (None, SearchDisc(u, v, radius)))
+    assert everywhere.snr > GATES.detection_snr
+    assert repr((there.spot, there.snr, there.refused)) == repr((everywhere.spot, everywhere.snr, everywhere.refused))
+
+
+def test_a_region_outside_the_frame_has_no_light():
+    frames = pair(Lamp(50.0, 40.0, 150.0, 1.2))
+    assert find_spot(*frames, NOISE, GATES, SearchDisc(-400.0, 40.0, 12.0)).spot is None

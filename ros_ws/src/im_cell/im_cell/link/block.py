@@ -5,7 +5,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.link.values import Faults, JawObject
+from im_cell.link.fields import Fields
+from im_cell.link.values import Faults, JawObject, Sensors, TickCommand
 from im_cell.robot.objects import MAX_BODIES
 from im_core.shm import Semaphore, SharedBlock
 
@@ -110,6 +111,9 @@ class LinkBlock:
         dtype = layout(self.n_joints, self.n_grippers, self.n_wrenches)
         record = block.array(dtype, 1, offset=_FIXED.itemsize).reshape(())
         self.view: dict[str, NDArray[Any]] = {name: record[name] for name in dtype.names or ()}
+        self.sensed = self._fields(Sensors._fields)
+        self.true = self._fields(("q_true", "v_true"))
+        self.commanded = self._fields(tuple(f"command_{name}" for name in TickCommand._fields))
 
     @classmethod
     def create(
@@ -151,6 +155,9 @@ class LinkBlock:
         semaphores = {name: Semaphore.attach(f"{instance}_testbed_{name}", timeout_s) for name in _SEMAPHORES}
         return cls(instance, block, semaphores)
 
+    def _fields(self, names: tuple[str, ...]) -> Fields:
+        return Fields([self.view[name] for name in names])
+
     def faults(self) -> Faults:
         """The faults in force."""
         nan, frozen, stuck, open_ = self.view["fault_joints"].copy()
@@ -167,6 +174,7 @@ class LinkBlock:
     def close(self) -> None:
         """Release everything; the creator also removes the names."""
         self.view = {}
+        self.sensed = self.true = self.commanded = Fields(())
         for semaphore in self._semaphores.values():
             semaphore.close()
         self.block.close()

@@ -78,22 +78,15 @@ class HostEnd(LinkEnd):
         sequence = view["sequence"]
         sequence[()] = int(sequence) + 1
         view["tick"][()] = tick
-        view["q"][:] = sensors.q
-        view["power"][()] = sensors.power
-        view["brakes"][:] = sensors.brakes
-        view["gripper"][:] = sensors.gripper
-        view["age_s"][:] = sensors.age_s
-        view["wrench"][:] = sensors.wrench
-        view["gripper_force"][:] = sensors.gripper_force
-        view["q_true"][:] = q_true
-        view["v_true"][:] = v_true
+        self._shared.sensed.put(sensors)
+        self._shared.true.put((q_true, v_true))
         sequence[()] = int(sequence) + 1
         if not self._shared.block.published:
             self._shared.block.publish()
 
     def read_truth(self) -> TrueState:
         """True joint state."""
-        return TrueState(q=self._shared.view["q_true"].copy(), v=self._shared.view["v_true"].copy())
+        return TrueState(*self._shared.true.get())
 
     def servo_attached(self) -> bool:
         """Whether a servo takes part in the handshake."""
@@ -144,14 +137,8 @@ class HostEnd(LinkEnd):
                 return None
         if int(view["servo_pid"]) != pid:
             return None
-        return TickCommand(
-            tau=view["command_tau"].copy(),
-            power=bool(view["command_power"]) and not bool(view["stop"]),
-            brakes=view["command_brakes"].copy(),
-            gripper=view["command_gripper"].copy(),
-            wants_time=bool(view["command_wants_time"]),
-            gripper_force=view["command_gripper_force"].copy(),
-        )
+        tau, power, brakes, gripper, wants_time, force = shared.commanded.get()
+        return TickCommand(tau, bool(power) and not bool(view["stop"]), brakes, gripper, bool(wants_time), force)
 
     def disturbances(self) -> tuple[Faults, tuple[JawObject | None, ...]] | None:
         """Return faults and objects between the jaws of each gripper, if changed since the last return.

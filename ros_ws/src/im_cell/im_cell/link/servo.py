@@ -62,20 +62,10 @@ class ServoEnd(LinkEnd):
         for _ in range(100_000):
             before = int(sequence)
             tick = int(view["tick"])
-            state = TickState(
-                tick=tick,
-                stamp_ns=tick * self._shared.period_ns,
-                q=view["q"].copy(),
-                power=bool(view["power"]),
-                brakes=view["brakes"].copy(),
-                gripper=view["gripper"].copy(),
-                age_s=view["age_s"].copy(),
-                wrench=view["wrench"].copy(),
-                gripper_force=view["gripper_force"].copy(),
-            )
+            q, power, *others = self._shared.sensed.get()
             if before % 2 == 0 and int(sequence) == before:
                 self._require_attached()
-                return state
+                return TickState(tick, tick * self._shared.period_ns, q, bool(power), *others)
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
     def faults(self) -> Faults:
@@ -92,12 +82,7 @@ class ServoEnd(LinkEnd):
         view = self._shared.view
         if not self._pid or int(view["servo_pid"]) != self._pid:
             raise self._gone()
-        view["command_tau"][:] = command.tau
-        view["command_power"][()] = command.power
-        view["command_brakes"][:] = command.brakes
-        view["command_gripper"][:] = command.gripper
-        view["command_gripper_force"][:] = command.gripper_force
-        view["command_wants_time"][()] = command.wants_time
+        self._shared.commanded.put(command)
         view["command_tick"][()] = view["tick"]
         self._shared.command.post()
 

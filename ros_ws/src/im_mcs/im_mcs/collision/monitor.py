@@ -14,6 +14,7 @@ from im_mcs.collision.bodies import Bodies, ancestors
 from im_mcs.collision.braking_distance import STRAIGHT, Ahead, BrakingDistance
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.motion_limits import MotionLimits
+from im_mcs.limits.vectors import all_finite
 from im_mcs.model import CellModel
 
 
@@ -147,7 +148,7 @@ class CollisionMonitor:
         Raises:
             DataError: A value is not a finite number.
         """
-        if not math.isfinite(q.dot(q) + v.dot(v) + a.dot(a)):
+        if not (all_finite(q) and all_finite(v) and all_finite(a)):
             raise DataError("the collision monitor was given a motion that is not finite")
         if not self._names:
             return Proximity(math.inf, "", "", 1.0, False)

@@ -5,7 +5,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
-from im_mcs.control.feedback import Feedback, FeedbackParameters
+from im_mcs.control.feedback import FeedbackParameters
 from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
 
 
@@ -34,12 +34,8 @@ class ComputedTorque:
         self._model, self._joints = setup.model, setup.joints
         self._torque_limit = setup.torque_limit
         inertia = setup.model.inertia_diagonal(setup.q_nominal)[setup.joints]
-        self._feedback = Feedback(
-            parameters,
-            np.ones(len(setup.joints)),
-            parameters.integral_limit * setup.torque_limit / inertia,
-            setup.period_s,
-        )
+        limit = parameters.integral_limit * setup.torque_limit / inertia
+        self._feedback = parameters.feedback(np.ones(len(setup.joints)), limit, setup.period_s)
         self._friction = FrictionFeedforward(parameters.feedforward, setup)
 
     def reset(self) -> None:

@@ -1,7 +1,5 @@
 """Faults of a control law as errors with the name: users write laws, and the servo must live."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +7,7 @@ from im_core import plugins
 from im_core.errors import ImError
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 from im_mcs.limits.slots import LAW_METHODS, interface_of
+from im_mcs.limits.vectors import all_finite
 
 
 class ControlLawError(ImError):
@@ -67,9 +66,7 @@ class GuardedLaw:
                 f"control law '{self._name}': {self._method} returned shape {answer.shape}, not {given.q.shape}",
                 controller=self._name,
             )
-        if (
-            not math.isfinite(answer.dot(answer)) and not np.isfinite(answer).all()
-        ):  # the first is sufficient, and quick
+        if not all_finite(answer):
             raise ControlLawError(
                 f"control law '{self._name}' returned {answer[~np.isfinite(answer)][0]} as {self._method} of joint "
                 f"{int(np.argmin(np.isfinite(answer))) + 1} of {len(answer)}",

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from im_core.config import Model as ConfigModel
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
-from im_mcs.control.feedback import VelocityEstimator
+from im_mcs.control.filters import VelocityEstimator
 from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
-from im_mcs.control.feedback import Feedback, FeedbackParameters
+from im_mcs.control.feedback import FeedbackParameters
 
 
 class Pid:
@@ -20,12 +20,9 @@ class Pid:
     def __init__(self, setup: ControllerSetup) -> None:
         parameters = checked(FeedbackParameters, setup.parameters)
         self._torque_limit = setup.torque_limit
-        self._feedback = Feedback(
-            parameters,
-            setup.model.inertia_diagonal(setup.q_nominal)[setup.joints],
-            parameters.integral_limit * setup.torque_limit,
-            setup.period_s,
-        )
+        inertia = setup.model.inertia_diagonal(setup.q_nominal)[setup.joints]
+        limit = parameters.integral_limit * setup.torque_limit
+        self._feedback = parameters.feedback(inertia, limit, setup.period_s)
 
     def reset(self) -> None:
         """No integral, no past."""

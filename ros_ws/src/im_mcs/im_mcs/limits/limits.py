@@ -12,6 +12,7 @@ from im_core.errors import ConfigError, DataError, LimitError
 from im_mcs.limits.configuration import LimitShares
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.limits.slots import Slot, SlotLimits
+from im_mcs.limits.vectors import any_beyond
 
 _OVERSPEED = 1.5
 _NONE = SlotLimits()
@@ -135,10 +136,9 @@ class JointLimits:
 
     def overspeed(self, v: NDArray[np.float64]) -> LimitError | None:
         """Return the fault of a measured velocity, shape (n,), far beyond any commanded motion."""
-        beyond = np.abs(v) > self._speed
-        if 1 not in beyond.tobytes():
+        if not any_beyond(v, self._speed):
             return None
-        i = int(np.argmax(beyond))
+        i = int(np.argmax(np.abs(v) > self._speed))
         return LimitError(
             joint=self.names[i],
             value=float(v[i]),

@@ -5,9 +5,10 @@ from numpy.typing import NDArray
 from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from im_core.errors import DataError, ImError
+from im_mcs.limits.braking import flags_within
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
-from im_mcs.safety.stopping_position import Reach, stopping_place
+from im_mcs.safety.stopping_position import Reach
 
 _ROUNDING = 1e-6
 
@@ -40,20 +41,13 @@ class SetpointLimiter:
         self._motion = limits.ceiling
         self._saturations = saturations
         self._period = period_s
-        # the setpoints of this tick and of the last one, and the middle of the range
-        self._given = np.zeros((7, n))
-        self._wanted, self._last = self._given[:3], self._given[3:6]
-        self._given[6] = (limits.lower + limits.upper) / 2.0
-        # what is judged of them: leaps, velocities, accelerations, and how far they are from the middle of the range
-        self._judged = np.zeros((6, 7))
-        self._judged[:3, :3] = np.eye(3)
-        self._judged[:3, 3:6] = -_step(period_s)
-        self._judged[3:5, 1:3] = np.eye(2)
-        self._judged[5, 0], self._judged[5, 6] = 1.0, -1.0
+        self._last = np.zeros((3, n))
+        self._ends = np.array([limits.lower - _ROUNDING, limits.upper + _ROUNDING])
+        self._hardest = np.array([limits.ceiling.acceleration, limits.ceiling.jerk])
         jerk = limits.ceiling.jerk * jerk_factor
         self._largest = np.array([limits.ceiling.velocity, limits.ceiling.acceleration]) * (1.0 + _ROUNDING)
         self._leap = np.array([jerk * plan_s**3, jerk * plan_s**2, jerk * period_s]) + 1e-12
-        self._reach = Reach(limits.ceiling)
+        self._slopes = Reach(limits.ceiling).slopes
         self._free = np.ones(n, dtype=np.bool_)
         self.cut = np.zeros(n, dtype=np.bool_)
         self._any_catching = False
@@ -82,24 +76,19 @@ class SetpointLimiter:
         Raises:
             DataError: A setpoint is not finite; the joint is named.
         """
-        self._wanted[...] = wanted
-        rows = np.abs(self._judged.dot(self._given))
-        rows[5] += self._reach.way(rows[3:5])  # as far as braking goes
-        within = rows <= self._bounds
-        flags = within.tobytes()  # what numpy takes longer to look through
-        fine = not self._any_catching and 0 not in flags[: 5 * len(self._names)]
-        if fine and 0 in flags:  # then only looking closer tells; what is not a number is never within
-            fine = bool(np.isfinite(wanted).all() and not self._leaves_range(wanted, ~within[5]).any())
-        changed = not fine and self._cut(wanted, within)
+        within = flags_within(wanted, self._last, self._period, self._bounds, self._slopes, self._ends, self._hardest)
+        changed = (within is not None or self._any_catching) and self._cut(wanted, within)
         self._last[:] = wanted
         return changed
 
-    def _cut(self, wanted: NDArray[np.float64], within: NDArray[np.bool_]) -> bool:
+    def _cut(self, wanted: NDArray[np.float64], within: NDArray[np.bool_] | None) -> bool:
         finite = np.isfinite(wanted).all(axis=0)
         if not finite.all():
             joint = self._names[int(np.argmin(finite))]
             raise DataError(f"{joint}: the setpoint {wanted[:, int(np.argmin(finite))].tolist()} is not finite")
-        leaps, given, beyond = within[:3], within[3:5], self._leaves_range(wanted, ~within[5])
+        if within is None:
+            within = np.ones(self._bounds.shape, dtype=np.bool_)
+        leaps, given, beyond = within[:3], within[3:5], ~within[5]
         cut = beyond | ~leaps.all(axis=0) | ~given.all(axis=0)
         for kind, flags in (
             ("position", beyond),
@@ -115,22 +104,9 @@ class SetpointLimiter:
             wanted[:, cut] = self._towards(wanted[0])[:, cut]
         return self._any_catching
 
-    def _leaves_range(self, wanted: NDArray[np.float64], near: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the joints ``near`` the end of the range with a braking way beyond the end, shape (n,)."""
-        outside = np.zeros_like(near)
-        motion = self._motion
-        for k in np.flatnonzero(near & ~self._free).tolist():
-            q, v, a = wanted[:, k].tolist()
-            rest = stopping_place(q, v, a, float(motion.acceleration[k]), float(motion.jerk[k]))
-            last = float(self._last[0, k])
-            lower = min(float(self._limits.lower[k]) - _ROUNDING, last)
-            upper = max(float(self._limits.upper[k]) + _ROUNDING, last)
-            outside[k] = min(q, rest) < lower or max(q, rest) > upper
-        return outside
-
     def _range(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         q = self._last[0]
-        return np.minimum(self._limits.lower - _ROUNDING, q), np.maximum(self._limits.upper + _ROUNDING, q)
+        return np.minimum(self._ends[0], q), np.maximum(self._ends[1], q)
 
     def _towards(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Next step of the fastest motion to rest at ``q``, or at the end of the range, shape (3, n)."""
@@ -164,8 +140,3 @@ class SetpointLimiter:
         """Return bounds of every joint under control, in the order of the rows; none for the others."""
         half = (self._limits.upper - self._limits.lower) / 2.0
         return np.where(self._free, np.inf, np.vstack([self._leap, self._largest, half]))
-
-
-def _step(period_s: float) -> NDArray[np.float64]:
-    """Return the transition matrix of one tick without jerk, shape (3, 3)."""
-    return np.array([[1.0, period_s, period_s**2 / 2.0], [0.0, 1.0, period_s], [0.0, 0.0, 1.0]])

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from im_core.errors import ImError, LinkError, StateError
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
+from im_mcs.limits.vectors import all_finite, any_beyond
 from im_mcs.model.dynamics import Place
 from im_mcs.state.reservation import Reservations
 from im_mcs.testbed.driver import Measured
@@ -192,7 +193,7 @@ class ReadingWatch:
     def check(self, now: Situation) -> SafetyFinding | None:
         """Without a reading nothing can be controlled, and no distance be judged."""
         q = now.measured.q
-        if math.isfinite(q.dot(q)) or np.isfinite(q).all():  # the first is sufficient, and quick
+        if all_finite(q):
             return None
         joint = self._names[int(np.argmin(np.isfinite(q)))]
         fault = LinkError(f"{joint} gave no reading at tick {now.measured.tick}", joint=joint, tick=now.measured.tick)
@@ -215,7 +216,7 @@ class AgeWatch:
 
     def check(self, now: Situation) -> SafetyFinding | None:
         """Protective stop, then e-stop."""
-        if 1 not in (now.measured.age_s > self._bounds_s).tobytes():
+        if not any_beyond(now.measured.age_s, self._bounds_s):
             return None
         oldest = float(now.measured.age_s.max())
         joint = self._names[int(np.argmax(now.measured.age_s))]
@@ -267,7 +268,7 @@ class FollowingWatch:
             if not group.engaged:
                 continue
             error = group.following_error(now.measured.q)
-            if 1 not in (np.abs(error) > self._limits.following_error[group.place]).tobytes():
+            if not any_beyond(error, self._limits.following_error[group.place]):
                 continue
             tick = now.measured.tick
             beyond = self._limits.following(group.index, error, _ESTOP_FACTOR, tick)

@@ -12,6 +12,7 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations
 from im_mcs.limits.slots import Interface
+from im_mcs.limits.vectors import clip
 from im_mcs.model import ControlledModel
 from im_mcs.model.dynamics import Place
 from im_mcs.planning import Setpoint
@@ -211,9 +212,9 @@ class ControlLoop:
             last, limits = before[ranks], self._limits
             least[ranks] = np.maximum(least[ranks] + last, np.minimum(limits.lower[ranks], last))
             largest[ranks] = np.minimum(largest[ranks] + last, np.maximum(limits.upper[ranks], last))
-        self.command = np.minimum(np.maximum(wanted, least), largest)
-        cut = self.command != wanted
-        if 1 in cut.tobytes():
+        self.command = clip(wanted, least, largest)
+        if self.command.tobytes() != wanted.tobytes():
+            cut = self.command != wanted
             torques = cut.copy()
             torques[self._velocities + self._positions] = False
             self._saturations.add("torque", torques)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError, LinkError
 from im_mcs.control import LawSource
-from im_mcs.control.feedback import VelocityEstimator
+from im_mcs.control.filters import VelocityEstimator
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.limits.saturation import Saturations

@@ -1,6 +1,8 @@
 """Decision whether a pair of frames shows the light, where, and if not, why."""
 
 from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,38 +38,73 @@ class Peak:
     snr: float
 
 
+@dataclass(frozen=True)
+class SearchDisc:
+    """A disc in which the light must be: centre and radius [px]."""
+
+    u: float
+    v: float
+    radius: float
+
+
 class MatchedFilter:
-    """Signal-to-noise ratio of a Gaussian spot at every pixel of a difference of two frames.
+    """Signal-to-noise ratio of a Gaussian spot at every pixel of a difference of two frames, or of a disc in them.
 
     Source: North's matched filter for white noise, after dividing each pixel by its standard deviation.
     """
 
-    def __init__(self, on: Frame, off: Frame, sigma: float, noise: SensorNoise) -> None:
-        """Filter ``on - off``, shape (h, w) [DN], for spots of standard deviation `sigma` [px]."""
-        reach = int(np.ceil(_REACH_SIGMAS * sigma))
-        gaussian = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F), dtype=np.float32)
-        kernel = gaussian / np.sqrt((gaussian**2).sum())
-        background = cv2.blur(off, (3, 3)).astype(np.float32)
-        deviation = np.sqrt(2.0 * noise.variance(background))
-        whitened = cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation
+    def __init__(
+        self, on: Frame, off: Frame, sigma: float, noise: SensorNoise, region: SearchDisc | None = None
+    ) -> None:
+        """Filter ``on - off``, shape (h, w) [DN], for spots of standard deviation `sigma` [px], within a region."""
+        kernel = _kernel(sigma)
+        rows, columns = _window(on.shape, len(kernel) // 2 + 1, region)
+        on, off = on[rows, columns], off[rows, columns]
+        self._corner = columns.start, rows.start
+        deviations = np.sqrt(2.0 * noise.variance(np.arange(256, dtype=np.float32)))  # of all values of a background
+        deviation = cv2.LUT(cv2.blur(off, (3, 3)), deviations)
+        whitened = np.asarray(cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation, dtype=np.float32)
         self._response = np.asarray(
             cv2.sepFilter2D(whitened, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
         )
+        if region is not None:
+            outside = np.full(self._response.shape, 255, np.uint8)
+            self._draw(outside, region.u, region.v, region.radius, 0)
+            self._response[outside > 0] = -np.inf
 
     def strongest(self) -> Peak:
         """Return the strongest remaining peak."""
         _, snr, _, (u, v) = cv2.minMaxLoc(self._response)
-        return Peak(u=u, v=v, snr=snr)
-
-    def confine(self, u: float, v: float, radius: float) -> None:
-        """Leave only a disc of `radius` [px] around (u, v) [px] to the search."""
-        outside = np.full(self._response.shape, 255, np.uint8)
-        cv2.circle(outside, (round(u), round(v)), int(np.ceil(radius)), 0, thickness=-1)
-        self._response[outside > 0] = -np.inf
+        return Peak(u=u + self._corner[0], v=v + self._corner[1], snr=snr)
 
     def erase(self, u: float, v: float, radius: float) -> None:
         """Take a disc of `radius` [px] around (u, v) [px] out of the search."""
-        cv2.circle(self._response, (round(u), round(v)), int(np.ceil(radius)), -np.inf, thickness=-1)
+        self._draw(self._response, u, v, radius, -np.inf)
+
+    def _draw(self, image: NDArray[Any], u: float, v: float, radius: float, value: float) -> None:
+        place = round(u) - self._corner[0], round(v) - self._corner[1]
+        cv2.circle(image, place, int(np.ceil(radius)), value, thickness=-1)
+
+
+@cache
+def _kernel(sigma: float) -> NDArray[np.float32]:
+    """Return the filter of a spot along rows or columns, of unit energy."""
+    reach = int(np.ceil(_REACH_SIGMAS * sigma))
+    gaussian = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F), dtype=np.float32)
+    return np.asarray(gaussian / np.sqrt((gaussian**2).sum()))
+
+
+def _window(shape: tuple[int, ...], margin: int, region: SearchDisc | None) -> tuple[slice, slice]:
+    """Return rows and columns that the filter needs for a region; all, where that is nowhere in the frame."""
+    whole = slice(0, shape[0]), slice(0, shape[1])
+    if region is None:
+        return whole
+    reach = int(np.ceil(region.radius)) + margin
+    rows, columns = (
+        slice(max(round(middle) - reach, 0), min(round(middle) + reach + 1, size))
+        for middle, size in zip((region.v, region.u), shape, strict=True)
+    )
+    return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else whole
 
 
 class SpotGates(Model):
@@ -94,15 +131,6 @@ class SpotGates(Model):
     saturated_pixels: int = Field(ge=0)
     rival_ratio: float = Field(gt=0.0, le=1.0)
     edge: float = Field(ge=0.0)
-
-
-@dataclass(frozen=True)
-class SearchDisc:
-    """A disc in which the light must be: centre and radius [px]."""
-
-    u: float
-    v: float
-    radius: float
 
 
 @dataclass(frozen=True)
@@ -146,9 +174,7 @@ def find_spot(
     """
     if on.shape != off.shape:
         raise DataError(f"The frames of a pair have shapes {on.shape} and {off.shape}, they must be the same.")
-    response = MatchedFilter(on, off, gates.sigma_expected, noise)
-    if region is not None:
-        response.confine(region.u, region.v, region.radius)
+    response = MatchedFilter(on, off, gates.sigma_expected, noise, region)
     first = peak = response.strongest()
     accepted: list[SpotFit] = []
     refusals: list[str] = []

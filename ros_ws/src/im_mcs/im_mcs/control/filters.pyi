@@ -1,0 +1,115 @@
+"""Filters of encoders and errors, compiled."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+class VelocityEstimator:
+    """Backward difference through a first-order low pass.
+
+    Args:
+        n: Number of signals.
+        period_s: Servo period [s].
+        bandwidth_rad_s: Corner of the low pass [rad/s].
+    """
+
+    def __init__(self, n: int, period_s: float, bandwidth_rad_s: float) -> None: ...
+    def reset(self) -> None:
+        """Forget the past: the next reading is taken as standing still."""
+
+    def update(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take a reading, shape (n,), and return the derivative, shape (n,).
+
+        That of a signal that is not a number is none either; the first reading after that is taken as standing still.
+
+        Raises:
+            ValueError: It has another shape.
+        """
+
+class ErrorFeedback:
+    """Independent PID of each joint; the derivative acts on the error, through a low pass.
+
+    At rest (:meth:`hold`) the integral is frozen and errors that are encoder noise are ignored: the answer does
+    not change, friction holds the joint, and it stands exactly still. A disturbance meets the full PID.
+
+    Args:
+        kp: Gains, shape (n,).
+        kd: Gains of the derivative, shape (n,).
+        ki_dt: Gains of the integral in a tick, shape (n,).
+        integral_limit: Bound of the integral part, shape (n,), in the unit of the answer.
+        smoothing: Share of a new error in the smooth one.
+        deadband: Error that is not integrated [rad or m].
+        rest_deadband: Change of error that an arm at rest ignores [rad or m].
+        rate: Derivative of the error.
+
+    Attributes:
+        deadband: Errors that are not integrated, shape (n,) [rad or m].
+        smooth_error: Error without most of its noise, shape (n,) [rad or m].
+        holding: Whether the arm is at rest.
+    """
+
+    deadband: NDArray[np.float64]
+    smooth_error: NDArray[np.float64]
+    holding: bool
+    def __init__(
+        self,
+        kp: NDArray[np.float64],
+        kd: NDArray[np.float64],
+        ki_dt: NDArray[np.float64],
+        integral_limit: NDArray[np.float64],
+        smoothing: float,
+        deadband: float,
+        rest_deadband: float,
+        rate: VelocityEstimator,
+    ) -> None: ...
+    def reset(self) -> None:
+        """No integral, no past."""
+
+    def hold(self, hold: bool) -> None:
+        """Freeze or free the integral."""
+
+    def update(self, error: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The answer to an error, shape (n,).
+
+        Raises:
+            ValueError: It has another shape.
+        """
+
+    def integrate(self, tau: NDArray[np.float64], torque_limit: NDArray[np.float64]) -> None:
+        """Integrate the last error; no wind-up: a joint with saturated torque integrates only back.
+
+        Args:
+            tau: Torques that followed from the answer, shape (n,) [Nm or N].
+            torque_limit: Largest torques, shape (n,) [Nm or N].
+
+        Raises:
+            ValueError: One has another shape.
+        """
+
+def friction_torque(
+    v: NDArray[np.float64],
+    turns: NDArray[np.float64],
+    share: float,
+    stiction: float,
+    positive: NDArray[np.float64],
+    negative: NDArray[np.float64],
+    viscous: NDArray[np.float64],
+    pushed: ErrorFeedback | None = None,
+) -> NDArray[np.float64]:
+    """Return Coulomb and viscous friction, shape (n,) [Nm or N]; all arguments that are arrays have that shape.
+
+    A joint whose wanted velocity is 0 is given the share of dry friction at which a joint stuck beside the setpoint
+    almost breaks loose; the integral does the rest. At rest there is no push: friction alone holds the joint.
+
+    Args:
+        v: Wanted velocities [rad/s or m/s].
+        turns: Directions, -1 to 1, without a leap at 0.
+        share: Share of dry friction of moving joints.
+        stiction: Share of dry friction of joints that are to leave their place.
+        positive: Dry friction of joints that move forwards [Nm or N].
+        negative: Dry friction of joints that move backwards [Nm or N].
+        viscous: Viscous friction [Nm s/rad or N s/m].
+        pushed: Whose error joints are helped to leave; None: they are not helped.
+
+    Raises:
+        ValueError: An array has another shape.
+    """
