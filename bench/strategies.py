@@ -92,7 +92,8 @@ class Task:
 
 def tasks(seed: int, commands: int = COMMANDS) -> list[Task]:
     """Return the commands of a study: the same for every way to choose."""
-    dice, ill, made = random.Random(seed), {}, []
+    dice, made = random.Random(seed), []
+    ill: dict[str, bool] = {}
     for _ in range(commands):
         arguments, good = {}, {}
         for step, (argument, values, ways) in STEPS.items():
