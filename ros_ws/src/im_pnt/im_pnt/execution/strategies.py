@@ -106,7 +106,7 @@ class StrategyBook:
         )
 
     def forget(self, start: str) -> list[str]:
-        """Forget a strategy in all contexts, or in one; return what was forgotten."""
+        """Forget a strategy in all contexts or in one; return the forgotten names."""
         gone = [name for name in self.learned if start in (name, name.partition("@")[0])]
         for name in gone:
             del self.learned[name]

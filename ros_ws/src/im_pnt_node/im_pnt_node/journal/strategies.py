@@ -23,7 +23,7 @@ _Count = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
 
 
 class ExperienceEntry(Model):
-    """Experience with a strategy in a context, as the file has it."""
+    """Entry of the file: experience with a strategy in a context."""
 
     successes: _Count
     failures: _Count
@@ -66,7 +66,7 @@ class StrategyStore(StrategyBook):
         self._unsaved.clear()
 
     def forget(self, start: str) -> list[str]:
-        """Forget a strategy in all contexts, or in one, here and in the file; return what was forgotten.
+        """Forget a strategy in all contexts or in one, here and in the file; return the forgotten names.
 
         Raises:
             OSError: The file cannot be written.
@@ -80,7 +80,7 @@ class StrategyStore(StrategyBook):
         return gone
 
     def _read(self) -> bool:
-        """Read the file; move a damaged one aside, and go on with what is known here.
+        """Read the file; move a damaged file aside, and keep the experience of this process.
 
         Returns:
             Whether the file was read.

@@ -1,4 +1,4 @@
-"""``im strategies``: what was learned about strategies, and a way to forget it."""
+"""``im strategies``: experience with strategies, listed and reset."""
 
 import argparse
 import sys
@@ -59,7 +59,7 @@ def table(learned: Mapping[str, Experience]) -> list[str]:
 
 
 def _reset(learned: Mapping[Path, Mapping[str, Experience]], name: str) -> int:
-    """Ask the node that learned about a strategy to forget it.
+    """Have the node of a strategy forget the experience with the strategy.
 
     Raises:
         NotFoundError: Nothing was learned about it.

@@ -68,7 +68,7 @@ class ControlService:
         return response
 
     def _forget(self, executor: Executor, argument: str, response: Any) -> Any:
-        """Forget what was learned about a strategy.
+        """Forget the experience with a strategy.
 
         Raises:
             NotFoundError: Nothing was.
