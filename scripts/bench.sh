@@ -17,6 +17,7 @@
 #   scripts/bench.sh --dom              data objects: puts and gets beside a bare service; 200 kills, 200 losses of power
 #   scripts/bench.sh --bag              recording beside the machine: messages a second, gaps, the recorder's CPU time
 #   scripts/bench.sh --calibration      the solver: errors over the bound and over OpenCV, coverage, verdicts
+#   scripts/bench.sh --strategies       failed tries with learned strategies and with fixed orders, in a model of a world
 #   scripts/bench.sh --spot             how well the light is found in an image
 #   scripts/bench.sh --soak             does anything grow? 200 calibrations in a row; --soak random: for an hour
 #
@@ -33,7 +34,7 @@ part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --machine | --sizes | --nets | --mcs | --vss | --dom | --bag | --calibration | --spot | --soak)
+    --machine | --sizes | --nets | --mcs | --vss | --dom | --bag | --calibration | --spot | --soak | --strategies)
       [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
       part="${argument#--}"
       ;;

@@ -12,6 +12,7 @@ from std_msgs.msg import String
 
 from im_core import clock
 from im_core.errors import ImError
+from im_core.names import results_dir
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.node import ManagedNode
@@ -23,6 +24,7 @@ from im_pnt.execution.events import Answer, Outcome
 from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_display.page.messages import counterexample
+from im_pnt_node.journal.strategies import read_experience
 from im_pnt_node.ros.commands.commands import NOT_OBEYED
 from im_pnt_node.ros.node import PntNode
 from support.loop import in_loop
@@ -401,6 +403,12 @@ def test_a_choice_among_strategies_is_published_with_its_entropy_and_learned(mac
     favoured = dict(zip(second.alternatives, second.probabilities, strict=True))
     assert favoured[first.taken] > 0.5
     assert second.entropy < first.entropy
+    assert second.command_entropy == pytest.approx(second.entropy)
+    assert operator.ask("forget", "nothing", "lamp").message.startswith(
+        "there is no strategy with experience 'nothing'"
+    )
+    assert operator.ask("forget", first.taken, "lamp").message == f"forgot lamp.{first.taken}"
+    assert f"lamp.{first.taken}" not in read_experience(results_dir() / "strategies-walker.json")
 
 
 def test_a_net_that_was_loaded_later_is_there_after_a_restart(tmp_path):

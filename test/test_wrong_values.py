@@ -29,7 +29,7 @@ from im_dispatcher.poses_file import load_poses
 from im_mcs.limits.configuration import load_config
 from im_pnt.netfile import load_net
 from im_pnt_analysis.simulation.replay import read_firing_sequence
-from im_pnt_node.journal.strategies import StrategyStore
+from im_pnt_node.journal.strategies import read_experience
 from im_vss.catalogue import load_catalogue
 from im_vss.settings import load_settings
 
@@ -118,7 +118,7 @@ FILES = {
     "data set": (DATA_SET, load_problems),
     "firing sequence": ({"sequence": ["a", "b"], "repeat_from": 1, "nets": ["n"], "marking": {"p": 1}},
                         lambda path: read_firing_sequence(str(path))),
-    "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, StrategyStore),
+    "strategies": ({"strategies": {"n.t": {"successes": 1, "failures": 0}}}, read_experience),
 }  # fmt: skip
 
 DECLARED = load_net(COMMAND.net).commands[SYMBOL].arguments

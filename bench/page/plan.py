@@ -45,6 +45,7 @@ QUICK = (
     Step("bag", ("--seconds", "60")),
     Step("sizes", ("--quick",)),
     Step("spot", ("--trials", "300", "--frames", "100")),
+    Step("strategies"),
     Step("calibration", ("errors", "--kind", "everything", "--trials", "3")),
 )
 """About ten minutes on two cores that do nothing else."""
@@ -58,6 +59,7 @@ FULL = (
     Step("dom"),
     Step("bag"),
     Step("spot"),
+    Step("strategies"),
     Step("calibration", ("errors", "noise", "verdicts", "poses"), 14400.0),
     Step("soak", ("--runs", "20"), 14400.0),
 )

@@ -10,7 +10,7 @@ from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
 from im_pnt.execution.journal_entries import Record
-from im_pnt.execution.notification import Firing, Observer, Phase
+from im_pnt.execution.notification import Firing, Observer, Phase, StrategyChosen
 from im_pnt.execution.operator import Mode
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.values import Objects
@@ -64,11 +64,9 @@ class Recorder(Observer):
         """Keeps a complaint."""
         self.troubles.append(text)
 
-    def chose(
-        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
-    ) -> None:
+    def chose(self, choice: StrategyChosen) -> None:
         """Keeps a choice among strategies."""
-        self.choices.append((places, dict(probabilities), entropy, taken))
+        self.choices.append((choice.places, dict(choice.probabilities), choice.entropy, choice.taken))
 
     def operated(
         self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]

@@ -20,6 +20,7 @@ setup(
     entry_points={
         "console_scripts": [
             "pnt_node = im_pnt_node.ros.net_runner:main",
+            "strategies = im_pnt_node.ros.strategies:main",
         ],
         "im_pnt.commands": ["journal = im_pnt_node.cli.journal:add", "test = im_pnt_node.cli.scenarios:add"],
         "im_pnt.programs": ["mission = im_pnt_node.ros.rerun:main", "run = im_pnt_node.ros.net_runner:main"],

@@ -32,7 +32,7 @@ KEYS = {
     "store acts_on says on_failure on_doubt timeout tries retry_of delay success weight strategy priority "
     "servers cancels keeps_failure",
     "SymbolFile": "name of expires",
-    "StrategyFile": "successes failures decay",
+    "StrategyFile": "successes failures name context decay",
     "ServiceCallFile": "name type request build handle task",
     "GoalFile": "name type goal build handle task",
     "TopicFile": "name type message build",

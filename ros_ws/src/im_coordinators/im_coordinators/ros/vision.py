@@ -125,8 +125,10 @@ class VisionFunctions:
         await self._require_lit(_light(ctx))
         return {name: ctx.request_arguments[name] for name in ("cameras", "exposure", "look")}
 
-    def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
-        """The request for another look with more light."""
+    async def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
+        """Return the request for a look with more light."""
+        await self._lit.require(ctx, _light(ctx))
+        await self._require_lit(_light(ctx))
         return {"cameras": ctx.request_arguments["cameras"], "exposure": self._host.parameter(LONG_EXPOSURE)}
 
     async def _require_lit(self, name: str) -> None:

@@ -107,7 +107,7 @@ class Actions:
         self.inquiry = Inquiry(rule, timers, clock, self, owner.answered)
         self._owner, self._rule, self._conflicts, self._runner = owner, rule, conflicts, runner
         self._timers, self._clock, self._check_objects = timers, clock, check_objects
-        self._strategies = {t.origin: t.strategy for t in rule.transitions if t.action is not None and t.strategy}
+        self._strategies = {t.origin: i for i, t in enumerate(rule.transitions) if t.role is Role.START and t.strategy}
         self.functions: dict[int, ActionFunction] = {}
         self._deferred: dict[int, Callable[[], None]] = {}
         self._says = {t.origin: t.says for t in rule.transitions if t.says}
@@ -189,8 +189,8 @@ class Actions:
         if error is not None and error.code not in ("cancelled", DOUBT_CODE) and (told := self._told(activity)):
             error = ImError.restored(error.code, f"could not {told}: {error.message}", error.facts)
         failure = self._rule.end_action(activity, error, results)
-        if learns:
-            self._learn(activity, failure is None)
+        if learns and (failure is None or failure.code != "link"):  # a dead server says nothing of the strategy
+            self._learn(activity, failure)
         if activity.lineage.job is not None:
             self._conflicts.wake_job(activity.lineage.job)
 
@@ -255,10 +255,9 @@ class Actions:
         except ImError:  # an index beyond the end of a list; the action is begun all the same
             return says
 
-    def _learn(self, activity: Activity, success: bool) -> None:
-        strategy = self._strategies[activity.transition]
+    def _learn(self, activity: Activity, failure: ImError | None) -> None:
         try:
-            self._conflicts.book.outcome(activity.net, activity.transition, strategy, success)
+            self._conflicts.learn(self._strategies[activity.transition], self._context(activity), failure)
         except (OSError, ImError) as error:
             self._rule.notifier.troubled(f"the learned counts of {activity.transition} cannot be saved: {error}")
 

@@ -5,9 +5,10 @@ become enabled contends with the enabled transitions that share an input place w
 with those of its own rivals that have a higher priority. Delays of transitions without action are a race before that
 (GSPN: race, enabling memory, as many servers as the transition has).
 
-Strategies are contending ways to do a thing (:mod:`.strategies`). They are taken with probabilities proportional to
-weight and mean success; the entropy of that choice is the uncertainty of the decision in the sense of Saridis' entropy
-formulation [nats].
+Strategies are contending ways to do a thing (:mod:`.strategies`). Each is taken with the probability that it costs
+least until it succeeds; the cost is its ``delay`` over its ``weight``. The entropy of that choice is the uncertainty of
+the decision in the sense of Saridis' entropy formulation [nats]. Where transitions without strategy contend, too, they
+keep the share that their weights have.
 """
 
 import math
@@ -23,10 +24,12 @@ from im_pnt.execution.functions import ActionContext, Functions, clock_period
 from im_pnt.execution.jobs import NO_LINEAGE, Job, Lineage
 from im_pnt.execution.journal_entries import GuardBroke
 from im_pnt.execution.marking import Enabling
-from im_pnt.execution.strategies import StrategyBook
+from im_pnt.execution.notification import StrategyChosen
+from im_pnt.execution.strategies import DONE, StrategyBook, StrategyOutcome, chances_of_best, strategy_name
 from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import ObjectPendingError
-from im_pnt.model.net import Transition
+from im_pnt.expression.evaluation import as_text
+from im_pnt.model.net import Strategy, Transition
 
 
 def probabilities(weights: Sequence[float]) -> list[float]:
@@ -239,7 +242,7 @@ class ConflictResolution:
             return contending[self.drawn([self._transitions[index].name for index in contending])]
         if self._even:
             return contending[int(self._random() * len(contending))]
-        weights = [self._weight(index) for index in contending]
+        weights = self._weights(contending)
         point = self.dice.random() * sum(weights)
         for index, weight in zip(contending, weights, strict=True):
             point -= weight
@@ -247,23 +250,74 @@ class ConflictResolution:
                 return index
         return contending[-1]
 
-    def _weight(self, index: int) -> float:
+    def _weights(self, contending: Sequence[int]) -> list[float]:
+        weights = [self._transitions[index].weight for index in contending]
+        places = [place for place, index in enumerate(contending) if self._transitions[index].strategy is not None]
+        if len(places) > 1:
+            share = math.fsum(weights[place] for place in places)
+            chances = chances_of_best([self._prospect(contending[place]) for place in places])
+            for place, chance in zip(places, chances, strict=True):
+                weights[place] = share * chance
+        return weights
+
+    def _prospect(self, index: int) -> tuple[float, float, float]:
+        """Return the counts of a strategy, and what a try costs."""
         transition = self._transitions[index]
-        if transition.strategy is None:
-            return transition.weight
-        return transition.weight * self.book.mean_success(self._rule.net.name, transition.origin, transition.strategy)
+        assert transition.strategy is not None
+        told = self._context(index, self._rule.foreseen(index, self.owner(index)))
+        name = self._strategy_name(transition, self.context_of(transition.strategy, told))
+        cost = transition.delay.mean if transition.delay is not None else 1.0
+        return *self.book.experience(name, transition.strategy).counts, max(cost, 1e-6) / max(transition.weight, 1e-6)
+
+    def _strategy_name(self, transition: Transition, context: str) -> str:
+        named = transition.strategy.name if transition.strategy is not None else ""
+        return strategy_name(self._rule.net.name, named or transition.origin, context)
+
+    def context_of(self, strategy: Strategy, told: ActionContext) -> str:
+        """Return the context in which a strategy is tried; empty where the net names none, or it has no value."""
+        try:
+            return as_text(self._rule.values.fill_now(strategy.context, told)) if strategy.context else ""
+        except ImError:
+            return ""
+
+    def learn(self, index: int, told: ActionContext, failure: ImError | None) -> None:
+        """Count the outcome of a strategy.
+
+        Args:
+            index: The transition of the strategy that begins its action.
+            told: Its context.
+            failure: Why it failed; None: it succeeded.
+
+        Raises:
+            OSError: The count cannot be saved.
+            ImError: Likewise.
+        """
+        taken = self._transitions[index]
+        assert taken.strategy is not None
+        context = self.context_of(taken.strategy, told)
+        rivals = [self._transitions[rival] for sharing in self._enabling.contended[index] for rival in sharing]
+        names = tuple(self._strategy_name(each, context) for each in rivals if each.strategy is not None)
+        last = DONE if failure is None else failure.message
+        self.book.outcome(StrategyOutcome(self._strategy_name(taken, context), taken.strategy, last, names))
 
     def _tell(self, top: Sequence[int], winner: int) -> None:
         if len(top) < 2 or not any(self._transitions[i].strategy is not None for i in top):
             return
-        distribution = probabilities([self._weight(index) for index in top])
+        distribution = probabilities(self._weights(top))
         others = [self._transitions[i].inputs for i in top if i != winner]
         taken = self._transitions[winner]
+        lineage = self._rule.foreseen(winner, self.owner(winner))
+        told = self._context(winner, lineage)
         self._rule.notifier.chose(
-            tuple(place for place in taken.inputs if any(place in inputs for inputs in others)),
-            {self._transitions[i].origin: p for i, p in zip(top, distribution, strict=True)},
-            entropy(distribution),
-            taken.origin,
+            StrategyChosen(
+                self._rule.net.name,
+                tuple(place for place in taken.inputs if any(place in inputs for inputs in others)),
+                {self._transitions[i].origin: p for i, p in zip(top, distribution, strict=True)},
+                entropy(distribution),
+                taken.origin,
+                "" if taken.strategy is None else self.context_of(taken.strategy, told),
+                lineage.job,
+            )
         )
 
     def _guard_broke(self, index: int, lineage: Lineage, error: BaseException) -> bool:

@@ -85,23 +85,35 @@ class Observer:
         if text:
             self.troubled("", text)
 
-    def chose(
-        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
-    ) -> None:
-        """Called for each choice among strategies, before the firing.
-
-        Args:
-            net: Name of the net.
-            places: Input places of the transition taken that others contend for.
-            probabilities: Of each contending transition.
-            entropy: Of the choice [nats].
-            taken: The transition that fires.
-        """
+    def chose(self, choice: "StrategyChosen") -> None:
+        """Called for each choice among strategies, before the firing."""
 
     def operated(
         self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]
     ) -> None:
         """Take a change of the mode, the pause, the proposed transitions or the breakpoints."""
+
+
+class StrategyChosen(NamedTuple):
+    """Choice among strategies.
+
+    Attributes:
+        net: Name of the net.
+        places: Input places of the transition taken that others contend for.
+        probabilities: Of each contending transition.
+        entropy: Of the choice [nats].
+        taken: The transition that fires.
+        context: Of the strategy that is taken.
+        job: For whom; None: for nobody.
+    """
+
+    net: str
+    places: tuple[str, ...]
+    probabilities: Mapping[str, float]
+    entropy: float
+    taken: str
+    context: str
+    job: Job | None
 
 
 class Departure(NamedTuple):
@@ -242,10 +254,10 @@ class Notifier:
         self.flush()
         self.observer.troubled(self._net, text)
 
-    def chose(self, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
-        """Report a choice among strategies; the entropy is in nats."""
+    def chose(self, choice: StrategyChosen) -> None:
+        """Report a choice among strategies."""
         self.flush()
-        self.observer.chose(self._net, places, probabilities, entropy, taken)
+        self.observer.chose(choice)
 
     def operated(self, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]) -> None:
         """Report the present operation of the net."""

@@ -96,10 +96,12 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
         yield ("request", "arguments"), dict(action.fields), ANY
     if transition.guard is not None and OPENS in transition.guard.name:
         yield ("guard",), transition.guard.name, BOOLEAN
-    for path in (path for node in nodes(transition.says) for path in references(node)):
-        if path[0] != "arguments":
-            raise PlacedError(("says",), f"'{path[0]}' is not known as the action begins; say arguments")
-    yield ("says",), transition.says, ANY
+    context = "" if transition.strategy is None else transition.strategy.context
+    for where, text in ((("says",), transition.says), (("strategy", "context"), context)):
+        for path in (path for node in nodes(text) for path in references(node)):
+            if path[0] != "arguments":
+                raise PlacedError(where, f"'{path[0]}' is not known as the action begins; say arguments")
+        yield where, text, ANY
     for name, value in transition.result.items():
         yield ("result", name), value, ANY
     for name, value in transition.store.items():

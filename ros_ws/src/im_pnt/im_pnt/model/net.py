@@ -117,12 +117,16 @@ class Strategy:
     Attributes:
         successes: Successes counted before the first run (alpha).
         failures: Failures counted before the first run (beta).
-        decay: Factor on both counts at each outcome, 0..1; 1 forgets nothing.
+        decay: Factor on the counts of all contending strategies at each outcome, 0..1; 1 forgets nothing.
+        context: Text with values of arguments; experience of one context is not used in another.
+        name: Under which experience is kept, by several transitions that do the same; empty: of the transition.
     """
 
     successes: float = 1.0
     failures: float = 1.0
     decay: float = 1.0
+    context: str = ""
+    name: str = ""
 
 
 class ReadFor(enum.StrEnum):

@@ -299,7 +299,7 @@ class _Reader:
             delay=None if file.delay is None else self._delay((*here, "delay"), file.delay),
             success=file.success,
             weight=file.weight,
-            strategy=None if strategy is None else Strategy(strategy.successes, strategy.failures, strategy.decay),
+            strategy=None if strategy is None else Strategy(**strategy.model_dump()),
             priority=file.priority,
             symbol_of=None if symbol is None or symbol.of is None else ReadFor(symbol.of),
             symbol_expires=None if symbol is None else symbol.expires,
@@ -434,7 +434,7 @@ def _action(file: TransitionFile) -> Action | None:
     return ValuesAction() if file.result or file.store else None
 
 
-_VALUES = ("guard", "service", "goal", "topic", "await", "request", "says", "result", "store")
+_VALUES = ("guard", "service", "goal", "topic", "await", "request", "says", "result", "store", "strategy")
 """Keys of a transition under which values stand."""
 
 

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 
 from im_pnt.errors import NetError
 from im_pnt.model.action import (
@@ -209,9 +210,9 @@ def _symbol_data(transition: Transition) -> object:
     return {"name": transition.symbol, **said} if said else transition.symbol
 
 
-def _strategy_data(strategy: Strategy) -> dict[str, float]:
+def _strategy_data(strategy: Strategy) -> dict[str, object]:
     start = Strategy()
-    names = ("successes", "failures", "decay")
+    names = [field.name for field in fields(strategy)]
     return {name: getattr(strategy, name) for name in names if getattr(strategy, name) != getattr(start, name)}
 
 

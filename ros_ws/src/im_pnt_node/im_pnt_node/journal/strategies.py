@@ -2,54 +2,127 @@
 
 import fcntl
 import json
-import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated
 
+from pydantic import Field, ValidationError
+
+from im_core import clock
+from im_core.config import Model
 from im_core.errors import StoreError
-from im_core.files import FileError, write_whole
+from im_core.files import FileError, move, write_whole
 from im_core.text.jsontext import load_json
 from im_pnt.errors import NetError
-from im_pnt.execution.strategies import StrategyBook
-from im_pnt.model.net import Strategy
+from im_pnt.execution.strategies import Experience, StrategyBook, StrategyOutcome
+
+_Count = Annotated[float, Field(ge=0.0, allow_inf_nan=False, strict=True)]
+
+
+class ExperienceEntry(Model):
+    """Entry of the file: experience with a strategy in a context."""
+
+    successes: _Count
+    failures: _Count
+    prior: tuple[_Count, _Count] = (1.0, 1.0)
+    last: str = Field("", max_length=200)
 
 
 class StrategyStore(StrategyBook):
     """Experience with strategies, in a file; several machines may learn in one, each adds its outcomes.
 
     Args:
-        path: JSON file; read if it is there, and replaced at each outcome.
+        path: JSON file; read if it is there, and replaced at each outcome. A damaged one is moved aside.
+        tell: Is told why a file was moved aside, and to where.
 
     Raises:
-        NetError: The file is not one of these.
+        StoreError: A damaged file cannot be moved aside.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tell: Callable[[str], None]) -> None:
         super().__init__()
-        self._path = path
-        self._unsaved: list[tuple[str, str, Strategy, bool]] = []
+        self._path, self._tell = path, tell
+        self._unsaved: list[StrategyOutcome] = []
         if path.exists():
-            self.learned = _load(path)
+            self._read()
 
-    def outcome(self, net: str, transition: str, strategy: Strategy, success: bool) -> None:
+    def outcome(self, outcome: StrategyOutcome) -> None:
         """Count an outcome, and write the file with the counts of other machines: whole or not at all.
 
         Raises:
             OSError: It cannot be saved; the outcome is counted all the same, and saved with the next one.
-            NetError: Likewise, for the file is not one of these any more.
+            StoreError: Likewise, for another machine writes it, or a damaged file cannot be moved aside.
         """
-        super().outcome(net, transition, strategy, success)
-        self._unsaved.append((net, transition, strategy, success))
+        super().outcome(outcome)
+        self._unsaved.append(outcome)
+        with _alone(self._path):
+            if self._path.exists() and self._read():
+                for each in self._unsaved:
+                    super().outcome(each)
+            self._write()
+        self._unsaved.clear()
+
+    def forget(self, start: str) -> list[str]:
+        """Forget a strategy in all contexts or in one, here and in the file; return the forgotten names.
+
+        Raises:
+            OSError: The file cannot be written.
+            StoreError: Likewise.
+        """
         with _alone(self._path):
             if self._path.exists():
-                self.learned = _load(self._path)
-                for outcome in self._unsaved:
-                    super().outcome(*outcome)
-            content = {name: {"successes": s, "failures": f} for name, (s, f) in sorted(self.learned.items())}
-            write_whole(self._path, json.dumps({"strategies": content}, indent=1) + "\n")
-        self._unsaved.clear()
+                self._read()
+            gone = super().forget(start)
+            self._write()
+        return gone
+
+    def _read(self) -> bool:
+        """Read the file; move a damaged file aside, and keep the experience of this process.
+
+        Returns:
+            Whether the file was read.
+        """
+        try:
+            self.learned = read_experience(self._path)
+        except NetError as error:
+            aside = self._path.with_name(f"{self._path.name}.damaged-{round(1000 * clock.wall())}")
+            move(self._path, aside)
+            self._tell(f"{error.message}; it is moved to {aside.name}, and its strategies are learned anew")
+            return False
+        return True
+
+    def _write(self) -> None:
+        content = {name: asdict(each) for name, each in sorted(self.learned.items())}
+        write_whole(self._path, json.dumps({"strategies": content}, indent=1) + "\n")
+
+
+def read_experience(path: Path) -> dict[str, Experience]:
+    """Return the experience in a file, by strategy.
+
+    Raises:
+        NetError: The file is not one of these; says which, where and what is allowed.
+    """
+    try:
+        content = load_json(path)
+    except FileError as error:
+        raise NetError(f"{error.message}; strategies are needed", **error.facts) from error
+    table = content.get("strategies") if isinstance(content, dict) else None
+    if not isinstance(table, dict):
+        raise NetError(f"{path}: there is no table 'strategies' in it", file=str(path))
+    learned = {}
+    for name, entry in table.items():
+        try:
+            learned[str(name)] = Experience(**ExperienceEntry.model_validate(entry).model_dump())
+        except ValidationError as error:
+            told = error.errors()[0]
+            key = ".".join(map(str, told["loc"]))
+            needed = "successes and failures >= 0 are needed"
+            text = f"{path}: strategy {name} is {str(entry)[:80]}: {key}: {told['msg']}; {needed}"
+            raise NetError(text, file=str(path)) from error
+    return learned
 
 
 @contextmanager
@@ -68,24 +141,3 @@ def _alone(path: Path) -> Iterator[None]:
         raise StoreError(f"{path}: {reason}", file=str(path), reason=reason) from error
     finally:
         os.close(folder)
-
-
-def _load(path: Path) -> dict[str, tuple[float, float]]:
-    try:
-        content = load_json(path)
-    except FileError as error:
-        raise NetError(f"{error.message}; strategies are needed", **error.facts) from error
-    table = content.get("strategies") if isinstance(content, dict) else None
-    if not isinstance(table, dict):
-        raise NetError(f"{path}: there is no table 'strategies' in it", file=str(path))
-    return {str(name): _counts(path, name, entry) for name, entry in table.items()}
-
-
-def _counts(path: Path, name: str, entry: object) -> tuple[float, float]:
-    if isinstance(entry, Mapping) and entry.keys() == {"successes", "failures"}:
-        successes, failures = entry["successes"], entry["failures"]
-        if all(type(count) in (int, float) and 0.0 <= count < math.inf for count in (successes, failures)):
-            return float(successes), float(failures)
-    raise NetError(
-        f"{path}: strategy {name} is {str(entry)[:80]}; successes and failures >= 0 are needed", file=str(path)
-    )

@@ -166,7 +166,9 @@ class PntNode(ManagedNode):
         Raises:
             ImError: A net file is wrong, a net is refused, or the journal is damaged.
         """
-        self._book = StrategyStore(results_dir() / f"strategies-{self.task_name}.json")
+        self._book = StrategyStore(
+            results_dir() / f"strategies-{self.task_name}.json", lambda text: self._observer.troubled("", text)
+        )
         journal, stopped, held = None, False, None
         if self._journal_dir is not None:
             folder, run = self._journal_dir / self.task_name, os.environ.get(RUN, "")
@@ -213,7 +215,7 @@ class PntNode(ManagedNode):
 
     def phase_start(self) -> None:
         """Begin to fire."""
-        ControlService(self, self.exchange.nets, self.commands.on_file)
+        ControlService(self, self.exchange.nets, self._book, self.commands.on_file)
         self.create_timer(TIDY_PERIOD_S, self._tidy, clock=self.steady_clock)
         self.spawn(self._begin())
         self.commands.begin()

@@ -55,7 +55,15 @@ class StrategyFile(FilePart):
     successes: Positive = Field(1.0, description="Successes counted before the first run.")
     failures: Positive = Field(1.0, description="Failures counted before the first run.")
     decay: Annotated[float, NumberWithin(gt=0.0, le=1.0)] = Field(
-        1.0, description="Factor on both counts at each outcome; 1 forgets nothing."
+        1.0, description="Factor on the counts of all contending strategies at each outcome; 1 forgets nothing."
+    )
+    context: str = Field(
+        "",
+        max_length=200,
+        description="Text with ${arguments.NAME} in it; what is learned in one context is not used in another.",
+    )
+    name: Name | Literal[""] = Field(
+        "", description="Under which experience is kept; transitions that do the same share a name."
     )
 
 

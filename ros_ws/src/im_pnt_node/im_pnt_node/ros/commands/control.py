@@ -21,9 +21,10 @@ from im_pnt.execution.events import (
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import ActivityState
 from im_pnt.execution.operator import Mode
+from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.token_values import values_of
 
-REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve", "break", "clear")
+REQUESTS = ("automatic", "supervised", "step", "pause", "resume", "confirm", "resolve", "break", "clear", "forget")
 
 
 class ControlService:
@@ -32,6 +33,7 @@ class ControlService:
     Args:
         node: The node.
         nets: Its nets by name; looked at anew for each request.
+        book: What was learned about its strategies.
         on_file: Has the nets go on with what was asked, and waits until that outlives this process; returns what the
             answer says where it does not.
     """
@@ -40,18 +42,21 @@ class ControlService:
         self,
         node: ManagedNode,
         nets: Mapping[str, Executor],
+        book: StrategyBook,
         on_file: Callable[[], Coroutine[Any, Any, str]],
     ) -> None:
-        self._nets, self._on_file = nets, on_file
+        self._nets, self._book, self._on_file = nets, book, on_file
         node.create_service(ControlNet, f"/{node.task_name}/control_net", self._control, urgent=True)
         node.create_service(NetValues, f"/{node.task_name}/net_values", self._values)
 
     async def _control(self, request: Any, response: Any) -> Any:
         try:
             executor = self._net(request.net)
+            if request.request == "forget":
+                return self._forget(executor, request.argument, response)
             event = _event(executor, request.request, request.argument)
-        except ImError as error:
-            response.success, response.message = False, error.message
+        except (OSError, ImError) as error:
+            response.success, response.message = False, str(error)
             return response
         executor.post(event)
         not_kept = await self._on_file()
@@ -60,6 +65,22 @@ class ControlService:
         paused = ", paused" if executor.paused else ""
         marked = ", ".join(f"{place}={count}" for place, count in executor.marking().items())
         response.state = f"{executor.operator.mode}{paused}: {marked}"
+        return response
+
+    def _forget(self, executor: Executor, argument: str, response: Any) -> Any:
+        """Forget the experience with a strategy.
+
+        Raises:
+            NotFoundError: Nothing was.
+            OSError: The file of the strategies cannot be written.
+            StoreError: Likewise.
+        """
+        net = executor.written.name
+        gone = self._book.forget(f"{net}.{argument}")
+        if not gone:
+            known = [name.removeprefix(f"{net}.") for name in self._book.learned if name.startswith(f"{net}.")]
+            raise NotFoundError(kind="strategy with experience", name=argument, known=known)
+        response.success, response.message = True, f"forgot {', '.join(gone)}"
         return response
 
     def _values(self, request: NetValues.Request, response: NetValues.Response) -> NetValues.Response:

@@ -1,11 +1,11 @@
 """Distributor of the reports of nets: to topics, clients of commands, and the log."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from im_core.ros.node import ManagedNode
 from im_core.ros.repeated_warnings import LINK, Reminders
 from im_pnt.execution.jobs import Job
-from im_pnt.execution.notification import Firing, Observer
+from im_pnt.execution.notification import Firing, Observer, StrategyChosen
 from im_pnt.execution.operator import Mode
 from im_pnt_node.ros.commands.commands import Commands
 from im_pnt_node.ros.reporting.publish import PntPublisher
@@ -75,11 +75,9 @@ class NodeObserver(Observer):
         """Write to the log and to ``/diagnostics``: a net runs without proof."""
         self._reminders.add("nets", text)
 
-    def chose(
-        self, net: str, places: tuple[str, ...], probabilities: Mapping[str, float], entropy: float, taken: str
-    ) -> None:
+    def chose(self, choice: StrategyChosen) -> None:
         """Publish a choice among strategies."""
-        self.publisher.chose(net, probabilities, entropy, taken)
+        self.publisher.chose(choice)
 
     def operated(
         self, net: str, mode: Mode, paused: bool, proposed: tuple[str, ...], breakpoints: tuple[str, ...]

@@ -16,7 +16,7 @@ from im_msgs.msg import Marking as MarkingMessage
 from im_msgs.msg import NetDescription, NetRefusal, StrategyChoice
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import ActivityState
-from im_pnt.execution.notification import Firing
+from im_pnt.execution.notification import Firing, StrategyChosen
 from im_pnt.model.net import Net
 from im_pnt.netfile import yaml_text
 from im_pnt.verification import Counterexample
@@ -53,6 +53,7 @@ class PntPublisher:
         self._fired: list[Sequence[Firing]] = []
         self._changed: dict[str, None] = {}
         self._marked_at = 0.0
+        self._entropy = (0, 0.0)
         self._mark_due = False
 
     def fired(self, firings: Sequence[Firing]) -> None:
@@ -124,16 +125,23 @@ class PntPublisher:
         content = {"node": self._node.get_fully_qualified_name(), "breakpoints": told}
         self._breakpoints.publish(String(data=json.dumps(content)))
 
-    def chose(self, net: str, probabilities: Mapping[str, float], entropy: float, taken: str) -> None:
+    def chose(self, choice: StrategyChosen) -> None:
         """Publish a choice among strategies."""
+        command = choice.job.command.id if choice.job is not None else 0
+        if command != self._entropy[0]:
+            self._entropy = (command, 0.0)
+        self._entropy = (command, self._entropy[1] + choice.entropy)
         self._choices.publish(
             StrategyChoice(
                 stamp=self._now(),
-                net=net,
-                alternatives=list(probabilities),
-                probabilities=list(probabilities.values()),
-                entropy=entropy,
-                taken=taken,
+                net=choice.net,
+                alternatives=list(choice.probabilities),
+                probabilities=list(choice.probabilities.values()),
+                entropy=choice.entropy,
+                taken=choice.taken,
+                context=choice.context,
+                command=command,
+                command_entropy=self._entropy[1],
             )
         )
 
