@@ -11,7 +11,7 @@ _im() {
   )
   COMPREPLY=()
   if ((COMP_CWORD == 1)); then
-    words="action calibrate cell doctor dom lifecycle load node param pnt recover run security service tasks topic unload view vss"
+    words="action calibrate cell doctor dom lifecycle load node param pnt recover run security service strategies tasks topic unload view vss"
   elif ((COMP_CWORD == 2)) && [[ -n "${verbs[${COMP_WORDS[1]}]:-}" ]]; then
     words="${verbs[${COMP_WORDS[1]}]}"
   elif ((COMP_CWORD == 3)) && [[ -n "${verbs[${COMP_WORDS[1]}]:-}" ]]; then
