@@ -205,14 +205,17 @@ def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> Syntheti
 
     Args:
         scene: What to bend.
-        kind: ``quadratic``, a polynomial of the place; ``links``, wrong lengths, offsets and zeros of an arm of three
-            joints.
+        kind: ``quadratic``, a polynomial of the place; ``links``, all kinematic parameters of an arm of six joints;
+            ``gears``, joints that are off by a sine of one or two periods a turn.
         size_m: RMS error of each coordinate, but for what shifts or turns all positions alike [m].
         seed: Seed of the draw.
     """
     rng, positions = np.random.default_rng((seed, 2)), scene.problem.positions
-    error = {"quadratic": _quadratic, "links": _links}[kind](rng, positions - positions.mean(axis=0))
     away = positions - positions.mean(axis=0)
+    if kind == "quadratic":
+        error = np.einsum("nij,ijk->nk", away[:, :, None] * away[:, None, :], rng.normal(size=(3, 3, 3)))
+    else:
+        error = {"links": _links, "gears": _gears}[kind](rng, away, *_joints(away, scene.problem.wrist_rotations))
     turned = np.stack([np.cross(axis, away).ravel() for axis in np.eye(3)], axis=1)
     rigid = np.column_stack((turned, np.tile(np.eye(3), (len(away), 1))))
     error = error - (rigid @ np.linalg.lstsq(rigid, error.ravel(), rcond=None)[0]).reshape(-1, 3)
@@ -221,27 +224,49 @@ def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> Syntheti
     return replace(scene, problem=replace(scene.problem, positions=positions + error, position_covariances=noise))
 
 
-def _quadratic(rng: np.random.Generator, away: Array) -> Array:
-    pairs = away[:, :, None] * away[:, None, :]
-    return np.asarray(np.einsum("nij,ijk->nk", pairs, rng.normal(size=(3, 3, 3))))
+def _links(rng: np.random.Generator, away: Array, angles: Array, frames: Array, origins: Array) -> Array:
+    """Displace each link by a small turn and shift, the zero of a joint more than the direction of its axis."""
+    error = np.zeros_like(away)
+    for j in range(angles.shape[1]):
+        turn, shift = rng.normal(size=3) * (3e-4, 3e-4, 1e-3), 2e-4 * rng.normal(size=3)
+        error += frames[:, j] @ shift + np.cross(frames[:, j] @ turn, away - origins[:, j])
+    return error
 
 
-def _links(rng: np.random.Generator, away: Array) -> Array:
-    """Move an arm of two links of 1.1 m, base behind the workspace, by a small change of its parameters."""
+def _gears(rng: np.random.Generator, away: Array, angles: Array, frames: Array, origins: Array) -> Array:
+    error = np.zeros_like(away)
+    for j in range(angles.shape[1]):
+        periods, phase = rng.integers(1, 3), rng.uniform(0.0, 2.0 * np.pi)
+        off = rng.normal() * np.sin(periods * angles[:, j] + phase)
+        error += np.cross(off[:, None] * frames[:, j, :, 2], away - origins[:, j])
+    return error
+
+
+def _joints(away: Array, wrists: Array) -> tuple[Array, Array, Array]:
+    """Angles, frames and origins of six joints, z along the axis, shapes (n, 6), (n, 6, 3, 3), (n, 6, 3).
+
+    The arm has two links of 1.1 m, its base behind the workspace, and a wrist of three axes that meet 0.1 m behind the
+    LED.
+    """
     base, links = np.array([0.0, -1.0, -0.5]), np.array([1.1, 1.1])
-    place = away - base
+    middle = away - 0.1 * wrists[:, :, 2]
+    place = middle - base
     radius, height = np.hypot(place[:, 0], place[:, 1]), place[:, 2]
-    elbow = -np.arccos(np.clip((radius**2 + height**2 - (links**2).sum()) / (2.0 * links.prod()), -1.0, 1.0))
-    shoulder = np.arctan2(height, radius) - np.arctan2(links[1] * np.sin(elbow), links[0] + links[1] * np.cos(elbow))
+    reach = np.clip((radius**2 + height**2 - (links**2).sum()) / (2.0 * links.prod()), -1.0, 1.0)
+    elbow = np.arccos(reach)
+    shoulder = -np.arctan2(height, radius) - np.arctan2(links[1] * np.sin(elbow), links[0] + links[1] * np.cos(elbow))
     waist = np.arctan2(place[:, 1], place[:, 0])
-
-    def reached(change: Array) -> Array:
-        one, both, turn = shoulder + change[0], shoulder + elbow + change[0] + change[1], waist + change[2]
-        out = (links[0] + change[3]) * np.cos(one) + (links[1] + change[4]) * np.cos(both)
-        up = (links[0] + change[3]) * np.sin(one) + (links[1] + change[4]) * np.sin(both)
-        side = change[5] + change[6] * up
-        return np.stack(
-            (np.cos(turn) * out - np.sin(turn) * side, np.sin(turn) * out + np.cos(turn) * side, up), axis=1
-        )
-
-    return reached(1e-4 * rng.normal(size=7)) - reached(np.zeros(7))
+    first = rotation_exp(np.outer(waist, (0.0, 0.0, 1.0)))
+    upper = first @ rotation_exp(np.outer(shoulder, (0.0, 1.0, 0.0)))
+    fore = upper @ rotation_exp(np.outer(elbow, (0.0, 1.0, 0.0)))
+    hand = np.swapaxes(fore, 1, 2) @ wrists
+    pan, tilt = np.arctan2(hand[:, 1, 2], hand[:, 0, 2]), np.arccos(np.clip(hand[:, 2, 2], -1.0, 1.0))
+    panned = fore @ rotation_exp(np.outer(pan, (0.0, 0.0, 1.0)))
+    tilted = panned @ rotation_exp(np.outer(tilt, (0.0, 1.0, 0.0)))
+    rolled = np.swapaxes(tilted, 1, 2) @ wrists
+    roll = np.arctan2(rolled[:, 1, 0], rolled[:, 0, 0])
+    along = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]).T  # z where the axis y of a link is
+    frames = np.stack((first, upper @ along, fore @ along, panned, tilted @ along, wrists), axis=1)
+    start = np.tile(base, (len(away), 1))
+    origins = np.stack((start, start, start + links[0] * upper[:, :, 0], middle, middle, middle), axis=1)
+    return np.stack((waist, shoulder, elbow, pan, tilt, roll), axis=1), frames, origins

@@ -51,6 +51,14 @@ def test_what_no_robot_is_like_is_told():
     assert "no arm repeats a place so badly" in found.message
 
 
+def test_a_robot_whose_turns_are_rough_repeats_its_place_well():
+    views = make_views("eye-in-hand", 3, target=SMALL, sd_m=1e-3, sd_rad=8e-3).views
+    found = calibrate(problem_of_views(views, ("image", "robot")))
+    assert found.success, found.message
+    factor = found.noise.factors.robot
+    assert factor.low < 1e-3 / found.noise.robot_m < factor.high
+
+
 @pytest.mark.parametrize("job", ["two cameras", "eye-in-hand"])
 def test_jacobian_of_placements_by_finite_differences(job):
     problem = problem_of_views(make_views(job, 1, target=SMALL, count=5).views, ())

@@ -23,7 +23,7 @@ class Noise:
         scale: Factors by which the stated standard deviations of image and robot were multiplied for the estimate.
         estimated: Whose noise was estimated, of :data:`im_calibration.problem.problem.NOISE_SOURCES`.
         image_px: Root mean square of the stated standard deviations of the coordinates of the used spots [px].
-        robot_m: The same of the coordinates of the positions [m].
+        robot_m: The same of the coordinates of the positions, of a target's that of the link's place alone [m].
     """
 
     factors: NoiseFactors
@@ -79,7 +79,11 @@ def noise_of(problem: CalibrationProblem, used: Mask, factors: NoiseFactors, sca
         scale: Factors by which it was multiplied for the estimate.
     """
     spots = np.trace(problem.spot_covariances[used], axis1=1, axis2=2) / 2.0
-    positions = np.trace(problem.position_covariances[used.any(axis=0)], axis1=1, axis2=2) / 3.0
+    counts, roots = used.any(axis=0), None if problem.placements is None else problem.placements.roots
+    if roots is None:
+        positions = np.trace(problem.position_covariances[counts], axis1=1, axis2=2) / 3.0
+    else:  # what the link's turn does to a point grows with its distance: no arm is judged by that
+        positions = (roots[counts, :, 3:] ** 2).sum(axis=(1, 2)) / 3.0
     image_px, robot_m = (float(np.sqrt(variances.mean())) for variances in (spots, positions))
     return Noise(factors, scale, problem.noise_to_estimate, image_px, robot_m)
 
