@@ -47,8 +47,7 @@ def test_the_command_line_teaches_and_refuses_what_it_does_not_know():
     assert (done.returncode, done.stderr) == (
         2,
         "im: there is no subcommand recovr; there are: action calibrate cell doctor dom lifecycle load node param pnt "
-        "recover run security service strategies tasks topic unload view vss
-",
+        "recover run security service strategies tasks topic unload view vss\n",
     )
 
 
