@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from im_core.errors import ImError, StateError
+from im_mcs.collision.surroundings import Surroundings
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel, ControlledModel, Payload
 from im_mcs.planning.goals import Goal
@@ -30,6 +31,7 @@ from im_mcs.protocol.requests import (
     SetPayloadRequest,
     SetSpeedRequest,
     StreamRequest,
+    SurroundRequest,
     TakeOverRequest,
     TransitionRequest,
     parse_request,
@@ -63,6 +65,10 @@ class Machine(Protocol):
 
     def repartition(self, preset: str) -> None:
         """Divide the joints into the groups of another preset."""
+        ...
+
+    def surround(self, around: Surroundings) -> None:
+        """Watch other free bodies and contacts."""
         ...
 
     def protective_stop(self, fault: ImError, *, latched: bool) -> None:
@@ -183,6 +189,8 @@ class Dispatch:
                 self._owned(request.group, request.sender).switch(request.controller)
             case SetPayloadRequest():
                 self._set_payload(request)
+            case SurroundRequest():
+                mcs.surround(Surroundings(tuple(request.things), tuple(request.contacts)))
             case ProtectiveStopRequest():
                 reason = request.reason
                 stop = ImError(f"protective stop: {reason}", code="protective_stop", reason=reason)
