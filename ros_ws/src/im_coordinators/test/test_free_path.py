@@ -87,8 +87,8 @@ def test_a_thing_in_the_way_is_gone_around_and_one_at_the_goal_is_told():
     assert not space.line_free(q[index], goal)
     path = find_path(space, q[index], goal, 0)
     assert len(path.points) > 1
+    there = Thing.checked("block", "box", size, "world", [*_wrist_at(goal), *UPRIGHT])
     with pytest.raises(ImError, match="the goal of the path is too close"):
-        there = Thing.checked("block", "box", size, "world", [*_wrist_at(goal), *UPRIGHT])
         find_path(space_of(q, index, there), q[index], goal, 0)
 
 

@@ -49,9 +49,7 @@ class Thing(Model):
         return pose
 
     @classmethod
-    def checked(
-        cls, name: str, kind: str, size: Sequence[float], frame: str, pose: Sequence[float]
-    ) -> "Thing":
+    def checked(cls, name: str, kind: str, size: Sequence[float], frame: str, pose: Sequence[float]) -> "Thing":
         """Return a thing from the data of a request.
 
         Raises:
@@ -140,7 +138,7 @@ class Surroundings:
         return type(self)(self.things, contacts)
 
     def at(self, stamp_ns: int) -> Self:
-        """Return these with the contacts whose lease has not ended at a testbed time [ns]; themselves if all have not."""
+        """Return these with the contacts whose lease has not ended at a testbed time [ns]."""
         contacts = tuple(contact for contact in self.contacts if contact.until_ns > stamp_ns)
         return self if len(contacts) == len(self.contacts) else type(self)(self.things, contacts)
 
