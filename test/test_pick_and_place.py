@@ -1,20 +1,26 @@
-"""A block is picked up and set down by commands of the whole machine; truth is asked afterwards."""
+"""Objects are picked up, handed over and set down by commands of the whole machine; truth is asked afterwards."""
 
 import json
+import math
 
+import numpy as np
 import pytest
+from geometry_msgs.msg import Point, Pose, Quaternion
 
 from im_core.config import package_file
-from support.whole_machine import running_machine
+from support.whole_machine import running_machine, write_few_poses
 
 pytestmark = pytest.mark.end_to_end
 
 
 @pytest.fixture(scope="module")
-def machine():
+def machine(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("poses")
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IM_FOLDERS", str(folder))
         patch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/objects.yaml")))
         with running_machine() as machine:
+            machine.few_poses = write_few_poses(folder)
             yield machine
 
 
@@ -45,3 +51,56 @@ def test_where_nothing_is_and_where_no_arm_reaches_it_is_told(machine):
     far = machine.execute("pick", position=[0.0, 5.0, 1.0])()
     assert not far.success
     assert "cannot be at (0, 5, 1.12) m in world" in far.status.message
+
+
+def stand(machine, name, x, y, z, turn=0.0):
+    """Puts a free body somewhere, upright."""
+    from im_msgs.srv import PlaceObject
+
+    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(z=math.sin(turn / 2), w=math.cos(turn / 2)))
+    answer = machine.call(PlaceObject, "/testbed/place_object", name=name, pose=pose)
+    assert answer.success, answer.message
+
+
+def set_thing(machine, **fields):
+    from im_msgs.srv import SetThing
+
+    return machine.call(SetThing, "/mcs/set_thing", **fields)
+
+
+def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
+    for command, arguments, why in (
+        ("find", {"name": "cup"}, "there is no object 'cup'"),
+        ("find", {"name": "can", "on": "shelf"}, "there is no obstacle 'shelf'"),
+        ("find", {"name": "can", "region": [0.5, 1.2, -0.5, 0.8]}, "smaller corner"),
+        ("handover", {"name": "can"}, "not calibrated: ceiling_left, ceiling_right"),
+        ("hand_over", {"giver": "left", "receiver": "left"}, "a hand over needs both arms"),
+        ("hand_over", {"position": [0.0, 5.0, 1.0]}, "cannot be at"),
+        ("pick", {"position": [-0.45, 0.9, 0.9], "name": "cup"}, "there is no object or link 'cup'"),
+    ):
+        ended = machine.execute(command, **arguments)()
+        assert not ended.success
+        assert why in ended.status.message
+    for fields, why in (
+        ({"name": "cup", "frame": "world"}, "there is no object 'cup'"),
+        ({"name": "can", "frame": "left_elbow"}, "there is no frame 'left_elbow'"),
+        ({"name": "left_link6", "frame": "world"}, "is a part of the cell"),
+        ({"name": "can", "frame": "world", "pose": Pose(position=Point(x=1e3))}, "beyond 100 m"),
+        ({"name": "can", "frame": "", "keep": True}, "there is no object 'can'"),
+    ):
+        answer = set_thing(machine, **fields)
+        assert not answer.success
+        assert why in answer.message
+
+
+def test_a_bottle_is_found_and_handed_from_one_arm_to_the_other(machine):
+    calibrated = machine.calibrate(machine.few_poses, ["ceiling_left", "ceiling_right"])
+    assert calibrated.success, calibrated.status.message
+    random = np.random.default_rng(1)
+    x, y = random.uniform([-0.4, 1.0], [0.25, 1.1])
+    stand(machine, "bottle", x, y, 0.86, random.uniform(-3.0, 3.0))
+    ended = machine.execute("handover", to=[0.5, 1.0])()
+    assert ended.success, ended.status.message
+    *place, qx, qy, _, _ = truth(machine)["bottle"]
+    assert place == pytest.approx([0.5, 1.0, 0.86], abs=3e-3)
+    assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"

@@ -16,7 +16,7 @@ BOTTLE = FreeBody(
 
 
 def face(x, y, height, random, radius=0.025):
-    """Points of lines 15 mm apart on a round face, as far apart along each line as pixels of a camera under a ceiling."""
+    """Points of lines 15 mm apart on a round face, along each line as far apart as pixels of a camera are."""
     lines, steps = np.meshgrid(np.arange(-0.1, 0.1, 0.015) + random.uniform(0, 0.015), np.arange(-0.1, 0.1, 0.0057))
     across = np.column_stack((lines.ravel(), steps.ravel()))
     across = across[np.linalg.norm(across, axis=1) < radius]
