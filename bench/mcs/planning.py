@@ -12,7 +12,7 @@ from im_coordinators.free_path import FreeSpace, find_path
 from im_core import clock
 from im_core.config import load_model, package_file
 from im_core.errors import ImError
-from im_mcs.collision import Bodies, Surroundings, Thing
+from im_mcs.collision import Bodies, CollisionScene, Thing
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -33,7 +33,7 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
     cell = load_cell()
     model, limits = CellModel(cell), JointLimits(cell, config.limits, config.slots)
     objects = load_model(package_file("im_cell", "cells/puma_pair/objects.yaml"), ObjectsFile).objects
-    around = Surroundings(
+    around = CollisionScene(
         tuple(Thing.checked(body.name, body.kind, body.size, "world", body.start.tolist()) for body in objects)
     )
     bodies = Bodies(model, around)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.collision import NOTHING, Bodies, Surroundings, lever_bounds
+from im_mcs.collision import NOTHING, Bodies, CollisionScene, lever_bounds
 from im_mcs.model import CellModel
 
 Array = NDArray[np.float64]
@@ -52,7 +52,7 @@ class FreeSpace:
         clearance_m: float,
         q_all: Array,
         index: NDArray[np.intp],
-        around: Surroundings = NOTHING,
+        around: CollisionScene = NOTHING,
     ) -> None:
         self._bodies = Bodies(model, around)
         levers = lever_bounds(model, self._bodies)[:, index]

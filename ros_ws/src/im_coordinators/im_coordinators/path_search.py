@@ -16,7 +16,7 @@ from im_coordinators.free_path import FreeSpace, find_path
 from im_core import names
 from im_core.errors import ImError
 from im_core.processes.process import ChildProcess
-from im_mcs.collision import Contact, Surroundings, Thing
+from im_mcs.collision import AllowedContact, CollisionScene, Thing
 from im_mcs.model import CellModel
 
 #: How long a search may take before it is ended [s]: far longer than its most checks take.
@@ -62,9 +62,9 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
     model = CellModel(cell)
     index = np.array([model.index(joint) for joint in question["joints"]], dtype=np.intp)
     q_all = np.array([question["positions"].get(name, home) for name, home in zip(model.names, cell.home, strict=True)])
-    around = Surroundings(
+    around = CollisionScene(
         tuple(Thing.checked(**each) for each in question["things"]),
-        tuple(Contact(first=first, second=second, until_ns=0) for first, second in question["contacts"]),
+        tuple(AllowedContact(first=first, second=second, until_ns=0) for first, second in question["contacts"]),
     )
     lower, upper = np.array(question["lower"]), np.array(question["upper"])
     space = FreeSpace(model, lower, upper, question["clearance"], q_all, index, around)

@@ -10,7 +10,7 @@ from im_cell.robot import load_cell, shipped_cells
 from im_coordinators.free_path import FreeSpace, find_path
 from im_coordinators.path_search import search
 from im_core.errors import ImError
-from im_mcs.collision import CollisionChecker, Contact, Surroundings, Thing
+from im_mcs.collision import AllowedContact, CollisionChecker, CollisionScene, Thing
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -23,7 +23,7 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 def space_of(q, index, *things, contacts=()):
-    around = Surroundings(things, tuple(Contact(first=a, second=b, until_ns=0) for a, b in contacts))
+    around = CollisionScene(things, tuple(AllowedContact(first=a, second=b, until_ns=0) for a, b in contacts))
     return FreeSpace(MODEL, LIMITS.lower[index], LIMITS.upper[index], CLEARANCE, q, index, around)
 
 

@@ -14,7 +14,6 @@ from im_core.errors import DataError
 from im_sim.bodies import FIXED, HULLS, LINKS, FreeBodies
 from im_sim.urdf_loader import load_urdf
 
-_PAD_M = 0.01  # soft pads: what they hold turns against a torque of its friction at this lever
 _CENTRING_N = 1e4  # the jaws travel together: what keeps them in the middle gives way to nothing
 
 
@@ -173,7 +172,7 @@ class World:
                 pybullet.setCollisionFilterGroupMask(self.body, link, LINKS, FIXED, **self._options)
                 pybullet.changeDynamics(
                     self.body, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, lateralFriction=1.0,
-                    spinningFriction=_PAD_M, restitution=0.0, **self._options,
+                    restitution=0.0, **self._options,
                 )  # fmt: skip
             pybullet.resetJointState(self.body, jaws.first, gripper.initial / 2.0, 0.0, **self._options)
             pybullet.resetJointState(self.body, jaws.second, gripper.initial, 0.0, **self._options)

@@ -1,16 +1,14 @@
 """Node ``/vision_coordinator``."""
 
 import sys
-from typing import Any
 
 import numpy as np
 from std_msgs.msg import Bool, String
 
 from im_calibration.light import MeasuredRest
 from im_cell.lights import lights_told
-from im_cell.robot import FreeBody, load_cell
+from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
-from im_coordinators.object_search import body_named, height_of, middle_of, sweep_over
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
@@ -19,7 +17,7 @@ from im_core.errors import StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.text.bounded_json import read_data
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
-from im_msgs.srv import Calibrate, LineScan, SetLight, SpotFind
+from im_msgs.srv import Calibrate, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
 
@@ -54,8 +52,6 @@ def vision_functions(host: Host) -> Functions:
         vision.longer_exposure,
         vision.store_spots,
         vision.keep_observation,
-        vision.object_sweep,
-        vision.locate_object,
         vision.calibration_problem,
         vision.store_calibration,
     )
@@ -101,25 +97,6 @@ class VisionFunctions:
         await self._lit.forget(ctx, _light(ctx))
         if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
             await self._host.dom.invalidate(found)
-
-    def object_sweep(self, ctx: ActionContext) -> dict[str, object]:
-        """Return cameras and sweep of the laser for the object of the request, if the cell has it."""
-        asked = ctx.request_arguments
-        body, ground = self._standing(ctx)
-        sweep = sweep_over(self._cell, _region(ctx), ground + body.size[2])
-        return {"cameras": asked["cameras"], **sweep}
-
-    def locate_object(self, ctx: ActionContext, answer: LineScan.Response) -> None:
-        """Find the object of the request among the points of a sweep."""
-        body, ground = self._standing(ctx)
-        cloud = answer.cloud
-        columns = np.frombuffer(bytes(cloud.data), dtype="<f4").reshape(-1, len(cloud.fields))
-        middle = middle_of(columns[:, :3].astype(float), body, ground, _region(ctx))
-        ctx.result.update(zip("xyz", middle.tolist(), strict=True))
-
-    def _standing(self, ctx: ActionContext) -> tuple[FreeBody, float]:
-        asked = ctx.request_arguments
-        return body_named(self._cell, str(asked["name"])), height_of(self._cell, str(asked["on"]))
 
     async def _lights(self) -> String:
         """Return the last light states from the testbed; a coordinator just started waits for the first message."""
@@ -224,11 +201,6 @@ def _rest(position: GroupState) -> MeasuredRest:
         rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w]),
         since_ns=position.rest_since.sec * 10**9 + position.rest_since.nanosec,
     )
-
-
-def _region(ctx: ActionContext) -> list[float]:
-    region: Any = ctx.request_arguments["region"]
-    return [float(number) for number in region]
 
 
 def main() -> None:

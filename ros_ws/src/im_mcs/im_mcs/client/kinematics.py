@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from im_cell.robot import Group
 from im_core.errors import ConfigError, DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
-from im_mcs.collision import NOTHING, CollisionChecker, Surroundings
+from im_mcs.collision import NOTHING, CollisionChecker, CollisionScene
 from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -58,7 +58,7 @@ class Kinematics:
         self._paths_lock = threading.Lock()
         self.surround(NOTHING)
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Keep away from other free bodies, and let other pairs touch, from the next question on."""
         clearance_m = self._config.collision.clearance_m
         of_poses, of_paths = (CollisionChecker(self._model, clearance_m, around) for _ in range(2))

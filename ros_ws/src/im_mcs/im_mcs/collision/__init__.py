@@ -3,17 +3,17 @@
 from im_mcs.collision.bodies import Bodies, Closest
 from im_mcs.collision.checker import CollisionChecker
 from im_mcs.collision.monitor import CollisionMonitor, Proximity, lever_bounds
-from im_mcs.collision.surroundings import NOTHING, Contact, Surroundings, Thing
+from im_mcs.collision.surroundings import NOTHING, AllowedContact, CollisionScene, Thing
 
 __all__ = [
     "NOTHING",
+    "AllowedContact",
     "Bodies",
     "Closest",
     "CollisionChecker",
     "CollisionMonitor",
-    "Contact",
+    "CollisionScene",
     "Proximity",
-    "Surroundings",
     "Thing",
     "lever_bounds",
 ]

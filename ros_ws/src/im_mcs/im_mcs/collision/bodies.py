@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_mcs.collision.surroundings import NOTHING, Surroundings, Thing
+from im_mcs.collision.surroundings import NOTHING, CollisionScene, Thing
 from im_mcs.model import CellModel
 
 _NEVER_TOUCHING = 2
@@ -44,7 +44,7 @@ class Bodies:
         around: What is there beside the cell's own shapes, and which pairs are not compared: they may touch.
     """
 
-    def __init__(self, model: CellModel, around: Surroundings = NOTHING) -> None:
+    def __init__(self, model: CellModel, around: CollisionScene = NOTHING) -> None:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []

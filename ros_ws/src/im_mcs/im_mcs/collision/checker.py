@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.collision.bodies import Bodies, Closest
-from im_mcs.collision.surroundings import NOTHING, Surroundings
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.model import CellModel
 
 _STEP_RAD = 0.03
@@ -50,7 +50,7 @@ class CollisionChecker:
         around: Free bodies, and pairs that may touch.
     """
 
-    def __init__(self, model: CellModel, clearance_m: float, around: Surroundings = NOTHING) -> None:
+    def __init__(self, model: CellModel, clearance_m: float, around: CollisionScene = NOTHING) -> None:
         self._bodies = Bodies(model, around)
         self._clearance = clearance_m
         self._step = np.array([_STEP_M if joint.kind == "prismatic" else _STEP_RAD for joint in model.cell.joints])

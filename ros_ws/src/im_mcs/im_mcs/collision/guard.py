@@ -10,7 +10,7 @@ from im_core import plugins
 from im_core.errors import ImError
 from im_mcs.collision.braking_distance import Ahead
 from im_mcs.collision.monitor import CollisionMonitor, Proximity
-from im_mcs.collision.surroundings import Surroundings
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.model import CellModel
@@ -48,7 +48,7 @@ class GuardedMonitor:
         made = plugins.make(self._name, "collision monitor", model, limits, settings, groups, period_s)
         self._monitor: CollisionMonitor = made  # type: ignore[assignment]  # calls are guarded
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and pairs from the next tick on.
 
         Raises:

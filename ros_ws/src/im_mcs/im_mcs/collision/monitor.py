@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError
 from im_mcs.collision.bodies import Bodies, ancestors
 from im_mcs.collision.braking_distance import STRAIGHT, Ahead, BrakingDistance
-from im_mcs.collision.surroundings import NOTHING, Surroundings
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.model import CellModel
@@ -131,7 +131,7 @@ class CollisionMonitor:
         self._ceiling = 1.0
         self.surround(NOTHING)
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and pairs from the next tick on."""
         self._bodies = Bodies(self._model, around)
         self._levers = lever_bounds(self._model, self._bodies)

@@ -1,4 +1,4 @@
-"""Free bodies that the collision watch keeps away from, and contacts that are allowed for a time."""
+"""Free bodies for the collision watch to keep away from, and contacts allowed for a time."""
 
 import math
 from collections.abc import Sequence
@@ -64,8 +64,8 @@ class Thing(Model):
             raise DataError(told, argument=fault.field, value=str(fault.value)) from None
 
 
-class Contact(Model):
-    """Two that may touch until a testbed time [ns]."""
+class AllowedContact(Model):
+    """Pair with leave to touch, until a testbed time [ns]."""
 
     first: Text
     second: Text
@@ -81,7 +81,7 @@ Pairs = frozenset[frozenset[str]]
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class CollisionScene:
     """Free bodies by place, and allowed contacts; every change makes new ones.
 
     Attributes:
@@ -90,7 +90,7 @@ class Surroundings:
     """
 
     things: tuple[Thing, ...] = ()
-    contacts: tuple[Contact, ...] = ()
+    contacts: tuple[AllowedContact, ...] = ()
 
     def thing(self, name: str) -> Thing:
         """Return a free body.
@@ -124,7 +124,7 @@ class Surroundings:
         contacts = tuple(contact for contact in self.contacts if name not in contact.pair)
         return type(self)(tuple(thing for thing in self.things if thing is not gone), contacts)
 
-    def with_contact(self, contact: Contact) -> Self:
+    def with_contact(self, contact: AllowedContact) -> Self:
         """Return these with a contact, in place of one of the same pair.
 
         Raises:
@@ -138,7 +138,7 @@ class Surroundings:
         return type(self)(self.things, contacts)
 
     def at(self, stamp_ns: int) -> Self:
-        """Return these with the contacts whose lease has not ended at a testbed time [ns]."""
+        """Return these without contacts of an ended lease, at a testbed time [ns]."""
         contacts = tuple(contact for contact in self.contacts if contact.until_ns > stamp_ns)
         return self if len(contacts) == len(self.contacts) else type(self)(self.things, contacts)
 
@@ -148,5 +148,5 @@ class Surroundings:
         return frozenset(contact.pair for contact in self.contacts)
 
 
-NOTHING = Surroundings()
+NOTHING = CollisionScene()
 """A cell without free bodies, and without contacts."""

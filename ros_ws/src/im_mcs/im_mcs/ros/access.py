@@ -22,7 +22,7 @@ from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
-from im_mcs.collision import NOTHING, Surroundings
+from im_mcs.collision import NOTHING, CollisionScene
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.evidence import KEPT
@@ -305,14 +305,14 @@ class McsAccess:
         self.kinematics = kinematics
         self._changed()
 
-    def around(self, stamp_ns: int) -> Surroundings:
+    def around(self, stamp_ns: int) -> CollisionScene:
         """Return the free bodies and the contacts allowed at a testbed time [ns]; paths are checked for these."""
         if (around := self._around.at(stamp_ns)) is not self._around:
             self._around = around
             self.kinematics.surround(around)
         return self._around
 
-    async def surround(self, around: Surroundings) -> None:
+    async def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and contacts, in the servo and in the checks of paths.
 
         Raises:
@@ -327,7 +327,7 @@ class McsAccess:
             raise
         self.kinematics.surround(self._around)
 
-    async def _tell_servo(self, around: Surroundings) -> None:
+    async def _tell_servo(self, around: CollisionScene) -> None:
         arguments = {
             "things": [thing.model_dump() for thing in around.things],
             "contacts": [contact.model_dump() for contact in around.contacts],

@@ -15,7 +15,7 @@ from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.status import ok_status, to_status
 from im_mcs.client.groups import best_positions, group_state
 from im_mcs.client.points import ordered_points
-from im_mcs.collision import Contact, Thing
+from im_mcs.collision import AllowedContact, Thing
 from im_mcs.collision.surroundings import LONGEST_CONTACT_S
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
@@ -231,7 +231,7 @@ class MotionServices:
 
 
 class SurroundingsServices:
-    """``/mcs/set_thing`` and ``allow_contact``: what the collision watch keeps away from beside the cell's own shapes.
+    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, and contacts allowed for a time.
 
     Args:
         access: MCS.
@@ -285,7 +285,7 @@ class SurroundingsServices:
         for name in (first, second):
             if name not in known:
                 raise NotFoundError(kind="object or link", name=name, known=known)
-        contact = Contact(first=first, second=second, until_ns=stamp_ns + round(lease_s * 1e9))
+        contact = AllowedContact(first=first, second=second, until_ns=stamp_ns + round(lease_s * 1e9))
         await mcs.surround(around.with_contact(contact).at(stamp_ns))
         return f"'{first}' and '{second}' may touch for {lease_s:g} s"
 

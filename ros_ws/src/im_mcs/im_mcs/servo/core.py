@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LinkError
-from im_mcs.collision.surroundings import Surroundings
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.control.feedback import VelocityEstimator
 from im_mcs.limits.configuration import McsConfig
@@ -195,7 +195,7 @@ class Mcs:
                     self.answers.accuse(fault)
                 group.protective_stop(fault, latched=latched)
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and contacts from the present tick on.
 
         Raises:

@@ -7,12 +7,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from im_core.errors import ImError, StateError
-from im_mcs.collision.surroundings import Surroundings
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel, ControlledModel, Payload
 from im_mcs.planning.goals import Goal
 from im_mcs.protocol.requests import (
     CancelRequest,
+    CollisionSceneRequest,
     EstopRequest,
     MoveRequest,
     PauseRequest,
@@ -31,7 +32,6 @@ from im_mcs.protocol.requests import (
     SetPayloadRequest,
     SetSpeedRequest,
     StreamRequest,
-    SurroundRequest,
     TakeOverRequest,
     TransitionRequest,
     parse_request,
@@ -67,7 +67,7 @@ class Machine(Protocol):
         """Divide the joints into the groups of another preset."""
         ...
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and contacts."""
         ...
 
@@ -189,8 +189,8 @@ class Dispatch:
                 self._owned(request.group, request.sender).switch(request.controller)
             case SetPayloadRequest():
                 self._set_payload(request)
-            case SurroundRequest():
-                mcs.surround(Surroundings(tuple(request.things), tuple(request.contacts)))
+            case CollisionSceneRequest():
+                mcs.surround(CollisionScene(tuple(request.things), tuple(request.contacts)))
             case ProtectiveStopRequest():
                 reason = request.reason
                 stop = ImError(f"protective stop: {reason}", code="protective_stop", reason=reason)

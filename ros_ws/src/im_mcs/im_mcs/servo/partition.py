@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from im_core import plugins
 from im_mcs.collision.guard import GuardedMonitor
-from im_mcs.collision.surroundings import NOTHING, Surroundings
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -70,7 +70,7 @@ class Partitions:
                 monitor.surround(self._around)
         return groups, self._monitors[preset]
 
-    def surround(self, around: Surroundings) -> None:
+    def surround(self, around: CollisionScene) -> None:
         """Watch other free bodies and contacts.
 
         Raises:
@@ -81,7 +81,7 @@ class Partitions:
         self._around = around
 
     def end_contacts(self, stamp_ns: int) -> None:
-        """Watch the pairs again whose lease has ended at a testbed time [ns]."""
+        """Watch pairs again after the end of their lease, at a testbed time [ns]."""
         if (around := self._around.at(stamp_ns)) is not self._around:
             self.surround(around)
 
