@@ -1,6 +1,7 @@
 """A path around an obstacle, as the Path Planning Coordinator gets it from its search, and as MCS checks it."""
 
 import asyncio
+import json
 
 import numpy as np
 import pinocchio as pin
@@ -8,14 +9,13 @@ import pytest
 
 from im_cell.robot import load_cell
 from im_coordinators.ros.path_planning import planning_functions
-from im_core.config import package_file
 from im_core.errors import ImError
 from im_core.ros.messages.status import to_status
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.limits.configuration import load_config
 from im_mcs.model import CellModel
 from im_msgs.msg import GroupState
-from im_msgs.srv import CheckPath, GetGroupState
+from im_msgs.srv import CheckPath, GetGroupState, GetSurroundings
 
 CONFIG = load_config()
 #: The left arm at home, and where its wrist would go through the block on the straight way.
@@ -33,7 +33,7 @@ class Mcs:
     """Services of /mcs that planning asks, over its own kinematics; other things are done at once."""
 
     def __init__(self, cell):
-        self.dom = Store()
+        self.dom, self.things = Store(), []
         self._cell, model = cell, CellModel(cell)
         self._kinematics = Kinematics(CONFIG, model)
 
@@ -43,6 +43,12 @@ class Mcs:
         if service_type is GetGroupState:
             home = list(self._cell.groups[request.group].home)
             answer.state = GroupState(group=request.group, joints=joints, q=home, q_rest=home)
+            return answer
+        if service_type is GetSurroundings:
+            answer.clearance = CONFIG.collision.clearance_m
+            lower, upper = self._kinematics.limits_of(request.group)
+            answer.lower, answer.upper = lower.tolist(), upper.tolist()
+            answer.things_json = json.dumps(self.things)
             return answer
         assert service_type is CheckPath
         points = [list(point.positions) for point in request.path.points]
@@ -70,7 +76,6 @@ class Request:
 
 @pytest.fixture
 def planning(monkeypatch, tmp_path):
-    monkeypatch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/objects.yaml")))
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     cell = load_cell()
     host = Mcs(cell)
@@ -86,8 +91,8 @@ def goal_of(cell):
 def test_what_is_searched_passes_the_check_of_mcs_and_keeps_away_from_things(planning):
     cell, host, actions = planning
     goal = goal_of(cell)
-    for things, points in (({}, 1), ({"block": [*_halfway(cell, goal), 0.0, 0.0, 0.0, 1.0]}, 2)):
-        request = Request(group="left", joints=goal, things=things)
+    for host.things, points in (([], 1), ([block_at(_halfway(cell, goal))], 2)):
+        request = Request(group="left", joints=goal)
         asyncio.run(actions["find_configuration"](request))
         asyncio.run(actions["plan_around"](request))
         path = host.dom["1/path"]
@@ -96,19 +101,21 @@ def test_what_is_searched_passes_the_check_of_mcs_and_keeps_away_from_things(pla
         assert len(path.points) >= points
 
 
-def test_no_path_and_unknown_things_are_sentences(planning):
-    cell, _, actions = planning
+def test_no_path_is_a_sentence(planning):
+    cell, host, actions = planning
     goal = goal_of(cell)
-    block = [*_halfway(cell, [*goal[:3], goal[3] + TURNED, *goal[4:]]), 0.0, 0.0, 0.0, 1.0]
-    for things, why, code in (
-        ({"block": block}, "the goal of the path is too close to something", "collision"),
-        ({"cup": block}, "there is no object 'cup'", "not_found"),
-    ):
-        request = Request(group="left", joints=goal, things=things)
-        asyncio.run(actions["find_configuration"](request))
-        with pytest.raises(ImError, match=why) as raised:
-            asyncio.run(actions["plan_around"](request))
-        assert raised.value.code == code
+    host.things = [block_at(_halfway(cell, [*goal[:3], goal[3] + TURNED, *goal[4:]]))]
+    request = Request(group="left", joints=goal)
+    asyncio.run(actions["find_configuration"](request))
+    with pytest.raises(ImError, match="the goal of the path is too close to something") as raised:
+        asyncio.run(actions["plan_around"](request))
+    assert raised.value.code == "collision"
+
+
+def block_at(place):
+    """A free body, as MCS tells it."""
+    pose = [*place, 0.0, 0.0, 0.0, 1.0]
+    return {"name": "block", "kind": "box", "size": [0.05, 0.05, 0.16], "frame": "world", "pose": pose}
 
 
 def _halfway(cell, goal):

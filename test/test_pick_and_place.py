@@ -1,8 +1,9 @@
-"""A block is picked up and set down by commands of the whole machine; truth is asked afterwards."""
+"""Objects are picked up, handed over and set down by commands of the whole machine; truth is asked afterwards."""
 
 import json
 
 import pytest
+from geometry_msgs.msg import Point, Pose
 
 from im_core.config import package_file
 from support.whole_machine import running_machine
@@ -45,3 +46,44 @@ def test_where_nothing_is_and_where_no_arm_reaches_it_is_told(machine):
     far = machine.execute("pick", position=[0.0, 5.0, 1.0])()
     assert not far.success
     assert "cannot be at (0, 5, 1.12) m in world" in far.status.message
+
+
+def set_thing(machine, **fields):
+    from im_msgs.srv import SetThing
+
+    return machine.call(SetThing, "/mcs/set_thing", **fields)
+
+
+def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
+    for command, arguments, why in (
+        ("hand_over", {"giver": "left", "receiver": "left"}, "a hand over needs both arms"),
+        ("hand_over", {"position": [0.0, 5.0, 1.0]}, "cannot be at"),
+        ("pick", {"position": [-0.45, 0.9, 0.9], "name": "cup"}, "there is no object or link 'cup'"),
+    ):
+        ended = machine.execute(command, **arguments)()
+        assert not ended.success
+        assert why in ended.status.message
+    for fields, why in (
+        ({"name": "cup", "frame": "world"}, "there is no object 'cup'"),
+        ({"name": "can", "frame": "left_elbow"}, "there is no frame 'left_elbow'"),
+        ({"name": "left_link6", "frame": "world"}, "is a part of the cell"),
+        ({"name": "can", "frame": "world", "pose": Pose(position=Point(x=1e3))}, "beyond 100 m"),
+        ({"name": "can", "frame": "", "keep": True}, "there is no object 'can'"),
+    ):
+        answer = set_thing(machine, **fields)
+        assert not answer.success
+        assert why in answer.message
+
+
+def test_a_bottle_known_to_mcs_is_handed_from_one_arm_to_the_other(machine):
+    for name, (x, y, z, *_) in truth(machine).items():
+        answer = set_thing(machine, name=name, frame="world", pose=Pose(position=Point(x=x, y=y, z=z)))
+        assert answer.success, answer.message
+    x, y, z = truth(machine)["bottle"][:3]
+    picked = machine.execute("pick", position=[x, y, z + 0.085], width=0.05, force=60.0, name="bottle")()
+    assert picked.success, picked.status.message
+    handed = machine.execute("hand_over", name="bottle", width=0.05)()
+    assert handed.success, handed.status.message
+    held = truth(machine)["bottle"]
+    print("held at", held)
+    assert held[:3] == pytest.approx([0.0, 0.7, 1.1 - 0.085], abs=1e-2), "the right jaws hold it in the air"

@@ -12,7 +12,7 @@ from im_coordinators.free_path import FreeSpace, find_path
 from im_core import clock
 from im_core.config import load_model, package_file
 from im_core.errors import ImError
-from im_mcs.collision import Bodies, Thing
+from im_mcs.collision import Bodies, CollisionScene, Thing
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -33,8 +33,10 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
     cell = load_cell()
     model, limits = CellModel(cell), JointLimits(cell, config.limits, config.slots)
     objects = load_model(package_file("im_cell", "cells/puma_pair/objects.yaml"), ObjectsFile).objects
-    things = [Thing(body, "world", body.start) for body in objects]
-    bodies = Bodies(model, things)
+    around = CollisionScene(
+        tuple(Thing.checked(body.name, body.kind, body.size, "world", body.start.tolist()) for body in objects)
+    )
+    bodies = Bodies(model, around)
     clearance, half = config.collision.clearance_m, model.n // 2
     random = np.random.default_rng(seed)
     arms = [np.arange(half), np.arange(half, model.n)]
@@ -46,12 +48,12 @@ def lines(config: McsConfig, seed: int) -> list[Line]:
         seconds, refused, steps, checked = [], 0, 0, 0
         for number in range(queries):
             index = groups[number % len(groups)]
-            q = cell.home.copy()
-            space = FreeSpace(model, limits, clearance, q, index, things)
+            q, lower, upper = cell.home.copy(), limits.lower[index], limits.upper[index]
+            space = FreeSpace(model, lower, upper, clearance, q, index, around)
             q[index], goal = _blocked(space, random)
             began = clock.cpu()
             try:
-                path = find_path(FreeSpace(model, limits, clearance, q, index, things), q[index], goal, number)
+                path = find_path(FreeSpace(model, lower, upper, clearance, q, index, around), q[index], goal, number)
             except ImError:
                 seconds.append(np.inf)
                 continue

@@ -98,7 +98,7 @@ class Machine:
     def _registry(self, message):
         self.tasks = {task.name: task for task in message.tasks}
 
-    def call(self, kind, name, timeout=60.0, **fields):
+    def call(self, kind, name, /, timeout=60.0, **fields):
         from im_core.ros.calls import call_blocking
 
         if name not in self._clients:

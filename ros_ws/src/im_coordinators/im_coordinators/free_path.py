@@ -7,7 +7,6 @@ Source: J.J. Kuffner, S.M. LaValle, "RRT-Connect: an efficient approach to singl
 R. Geraerts, M.H. Overmars, "Creating high-quality paths for motion planning", IJRR 2007 (shortcuts).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError
-from im_mcs.collision import Bodies, Thing, lever_bounds
-from im_mcs.limits.limits import JointLimits
+from im_mcs.collision import NOTHING, Bodies, CollisionScene, lever_bounds
 from im_mcs.model import CellModel
 
 Array = NDArray[np.float64]
@@ -36,11 +34,11 @@ class FreeSpace:
 
     Args:
         model: Kinematics and shapes.
-        limits: Of all joints.
+        lower, upper: Limits of those that move, shape (k,) [rad or m].
         clearance_m: Smallest distance allowed [m].
         q_all: Positions of all joints; those not in ``index`` stay, shape (n,) [rad or m].
         index: Joints that move, shape (n,).
-        things: What is there beside the cell's own shapes.
+        around: What is there beside the cell's own shapes, and which pairs may touch.
 
     Attributes:
         checks: How many motions were checked so far.
@@ -49,13 +47,14 @@ class FreeSpace:
     def __init__(
         self,
         model: CellModel,
-        limits: JointLimits,
+        lower: Array,
+        upper: Array,
         clearance_m: float,
         q_all: Array,
         index: NDArray[np.intp],
-        things: Sequence[Thing] = (),
+        around: CollisionScene = NOTHING,
     ) -> None:
-        self._bodies = Bodies(model, things)
+        self._bodies = Bodies(model, around)
         levers = lever_bounds(model, self._bodies)[:, index]
         # pairs at rest to each other are as they are, and nothing here can part them
         self._pairs = np.flatnonzero(levers.any(axis=1))
@@ -63,7 +62,7 @@ class FreeSpace:
         self._all = np.arange(len(self._pairs))
         self._least = clearance_m + _MARGIN_M
         self._whole, self._index = q_all.copy(), index
-        self.lower, self.upper = limits.lower[index], limits.upper[index]
+        self.lower, self.upper = lower, upper
         self.checks = 0
 
     def room(self, q: Array, pairs: NDArray[np.intp]) -> Array | None:

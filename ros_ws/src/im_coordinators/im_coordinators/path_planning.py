@@ -2,9 +2,8 @@
 
 from collections.abc import Collection, Mapping, Sequence
 
-from im_cell.robot import FreeBody, Group
-from im_cell.rotations import matrix_of_quaternion
-from im_core.errors import DataError, ImError, NotFoundError
+from im_cell.robot import Group
+from im_core.errors import DataError, ImError
 
 #: An arm is at home where no joint is further from there [rad, m].
 AT_HOME = 0.01
@@ -84,30 +83,3 @@ def neighbours(partitions: Mapping[str, Mapping[str, Group]], group: str, joints
         if group in groups and set(groups[group].joints) == set(joints):
             return tuple(name for name in groups if name != group)
     return ()
-
-
-def things_in_the_way(told: object, bodies: Sequence[FreeBody], wrist: str) -> list[dict[str, object]]:
-    """Return the free bodies to keep away from, checked: name, frame and pose of each.
-
-    Args:
-        told: By name of the body a pose x y z [m] and a quaternion x y z w in ``world``; in the frame of the wrist if
-            ``"held"`` follows.
-        bodies: Those of the cell.
-        wrist: Frame of the arm that holds what is held.
-
-    Raises:
-        DataError: There is no such body, or that is no pose.
-    """
-    known, found = [body.name for body in bodies], []
-    for name, pose in (told if isinstance(told, Mapping) else {}).items():
-        if name not in known:
-            raise NotFoundError(kind="object", name=str(name), known=known)
-        numbers = pose[:7] if isinstance(pose, list | tuple) else []
-        rest = list(pose[7:]) if numbers else []
-        if len(numbers) != 7 or rest not in ([], ["held"]) or any(isinstance(n, bool | str) for n in numbers):
-            text = f"argument things: '{name}' is at {pose}; x y z [m] and a quaternion x y z w are needed"
-            raise DataError(text, argument="things", value=str(pose))
-        matrix_of_quaternion(numbers[3:], f"argument things: the orientation of '{name}'")
-        frame = wrist if rest else "world"
-        found.append({"name": name, "frame": frame, "pose": [float(number) for number in numbers]})
-    return found

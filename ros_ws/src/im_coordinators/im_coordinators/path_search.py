@@ -16,9 +16,7 @@ from im_coordinators.free_path import FreeSpace, find_path
 from im_core import names
 from im_core.errors import ImError
 from im_core.processes.process import ChildProcess
-from im_mcs.collision import Thing
-from im_mcs.limits.configuration import load_config
-from im_mcs.limits.limits import JointLimits
+from im_mcs.collision import AllowedContact, CollisionScene, Thing
 from im_mcs.model import CellModel
 
 #: How long a search may take before it is ended [s]: far longer than its most checks take.
@@ -32,7 +30,8 @@ def search_apart(question: Mapping[str, object]) -> list[list[float]]:
 
     Args:
         question: JSON data: ``joints``, names of those that move; ``positions``, of all joints by name; ``goal``, of
-            those that move; ``things``, each with ``name``, ``frame`` and ``pose``; ``seed``.
+            those that move; their limits ``lower`` and ``upper``; ``clearance``; ``things``, as MCS tells them;
+            ``contacts``, pairs of names that may touch; ``seed``.
 
     Returns:
         Points behind the start, the last one is the goal.
@@ -60,13 +59,15 @@ def search(cell: Cell, question: Mapping[str, Any]) -> list[list[float]]:
     Raises:
         ImError: No path was found (code ``collision``).
     """
-    model, config = CellModel(cell), load_config(cell=cell)
+    model = CellModel(cell)
     index = np.array([model.index(joint) for joint in question["joints"]], dtype=np.intp)
     q_all = np.array([question["positions"].get(name, home) for name, home in zip(model.names, cell.home, strict=True)])
-    bodies = {body.name: body for body in cell.objects}
-    things = [Thing(bodies[each["name"]], each["frame"], np.array(each["pose"])) for each in question["things"]]
-    limits = JointLimits(cell, config.limits, config.slots)
-    space = FreeSpace(model, limits, config.collision.clearance_m, q_all, index, things)
+    around = CollisionScene(
+        tuple(Thing.checked(**each) for each in question["things"]),
+        tuple(AllowedContact(first=first, second=second, until_ns=0) for first, second in question["contacts"]),
+    )
+    lower, upper = np.array(question["lower"]), np.array(question["upper"])
+    space = FreeSpace(model, lower, upper, question["clearance"], q_all, index, around)
     found = find_path(space, q_all[index], np.array(question["goal"]), question["seed"])
     return [[float(value) for value in point] for point in found.points]
 

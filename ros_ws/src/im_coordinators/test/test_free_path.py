@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.robot import FreeBody, load_cell, shipped_cells
+from im_cell.robot import load_cell, shipped_cells
 from im_coordinators.free_path import FreeSpace, find_path
 from im_coordinators.path_search import search
 from im_core.errors import ImError
-from im_mcs.collision import CollisionChecker, Thing
+from im_mcs.collision import AllowedContact, CollisionChecker, CollisionScene, Thing
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
@@ -22,15 +22,25 @@ CLEARANCE = CONFIG.collision.clearance_m
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
-def space_of(q, index, things=()):
-    return FreeSpace(MODEL, LIMITS, CLEARANCE, q, index, things)
+def space_of(q, index, *things, contacts=()):
+    around = CollisionScene(things, tuple(AllowedContact(first=a, second=b, until_ns=0) for a, b in contacts))
+    return FreeSpace(MODEL, LIMITS.lower[index], LIMITS.upper[index], CLEARANCE, q, index, around)
 
 
-def blocked_query(seed, index, things=()):
+def asked(cell, limits, joints, goal, things=()):
+    """The question for a search from home."""
+    index = [cell.joint_names.index(joint) for joint in joints]
+    q = dict(zip(cell.joint_names, cell.home.tolist(), strict=True))
+    lower, upper = limits.lower[index].tolist(), limits.upper[index].tolist()
+    return {"joints": joints, "positions": q, "goal": goal, "lower": lower, "upper": upper, "clearance": CLEARANCE,
+            "things": list(things), "contacts": [], "seed": 0}  # fmt: skip
+
+
+def blocked_query(seed, index):
     """Two free positions of some joints with something in between; of both arms the left one stays to the left."""
     random = np.random.default_rng(seed)
     q, draw = CELL.home.copy(), None
-    space = space_of(q, index, things)
+    space = space_of(q, index)
     while draw is None or space.line_free(*draw):
         ends = [random.uniform(space.lower, space.upper) for _ in range(2)]
         apart = len(index) == 9 or all(end[0] < end[9] - 0.5 for end in ends)
@@ -72,32 +82,36 @@ def test_a_thing_in_the_way_is_gone_around_and_one_at_the_goal_is_told():
     goal[3] += 1.8
     assert space_of(q, index).line_free(q[index], goal)
     wrist = _wrist_at(q[index] + 0.5 * (goal - q[index]))
-    block = FreeBody(name="block", kind="box", size=(0.1, 0.1, 0.1), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
-    things = [Thing(block, "world", np.array([*wrist, *UPRIGHT]))]
-    space = space_of(q, index, things)
+    size = (0.1, 0.1, 0.1)
+    space = space_of(q, index, Thing.checked("block", "box", size, "world", [*wrist, *UPRIGHT]))
     assert not space.line_free(q[index], goal)
     path = find_path(space, q[index], goal, 0)
     assert len(path.points) > 1
+    there = Thing.checked("block", "box", size, "world", [*_wrist_at(goal), *UPRIGHT])
     with pytest.raises(ImError, match="the goal of the path is too close"):
-        find_path(
-            space_of(q, index, [Thing(block, "world", np.array([*_wrist_at(goal), *UPRIGHT]))]), q[index], goal, 0
-        )
+        find_path(space_of(q, index, there), q[index], goal, 0)
 
 
 def test_what_is_held_counts_as_part_of_the_arm():
     index = np.arange(9)
     q = CELL.home.copy()
-    bar = FreeBody(name="bar", kind="box", size=(4.0, 0.04, 0.04), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
     assert space_of(q, index).free(q[index])
-    held = Thing(bar, "left_wrist", np.array([0.0, 0.0, 0.2, *UPRIGHT]))
-    assert not space_of(q, index, [held]).free(q[index]), "so long a bar touches the floor"
+    held = Thing.checked("bar", "box", (4.0, 0.04, 0.04), "left_wrist", [0.0, 0.0, 0.2, *UPRIGHT])
+    assert not space_of(q, index, held).free(q[index]), "so long a bar touches the floor"
+
+
+def test_what_may_touch_is_no_obstacle_and_all_else_is():
+    index = np.arange(9)
+    q = CELL.home.copy()
+    wrist = Thing.checked("block", "box", (0.05, 0.05, 0.05), "world", [*_wrist_at(q[index]), *UPRIGHT])
+    assert not space_of(q, index, wrist).free(q[index])
+    assert space_of(q, index, wrist, contacts=[("left_link6", "block"), ("left_link5", "block")]).free(q[index])
+    assert not space_of(q, index, wrist, contacts=[("right_link6", "block")]).free(q[index])
 
 
 def test_a_question_is_answered_and_a_blocked_goal_is_an_error():
-    q = dict(zip(CELL.joint_names, CELL.home.tolist(), strict=True))
-    joints = CELL.joint_names[:9]
     goal = [*CELL.home[:8].tolist(), 0.5]
-    question = {"joints": joints, "positions": q, "goal": goal, "things": [], "seed": 0}
+    question = asked(CELL, LIMITS, CELL.joint_names[:9], goal)
     assert search(CELL, question) == [goal]
     with pytest.raises(ImError, match="the goal of the path"):
         search(CELL, {**question, "goal": [1.5, *goal[1:]]})
@@ -111,11 +125,10 @@ def test_paths_are_found_for_each_group_of_any_cell(name):
     for group in cell.groups:
         joints = cell.joints_of(group)
         index = np.array([model.index(joint) for joint in joints])
-        space, goal = FreeSpace(model, limits, CLEARANCE, cell.home, index), None
+        space, goal = FreeSpace(model, limits.lower[index], limits.upper[index], CLEARANCE, cell.home, index), None
         while goal is None or not space.free(goal):
             goal = np.clip(cell.home[index] + random.uniform(-0.5, 0.5, len(index)), space.lower, space.upper)
-        q = dict(zip(cell.joint_names, cell.home.tolist(), strict=True))
-        points = search(cell, {"joints": joints, "positions": q, "goal": goal.tolist(), "things": [], "seed": 0})
+        points = search(cell, asked(cell, limits, joints, goal.tolist()))
         assert points[-1] == goal.tolist()
         CollisionChecker(model, CLEARANCE).check_path(cell.home, index, np.array([cell.home[index], *points]))
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from im_cell.robot import FreeBody, Group
+from im_cell.robot import Group
 from im_coordinators.path_planning import (
     another_may_help,
     configuration,
@@ -10,7 +10,6 @@ from im_coordinators.path_planning import (
     neighbours,
     require_joints,
     search_may_help,
-    things_in_the_way,
     tucked_seed,
 )
 from im_core.errors import DataError, ImError
@@ -56,19 +55,3 @@ def test_neighbours_are_the_other_groups_of_the_partition_in_force() -> None:
     assert neighbours(partitions, "left", ["a", "b"]) == ("right",)
     assert neighbours(partitions, "left", ["b"]) == ("right", "carts")
     assert neighbours(partitions, "all", ["a", "b", "c", "d"]) == ()
-
-
-def test_things_in_the_way_are_free_bodies_at_a_pose() -> None:
-    can = FreeBody(name="can", kind="box", size=(0.1, 0.1, 0.1), mass=1.0, color=(0, 0, 0), position=(0, 0, 1))
-    pose = [0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0]
-    assert things_in_the_way({"can": pose}, [can], "left_wrist") == [{"name": "can", "frame": "world", "pose": pose}]
-    assert things_in_the_way({"can": [*pose, "held"]}, [can], "left_wrist")[0]["frame"] == "left_wrist"
-    assert things_in_the_way({}, [], "left_wrist") == []
-    for told, why in (
-        ({"cup": pose}, "there is no object 'cup'"),
-        ({"can": pose[:3]}, "'can' is at .*; x y z"),
-        ({"can": [*pose, "lost"]}, "x y z"),
-        ({"can": [0.0] * 7}, "the orientation of 'can'"),
-    ):
-        with pytest.raises(ImError, match=why):
-            things_in_the_way(told, [can], "left_wrist")

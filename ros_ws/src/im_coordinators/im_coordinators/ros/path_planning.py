@@ -1,5 +1,6 @@
 """Node ``/path_planning_coordinator``."""
 
+import json
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +17,6 @@ from im_coordinators.path_planning import (
     neighbours,
     require_joints,
     search_may_help,
-    things_in_the_way,
     tucked_seed,
 )
 from im_coordinators.path_search import search_apart
@@ -26,12 +26,13 @@ from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import GroupState
-from im_msgs.srv import CheckPath, GetGroupState, InverseKinematics
+from im_msgs.srv import CheckPath, GetGroupState, GetSurroundings, InverseKinematics
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
 
 STATE, KINEMATICS, CHECK = "/mcs/get_group_state", "/mcs/inverse_kinematics", "/mcs/check_path"
-SERVICES = {STATE: GetGroupState, KINEMATICS: InverseKinematics, CHECK: CheckPath}
+AROUND = "/mcs/get_surroundings"
+SERVICES = {STATE: GetGroupState, KINEMATICS: InverseKinematics, CHECK: CheckPath, AROUND: GetSurroundings}
 
 
 class PathPlanningCoordinator(Coordinator):
@@ -106,14 +107,15 @@ class PathPlanningFunctions:
         for other in neighbours(self._cell.partitions, group, joints):
             there = (await self._ask(STATE, GetGroupState.Request(group=other), f"the position of {other}")).state
             positions |= dict(zip(there.joints, _position(there), strict=True))
-        question = {"joints": joints, "positions": positions, "goal": goal, "things": self._things(ctx), "seed": 0}
+        what = "what lies around to be told"
+        around = await self._ask(AROUND, GetSurroundings.Request(group=group), what)
+        question = {
+            "joints": joints, "positions": positions, "goal": goal, "lower": list(around.lower),
+            "upper": list(around.upper), "clearance": around.clearance, "things": json.loads(around.things_json),
+            "contacts": list(zip(around.contacts[::2], around.contacts[1::2], strict=True)), "seed": 0,
+        }  # fmt: skip
         points = await self._host.noted_apart("path", search_apart, question)
         await self._store(ctx, joints, start, points, "plan_done")
-
-    def _things(self, ctx: ActionContext) -> list[dict[str, object]]:
-        asked = ctx.request_arguments
-        wrist = self._cell.groups[str(asked["group"])].tip
-        return things_in_the_way(asked.get("things", {}), self._cell.objects, wrist)
 
     async def check_given(self, ctx: ActionContext) -> None:
         """Store the given path if the path is free."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from im_cell.robot import Group
 from im_core.errors import ConfigError, DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
-from im_mcs.collision import CollisionChecker
+from im_mcs.collision import NOTHING, CollisionChecker, CollisionScene
 from im_mcs.inverse import InverseKinematics
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -48,7 +48,6 @@ class Kinematics:
         self._config = config
         self._model = model
         self._limits = JointLimits(model.cell, config.limits, config.slots)
-        self._collision = CollisionChecker(model, config.collision.clearance_m)
         for preset, groups in config.presets.items():
             for name, group in groups.items():
                 for wrist in group.frames:
@@ -56,8 +55,26 @@ class Kinematics:
                         where = f"presets.{preset}.{name}.{'pair' if group.pair else 'wrist'}"
                         raise ConfigError(f"{where}: there is no frame '{wrist}'")
         self._lock = threading.Lock()
-        self._paths = CollisionChecker(model, config.collision.clearance_m)  # of their own: they may take long
         self._paths_lock = threading.Lock()
+        self.surround(NOTHING)
+
+    def surround(self, around: CollisionScene) -> None:
+        """Keep away from other free bodies, and let other pairs touch, from the next question on."""
+        clearance_m = self._config.collision.clearance_m
+        of_poses, of_paths = (CollisionChecker(self._model, clearance_m, around) for _ in range(2))
+        with self._lock:
+            self._collision = of_poses
+        with self._paths_lock:  # of their own: they may take long
+            self._paths = of_paths
+
+    def limits_of(self, group: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the smallest and largest positions of a group's joints, shape (n,) each [rad or m].
+
+        Raises:
+            NotFoundError: No such group.
+        """
+        index = self.index(group)
+        return self._limits.lower[index], self._limits.upper[index]
 
     def forward(self, group: str, q: Sequence[float], q_all: NDArray[np.float64], frame: str = "") -> Forward:
         """Pose of a frame with the joints of a group at ``q``, and the group's Jacobian.

@@ -1,6 +1,5 @@
 """Shapes of the cell, and the distances between the shapes (coal, through pinocchio)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import coal
@@ -8,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from im_cell.robot import FreeBody
+from im_mcs.collision.surroundings import NOTHING, CollisionScene, Thing
 from im_mcs.model import CellModel
 
 _NEVER_TOUCHING = 2
@@ -30,21 +29,6 @@ class Closest:
     place: NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Thing:
-    """Free body at its place: on the table, or in the jaws.
-
-    Attributes:
-        body: Its shape.
-        frame: ``world``, or the wrist that carries it.
-        pose: Of its middle there: position [m] and quaternion x, y, z, w, shape (7,).
-    """
-
-    body: FreeBody
-    frame: str
-    pose: NDArray[np.float64]
-
-
 class Bodies:
     """Capsules of all links and the boxes fixed to the world, at one position of the joints after the other.
 
@@ -57,10 +41,10 @@ class Bodies:
 
     Args:
         model: Kinematics and shapes.
-        things: What is there beside the cell's own shapes.
+        around: What is there beside the cell's own shapes, and which pairs are not compared: they may touch.
     """
 
-    def __init__(self, model: CellModel, things: Sequence[Thing] = ()) -> None:
+    def __init__(self, model: CellModel, around: CollisionScene = NOTHING) -> None:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
@@ -69,9 +53,9 @@ class Bodies:
         for box in model.cell.obstacles:
             shape = coal.Box(*box.size)
             self._add(box.name, box.name, 0, pin.SE3(np.eye(3), np.array(box.center)), shape)
-        for thing in things:
+        for thing in around.things:
             self._add_thing(thing)
-        self._never = {frozenset(pair) for pair in model.cell.never}
+        self._never = {frozenset(pair) for pair in model.cell.never} | around.allowed
         self._add_pairs()
         self.pairs = np.array(
             [(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp
@@ -140,17 +124,17 @@ class Bodies:
         """Add a free body; a carried one as the capsule around the body: levers are those of a line."""
         frame = self._model.pin.frames[self._model.frame_id("universe" if thing.frame == "world" else thing.frame)]
         middle = frame.placement * pin.XYZQUATToSE3(np.array(thing.pose, dtype=np.float64))
-        half = 0.5 * np.array(thing.body.size)
-        if frame.parentJoint == 0 and thing.body.kind == "box":
-            self._add(thing.body.name, thing.body.name, 0, middle, coal.Box(*thing.body.size))
+        half = 0.5 * np.array(thing.size)
+        if frame.parentJoint == 0 and thing.kind == "box":
+            self._add(f"thing {thing.name}", thing.name, 0, middle, coal.Box(*thing.size))
             return
-        if thing.body.kind == "cylinder":
+        if thing.kind == "cylinder":
             along, radius = np.array([0.0, 0.0, half[2]]), half[0]
         else:
             along = np.where(np.arange(3) == half.argmax(), half, 0.0)
             radius = float(np.linalg.norm(half - along))
         shape, local = _capsule(-along, along, radius)
-        self._add(thing.body.name, thing.body.name, frame.parentJoint, middle * local, shape)
+        self._add(f"thing {thing.name}", thing.name, frame.parentJoint, middle * local, shape)
 
     def _add(self, name: str, link: str, joint: int, placement: pin.SE3, shape: coal.CollisionGeometry) -> None:
         self._geometry.addGeometryObject(pin.GeometryObject(name, joint, placement, shape))

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.collision.bodies import Bodies, Closest
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.model import CellModel
 
 _STEP_RAD = 0.03
@@ -46,10 +47,11 @@ class CollisionChecker:
     Args:
         model: Kinematics and shapes.
         clearance_m: Smallest distance allowed [m].
+        around: Free bodies, and pairs that may touch.
     """
 
-    def __init__(self, model: CellModel, clearance_m: float) -> None:
-        self._bodies = Bodies(model)
+    def __init__(self, model: CellModel, clearance_m: float, around: CollisionScene = NOTHING) -> None:
+        self._bodies = Bodies(model, around)
         self._clearance = clearance_m
         self._step = np.array([_STEP_M if joint.kind == "prismatic" else _STEP_RAD for joint in model.cell.joints])
 

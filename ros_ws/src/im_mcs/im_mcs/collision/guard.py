@@ -10,6 +10,7 @@ from im_core import plugins
 from im_core.errors import ImError
 from im_mcs.collision.braking_distance import Ahead
 from im_mcs.collision.monitor import CollisionMonitor, Proximity
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.model import CellModel
@@ -46,6 +47,18 @@ class GuardedMonitor:
         self._name = settings.monitor
         made = plugins.make(self._name, "collision monitor", model, limits, settings, groups, period_s)
         self._monitor: CollisionMonitor = made  # type: ignore[assignment]  # calls are guarded
+
+    def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and pairs from the next tick on.
+
+        Raises:
+            CollisionMonitorError: The monitor cannot, or raised an error.
+        """
+        try:
+            self._monitor.surround(around)
+        except Exception as error:  # a monitor of the user's may raise anything, and lack the method
+            told = f"collision monitor '{self._name}' takes no free bodies: {type(error).__name__}: {error}"
+            raise CollisionMonitorError(told, monitor=self._name) from error
 
     def update(
         self, q: NDArray[np.float64], v: NDArray[np.float64], a: NDArray[np.float64], curves: Mapping[int, Ahead]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import cycle
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from im_core.errors import DataError
 from im_mcs.collision.bodies import Bodies, ancestors
 from im_mcs.collision.braking_distance import STRAIGHT, Ahead, BrakingDistance
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.limits.configuration import Collision
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.limits.vectors import all_finite
@@ -29,13 +31,18 @@ def lever_bounds(model: CellModel, bodies: Bodies) -> NDArray[np.float64]:
         model: Kinematics.
         bodies: What is compared.
     """
-    carried = np.zeros((len(bodies.names), model.n))
-    for body, (joint, ends) in enumerate(bodies.ends):
-        chain = ancestors(model, joint)[:-1]
-        for rank, carrier in enumerate(chain):
-            carried[body, carrier - 1] = _lever(model, carrier, chain[:rank][::-1], ends)
+    carried = np.array([_levers(model, joint, ends.tobytes()) for joint, ends in bodies.ends]).reshape(-1, model.n)
     first, second = carried[bodies.pairs[:, 0]], carried[bodies.pairs[:, 1]]
     return np.where((first > 0.0) & (second > 0.0), 0.0, first + second)
+
+
+@lru_cache(maxsize=256)
+def _levers(model: CellModel, joint: int, ends: bytes) -> NDArray[np.float64]:
+    """Bounds of the levers of a body, shape (n,): those of the cell's own links are computed once."""
+    levers, chain = np.zeros(model.n), ancestors(model, joint)[:-1]
+    for rank, carrier in enumerate(chain):
+        levers[carrier - 1] = _lever(model, carrier, chain[:rank][::-1], np.frombuffer(ends).reshape(2, 3))
+    return levers
 
 
 def _lever(model: CellModel, carrier: int, between: list[int], ends: NDArray[np.float64]) -> float:
@@ -118,17 +125,21 @@ class CollisionMonitor:
         groups: Sequence[NDArray[np.intp]],
         period_s: float,
     ) -> None:
-        self._bodies = Bodies(model)
-        self._settings = settings
+        self._model, self._settings = model, settings
         self._braking = BrakingDistance(limits, groups, settings.reaction_ticks * period_s)
-        self._levers = lever_bounds(model, self._bodies)
-        self._names = [self._bodies.pair_names(pair) for pair in range(len(self._bodies.pairs))]
-        self._lower = np.full(len(self._bodies.pairs), -np.inf)
         self._place = np.zeros(model.n)
-        pairs = range(len(self._lower))
-        self._turns = cycle([pairs[k : k + _IN_TURN] for k in pairs[::_IN_TURN]])
         self._rise = _RECOVERY * period_s
         self._ceiling = 1.0
+        self.surround(NOTHING)
+
+    def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and pairs from the next tick on."""
+        self._bodies = Bodies(self._model, around)
+        self._levers = lever_bounds(self._model, self._bodies)
+        self._names = [self._bodies.pair_names(pair) for pair in range(len(self._bodies.pairs))]
+        self._lower = np.full(len(self._bodies.pairs), -np.inf)
+        pairs = range(len(self._lower))
+        self._turns = cycle([pairs[k : k + _IN_TURN] for k in pairs[::_IN_TURN]])
 
     def update(
         self,

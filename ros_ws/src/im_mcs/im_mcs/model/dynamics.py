@@ -1,5 +1,7 @@
 """Kinematics and dynamics of the cell in the eyes of MCS (pinocchio)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -95,6 +97,22 @@ class CellModel:
         frame_id = self.frame_id(frame)
         pin.forwardKinematics(self.pin, self._data, q)
         return pin.updateFramePlacement(self.pin, self._data, frame_id).copy()
+
+    def seen_from(self, q: NDArray[np.float64], frame: str, pose: Sequence[float], other: str) -> tuple[float, ...]:
+        """Return a pose given in one frame, seen from another one at ``q``, shape (n,).
+
+        Args:
+            q: Positions of all joints, shape (n,) [rad or m].
+            frame: ``world`` or a frame.
+            pose: In it: position [m] and quaternion x, y, z, w, shape (7,).
+            other: ``world`` or a frame.
+
+        Raises:
+            NotFoundError: There is no such frame.
+        """
+        own, seen = (pin.SE3.Identity() if name == "world" else self.pose(q, name) for name in (frame, other))
+        there = own * pin.XYZQUATToSE3(np.array(pose, dtype=np.float64))
+        return tuple(pin.SE3ToXYZQUAT(seen.actInv(there)).tolist())
 
     def poses(self, q: NDArray[np.float64]) -> dict[str, pin.SE3]:
         """Pose of every body and frame in ``world`` at ``q``."""

@@ -28,6 +28,7 @@ from pydantic_core import core_schema
 from im_core.config import Fault, Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.text.yamltext import Location
+from im_mcs.collision.surroundings import AllowedContact, Thing
 from im_mcs.protocol.points import TimedPoints, unpack_points
 
 SLOWEST = 0.01
@@ -368,6 +369,13 @@ class SetPayloadRequest(ServoRequest):
     sender: By = NOBODY
 
 
+class CollisionSceneRequest(ServoRequest):
+    """Set all free bodies that the collision watch keeps away from, and all allowed contacts."""
+
+    things: Annotated[list[Thing], Field(max_length=_MOST_NUMBERS)] = Field(default_factory=list)
+    contacts: Annotated[list[AllowedContact], Field(max_length=_MOST_NUMBERS)] = Field(default_factory=list)
+
+
 class ProtectiveStopRequest(ServoRequest):
     """Decelerate on the paths and hold."""
 
@@ -400,6 +408,7 @@ REQUESTS: Mapping[str, type[ServoRequest]] = {
     "set_gripper": SetGripperRequest,
     "set_controller": SetControllerRequest,
     "set_payload": SetPayloadRequest,
+    "surround": CollisionSceneRequest,
     "protective_stop": ProtectiveStopRequest,
     "estop": EstopRequest,
     "reset": ResetRequest,

@@ -22,6 +22,7 @@ from im_mcs.client.evidence import write_evidence
 from im_mcs.client.groups import all_groups, group_in_force
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.client.servo_client import OnProgress, ServoClient, ServoReply
+from im_mcs.collision import NOTHING, CollisionScene
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel
 from im_mcs.protocol.evidence import KEPT
@@ -124,6 +125,7 @@ class McsAccess:
         self.cell = load_cell()
         self.model = CellModel(self.cell)
         self.kinematics = Kinematics(config, CellModel(self.cell))
+        self._around = NOTHING
         self.refusals = Refusals(node.get_logger())
         self.take_overs = TakeOvers(node.get_logger())
         self._changed, self._shown_tick = changed, -1
@@ -298,8 +300,39 @@ class McsAccess:
         config = self.config.with_preset(preset)
         await self.request(Event.REPARTITION, {"preset": preset})
         self.config = config
-        self.kinematics = Kinematics(config, CellModel(self.cell))
+        kinematics = Kinematics(config, CellModel(self.cell))
+        kinematics.surround(self._around)
+        self.kinematics = kinematics
         self._changed()
+
+    def around(self, stamp_ns: int) -> CollisionScene:
+        """Return the free bodies and the contacts allowed at a testbed time [ns]; paths are checked for these."""
+        if (around := self._around.at(stamp_ns)) is not self._around:
+            self._around = around
+            self.kinematics.surround(around)
+        return self._around
+
+    async def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and contacts, in the servo and in the checks of paths.
+
+        Raises:
+            ImError: The servo refuses.
+        """
+        before, self._around = self._around, around  # now: what another asks for meanwhile is added to it
+        try:
+            await self._tell_servo(around)
+        except ImError:
+            if self._around is around:
+                self._around = before
+            raise
+        self.kinematics.surround(self._around)
+
+    async def _tell_servo(self, around: CollisionScene) -> None:
+        arguments = {
+            "things": [thing.model_dump() for thing in around.things],
+            "contacts": [contact.model_dump() for contact in around.contacts],
+        }
+        await self.request(Event.SURROUND, arguments)
 
     async def _power(self, event: Event, client: str) -> None:
         """Switch the power of all groups of the client: lifecycle *active* is power on, of any owner."""
@@ -313,6 +346,8 @@ class McsAccess:
         if cause := self.keeper.stop_cause:
             raise StateError(f"configure is refused: an emergency stop is latched ({cause}); reset it (/mcs/reset)")
         await self.keeper.start(self.config)
+        if self._around != NOTHING:  # what lies around outlives the servo
+            await self._tell_servo(self._around)
         self._changed()
 
     async def _cleanup(self, _: str) -> None:

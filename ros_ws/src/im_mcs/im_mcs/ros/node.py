@@ -21,7 +21,7 @@ from im_mcs.ros.actions.move_server import MoveServer
 from im_mcs.ros.actions.trajectory_server import TrajectoryServer
 from im_mcs.ros.controller_services import ControllerServices
 from im_mcs.ros.estop_server import EstopServer
-from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices
+from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices, SurroundingsServices
 from im_mcs.ros.servo_keeper import POLL_S
 from im_mcs.ros.topics.command_topics import CommandTopics
 from im_mcs.ros.topics.controller_state import ControllerStates
@@ -74,6 +74,7 @@ class McsNode(ManagedNode):
             ControllerServices(self._mcs, states),
             MotionServices(self._mcs),
             KinematicsServices(self._mcs),
+            SurroundingsServices(self._mcs),
             MoveServer(self._mcs, motions),
             TrajectoryServer(self._mcs, motions),
         )

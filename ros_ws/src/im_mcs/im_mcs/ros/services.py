@@ -1,5 +1,6 @@
 """Services of MCS: of the state manager, on motions under way, and kinematic questions."""
 
+import json
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any, TypeVar
@@ -9,20 +10,24 @@ from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
-from im_core.errors import DataError, ImError, StateError
+from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.status import ok_status, to_status
 from im_mcs.client.groups import best_positions, group_state
 from im_mcs.client.points import ordered_points
+from im_mcs.collision import AllowedContact, Thing
+from im_mcs.collision.surroundings import LONGEST_CONTACT_S
 from im_mcs.ros import messages
 from im_mcs.ros.access import McsAccess
 from im_mcs.state import Event, State
 from im_mcs.state.table import STATES
 from im_msgs.msg import GroupState as GroupStateMessage
 from im_msgs.srv import (
+    AllowContact,
     CheckPath,
     ForwardKinematics,
     GetGroupState,
+    GetSurroundings,
     GroupCommand,
     InverseKinematics,
     RenewLease,
@@ -32,6 +37,7 @@ from im_msgs.srv import (
     SetPartition,
     SetPayload,
     SetSpeed,
+    SetThing,
 )
 
 _TRANSITIONS = (Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION)
@@ -225,8 +231,68 @@ class MotionServices:
         return ""
 
 
+class SurroundingsServices:
+    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, and contacts allowed for a time.
+
+    Args:
+        access: MCS.
+    """
+
+    def __init__(self, access: McsAccess) -> None:
+        self._mcs = access
+        cell = access.cell
+        self._links = [*(capsule.link for capsule in cell.bodies), *(box.name for box in cell.obstacles)]
+        self._frames = ["world", *(group.tip for group in cell.groups.values())]
+        self._carriers = {group.tip: cell.tree.carrier(group.tip).parent for group in cell.groups.values()}
+        self._shapes = {body.name: body for body in cell.objects}
+        offer(access, SetThing, "/mcs/set_thing", self._set_thing)
+        offer(access, AllowContact, "/mcs/allow_contact", self._allow_contact)
+
+    async def _set_thing(self, request: SetThing.Request, *_: object) -> str:
+        mcs, name = self._mcs, request.name
+        snapshot = mcs.client().snapshot()
+        around = mcs.around(int(snapshot["stamp_ns"]))
+        if not request.frame:
+            await mcs.surround(around.without(name))
+            return f"'{name}' is gone"
+        if request.frame not in self._frames:
+            raise NotFoundError(kind="frame", name=request.frame, known=self._frames)
+        if name in self._links:
+            raise DataError(f"'{name}' is a part of the cell, not a free body", name=name)
+        if request.keep:
+            before = around.thing(name)
+            pose = mcs.model.seen_from(best_positions(snapshot), before.frame, before.pose, request.frame)
+            thing = before.model_copy(update={"frame": request.frame, "pose": pose})
+        else:
+            kind, size = request.kind, tuple(map(float, request.size))
+            if not kind:
+                if name not in self._shapes:
+                    raise NotFoundError(kind="object", name=name, known=self._shapes)
+                kind, size = self._shapes[name].kind, self._shapes[name].size
+            p, o = request.pose.position, request.pose.orientation
+            thing = Thing.checked(name, kind, size, request.frame, (p.x, p.y, p.z, o.x, o.y, o.z, o.w))
+        await mcs.surround(around.with_thing(thing))
+        return f"'{name}' is in {request.frame}"
+
+    async def _allow_contact(self, request: AllowContact.Request, *_: object) -> str:
+        mcs, lease_s = self._mcs, request.lease
+        first, second = (self._carriers.get(name, name) for name in (request.first, request.second))
+        if not 0.0 <= lease_s <= LONGEST_CONTACT_S:
+            text = f"lease {lease_s:g} s of a contact is not between 0 and {LONGEST_CONTACT_S:g}"
+            raise DataError(text, argument="lease", value=lease_s)
+        stamp_ns = int(mcs.client().snapshot()["stamp_ns"])
+        around = mcs.around(stamp_ns)
+        known = [*dict.fromkeys(self._links), *(thing.name for thing in around.things)]
+        for name in (first, second):
+            if name not in known:
+                raise NotFoundError(kind="object or link", name=name, known=known)
+        contact = AllowedContact(first=first, second=second, until_ns=stamp_ns + round(lease_s * 1e9))
+        await mcs.surround(around.with_contact(contact).at(stamp_ns))
+        return f"'{first}' and '{second}' may touch for {lease_s:g} s"
+
+
 class KinematicsServices:
-    """``/mcs/get_group_state``, ``forward_kinematics``, ``inverse_kinematics`` and ``check_path``.
+    """``/mcs/get_group_state``, ``forward_kinematics``, ``inverse_kinematics``, ``check_path``, ``get_surroundings``.
 
     Args:
         access: MCS.
@@ -239,6 +305,7 @@ class KinematicsServices:
         offer(access, ForwardKinematics, "/mcs/forward_kinematics", self._forward_kinematics)
         offer(access, InverseKinematics, "/mcs/inverse_kinematics", self._inverse_kinematics)
         offer(access, CheckPath, "/mcs/check_path", self._check_path)
+        offer(access, GetSurroundings, "/mcs/get_surroundings", self._get_surroundings)
 
     def measured(self, group: str) -> GroupStateMessage:
         """Measured state of a group.
@@ -294,7 +361,22 @@ class KinematicsServices:
         return ""
 
     def _q_all(self) -> NDArray[np.float64]:
-        return best_positions(self._mcs.client().snapshot())
+        snapshot = self._mcs.client().snapshot()
+        self._mcs.around(int(snapshot["stamp_ns"]))  # contacts whose lease has ended are checked again
+        return best_positions(snapshot)
+
+    async def _get_surroundings(
+        self, request: GetSurroundings.Request, response: GetSurroundings.Response, _: str
+    ) -> str:
+        mcs = self._mcs
+        mcs.group(request.group)
+        around = mcs.around(int(mcs.client().snapshot()["stamp_ns"]))
+        lower, upper = mcs.kinematics.limits_of(request.group)
+        response.clearance = mcs.config.collision.clearance_m
+        response.lower, response.upper = lower.tolist(), upper.tolist()
+        response.things_json = json.dumps([thing.model_dump() for thing in around.things])
+        response.contacts = [name for contact in around.contacts for name in (contact.first, contact.second)]
+        return ""
 
     async def _ask(self, question: Callable[..., _Answer], *arguments: object) -> _Answer:
         """Answer a question in a thread; only a few may wait at a time, since waiting questions slow the loop down.

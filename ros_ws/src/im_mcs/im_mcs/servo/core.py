@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core.errors import ImError, LinkError
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.control.filters import VelocityEstimator
 from im_mcs.limits.configuration import McsConfig
@@ -135,6 +136,7 @@ class Mcs:
         """
         m = self.measured = self.manager.measured = self._testbed.read()
         self.v = self._velocity.update(m.q)
+        self._partitions.end_contacts(m.stamp_ns)
         self._dispatch.run_all(messages)
         self.manager.tick()
         abandoned = self.manager.state in POWERED and self._watch()
@@ -192,6 +194,14 @@ class Mcs:
                 if group.goals and group.protective is None:
                     self.answers.accuse(fault)
                 group.protective_stop(fault, latched=latched)
+
+    def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and contacts from the present tick on.
+
+        Raises:
+            CollisionMonitorError: The collision monitor takes none.
+        """
+        self._partitions.surround(around)
 
     def end_torque_streams(self, ended: Iterable[Ended]) -> None:
         """Let the laws of groups driven by torques take over at the present place."""

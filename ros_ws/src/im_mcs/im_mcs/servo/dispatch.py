@@ -7,11 +7,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from im_core.errors import ImError, StateError
+from im_mcs.collision.surroundings import CollisionScene
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.model import CellModel, ControlledModel, Payload
 from im_mcs.planning.goals import Goal
 from im_mcs.protocol.requests import (
     CancelRequest,
+    CollisionSceneRequest,
     EstopRequest,
     MoveRequest,
     PauseRequest,
@@ -63,6 +65,10 @@ class Machine(Protocol):
 
     def repartition(self, preset: str) -> None:
         """Divide the joints into the groups of another preset."""
+        ...
+
+    def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and contacts."""
         ...
 
     def protective_stop(self, fault: ImError, *, latched: bool) -> None:
@@ -183,6 +189,8 @@ class Dispatch:
                 self._owned(request.group, request.sender).switch(request.controller)
             case SetPayloadRequest():
                 self._set_payload(request)
+            case CollisionSceneRequest():
+                mcs.surround(CollisionScene(tuple(request.things), tuple(request.contacts)))
             case ProtectiveStopRequest():
                 reason = request.reason
                 stop = ImError(f"protective stop: {reason}", code="protective_stop", reason=reason)

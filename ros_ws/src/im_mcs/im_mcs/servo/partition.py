@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from im_core import plugins
 from im_mcs.collision.guard import GuardedMonitor
+from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.control import LawSource
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -44,6 +45,7 @@ class Partitions:
             plugins.load(generator, None, GENERATOR)  # refused now, not at the first motion
         self._groups: dict[tuple[str, ...], ControlledGroup] = {}
         self._monitors: dict[str, GuardedMonitor] = {}
+        self._around = NOTHING
 
     def enter(self, preset: str) -> tuple[dict[str, ControlledGroup], GuardedMonitor]:
         """Return groups of a preset, and the collision monitor; a common group of two presets is one.
@@ -61,10 +63,27 @@ class Partitions:
             groups[name].monitor.restart()
         if preset not in self._monitors:
             joints = [group.index for group in groups.values()]
-            self._monitors[preset] = GuardedMonitor(
+            self._monitors[preset] = monitor = GuardedMonitor(
                 config.collision, self._model, self._limits.motion, joints, config.servo.period_s
             )
+            if self._around != NOTHING:
+                monitor.surround(self._around)
         return groups, self._monitors[preset]
+
+    def surround(self, around: CollisionScene) -> None:
+        """Watch other free bodies and contacts.
+
+        Raises:
+            CollisionMonitorError: A monitor takes none.
+        """
+        for monitor in self._monitors.values():
+            monitor.surround(around)
+        self._around = around
+
+    def end_contacts(self, stamp_ns: int) -> None:
+        """Watch pairs again after the end of their lease, at a testbed time [ns]."""
+        if (around := self._around.at(stamp_ns)) is not self._around:
+            self.surround(around)
 
     def _make(self, name: str, config: McsConfig) -> ControlledGroup:
         """Make a group of the preset in force."""

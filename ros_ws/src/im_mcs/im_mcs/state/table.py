@@ -52,6 +52,7 @@ class Event(StrEnum):
     SET_GRIPPER = "set_gripper"
     SET_CONTROLLER = "set_controller"
     SET_PAYLOAD = "set_payload"
+    SURROUND = "surround"
     PROTECTIVE_STOP = "protective_stop"
     ESTOP = "estop"
     RESET = "reset"
@@ -66,8 +67,8 @@ POWERED = (State.ACTIVE, State.MOTION)
 TRANSITIONS = frozenset({Event.POWER_ON, Event.POWER_OFF, Event.ENABLE_MOTION, Event.DISABLE_MOTION})
 """Requests that change power and brakes of groups, over several ticks."""
 
-ANYTIME = frozenset({Event.ESTOP, Event.PROTECTIVE_STOP, Event.PAUSE, Event.CANCEL, Event.RENEW})
-"""Requests that are heard while a transition is under way: whatever stops, and heartbeats."""
+ANYTIME = frozenset({Event.ESTOP, Event.PROTECTIVE_STOP, Event.PAUSE, Event.CANCEL, Event.RENEW, Event.SURROUND})
+"""Requests that are heard while a transition is under way: whatever stops, heartbeats, and what is around."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.COLD, Event.REPARTITION, State.COLD, "there is such a preset"),
     StateTransition(State.COLD, Event.RESUME, State.COLD, "of all groups"),
     StateTransition(State.COLD, Event.PROTECTIVE_STOP, State.COLD, _LATCHED),
+    StateTransition(State.COLD, Event.SURROUND, State.COLD),
     StateTransition(State.COLD, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.RESERVED, Event.RELEASE, State.COLD, _OWNER),
     StateTransition(State.RESERVED, Event.RENEW, State.RESERVED, "the owner has reserved a group"),
@@ -119,6 +121,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.RESERVED, Event.SET_SPEED, State.RESERVED, _OWNER),
     StateTransition(State.RESERVED, Event.RESUME, State.RESERVED, _HOLDS),
     StateTransition(State.RESERVED, Event.PROTECTIVE_STOP, State.RESERVED, _LATCHED),
+    StateTransition(State.RESERVED, Event.SURROUND, State.RESERVED),
     StateTransition(State.RESERVED, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.ACTIVE, Event.ENABLE_MOTION, State.MOTION, _CARRIED),
     StateTransition(State.ACTIVE, Event.POWER_OFF, State.RESERVED, _UNUSED),
@@ -132,6 +135,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.SET_SPEED, State.ACTIVE, _OWNER),
     StateTransition(State.ACTIVE, Event.RESUME, State.ACTIVE, _HOLDS),
     StateTransition(State.ACTIVE, Event.PROTECTIVE_STOP, State.ACTIVE, _LATCHED),
+    StateTransition(State.ACTIVE, Event.SURROUND, State.ACTIVE),
     StateTransition(State.ACTIVE, Event.ESTOP, State.ESTOPPED),
     StateTransition(State.MOTION, Event.DISABLE_MOTION, State.ACTIVE, _AT_REST),
     StateTransition(State.MOTION, Event.POWER_OFF, State.RESERVED, f"{_AT_REST}, motion disabled"),
@@ -149,7 +153,9 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.SET_CONTROLLER, State.MOTION, _LAW),
     StateTransition(State.MOTION, Event.SET_PAYLOAD, State.MOTION, _OWNER),
     StateTransition(State.MOTION, Event.PROTECTIVE_STOP, State.MOTION, f"decelerates on the path; {_LATCHED}"),
+    StateTransition(State.MOTION, Event.SURROUND, State.MOTION),
     StateTransition(State.MOTION, Event.ESTOP, State.ESTOPPED),
+    StateTransition(State.ESTOPPED, Event.SURROUND, State.ESTOPPED),
     StateTransition(State.ESTOPPED, Event.RESET, State.COLD, "the cause is gone, nothing is broken; nothing moves"),
     StateTransition(State.ESTOPPED, Event.PROTECTIVE_STOP, State.ESTOPPED, _LATCHED),
     StateTransition(State.ESTOPPED, Event.ESTOP, State.ESTOPPED, "the first cause stays"),
