@@ -151,8 +151,10 @@ def test_calibration_reaches_the_standard_interfaces(first_run, machine):
     answer, _ = first_run
     infos = []
     machine.node.create_subscription(CameraInfo, "/ceiling_left/camera_info", infos.append, qos.EVENTS)
-    snap = {"kind": Snap, "name": "/vss/snap", "cameras": ["ceiling_left"]}
-    machine.wait_for(lambda: machine.call(**snap).success and infos, "an image that is heard of")
+    cameras = ["ceiling_left"]
+    machine.wait_for(
+        lambda: machine.call(Snap, "/vss/snap", cameras=cameras).success and infos, "an image that is heard of"
+    )
     info = infos[0]
     assert list(info.k) == pytest.approx(list(answer.report.cameras[0].k))
     assert info.distortion_model == "plumb_bob"

@@ -356,8 +356,7 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCo
             argv = [str(path_of("im_bringup", "shared_process")), *shared]
         parameters = {each.task.node: deployment.parameters_of(each.task) for each in placed}
         file = write_parameters(run_dir, process, parameters)
-        argv += ["--ros-args", "--disable-external-lib-logs", "--params-file", str(file)]
-        argv += enclave_arguments(host, process)
+        argv += [*enclave_arguments(host, process), "--disable-external-lib-logs", "--params-file", str(file)]
         tasks = tuple(each.name for each in placed)
         log = run_dir / "log" / f"{process}.log"
         result.append(ProcessCommand(process, tasks, argv, log, deployment.memory_mib))

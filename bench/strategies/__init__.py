@@ -1,0 +1,1 @@
+"""Study of learned strategies in a model of a world that changes."""
