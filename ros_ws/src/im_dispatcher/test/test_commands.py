@@ -88,13 +88,16 @@ def test_every_command_that_is_shipped_says_what_it_takes_and_needs_what_the_cel
         assert all(symbol in needs and declared.description for symbol, declared in net.commands.items())
 
 
+GRIPPING = {"close_gripper", "open_gripper", "pick", "place", "hand_over", "gripper_coordinator"}
+
+
 @pytest.mark.parametrize(
     ("cell", "lacking"),
     [
         ("puma_pair", set()),
-        ("ur5", {"demo", "close_gripper", "open_gripper", "pick", "place", "look_laser", "gripper_coordinator"}),
+        ("ur5", {"demo", "look_laser", *GRIPPING}),
         ("ur_pair", None),
-        ("panda", {"demo", "look", "look_laser", "calibrate_camera", "vision_coordinator"}),
+        ("panda", {"demo", "hand_over", "look", "look_laser", "calibrate_camera", "vision_coordinator"}),
         ("so101", None),
     ],
 )
