@@ -374,7 +374,7 @@ def test_a_path_is_given_by_whoever_asks_and_nothing_that_lies_about_steers_a_co
     assert cast.cell.paths[-1] == ("left", given)
     for arguments, sentence in (
         ({"path": "corridor"}, r"there is no data object 'dispatcher/[\d-]+/corridor'"),
-        ({"path": ""}, "move_robot needs one of the arguments destination, position, joints, posture, path; it was given none"),
+        ({"path": ""}, "move_robot needs one of the arguments destination, position, joints, posture, path; "),
     ):
         assert re.search(sentence, execute(cast, "follow", **arguments).status.message)
     assert len(cast.cell.paths) == POSES + 1

@@ -72,13 +72,16 @@ class Played:
 
     async def tell(self, activity: Activity, ctx: ActionContext) -> dict[str, object]:
         """Stands for the world, and notes what was acted on: as the net file says, with the arguments as they are."""
-        for text in self.nets[activity.net].transitions[activity.transition].acts_on or ():
+        transition = self.nets[activity.net].transitions[activity.transition]
+        for text in transition.acts_on or ():
             before, _, rest = text.partition("${arguments.")
             name, _, after = rest.partition("}")
             value = ctx.request_arguments[name] if name else ""
             for each in value if isinstance(value, list) else [value]:
                 self.done.add((f"{activity.net}.{activity.transition}", ctx.command.id, f"{before}{each}{after}"))
         self.fail()
+        if transition.strategy is not None and transition.strategy.successes > 1.0 and self.dice.random() < 0.9:
+            raise ImError("no", code="no")  # so often that the other ways are tried first, too
         answer = {"stalled": self.toss(ctx), "position": 0.0, "effort": 0.0, "found": self.toss(ctx), "cause": "dark"}
         return {**answer, "look": "7"}
 

@@ -36,8 +36,9 @@ NEVER = {
     "errand": {"cancelled", "reach.person.give_up_again", "reach.near.end"}
     | {f"reach.{rule}.{part}" for rule in _RULES for part in ("end_stopped", "give_up")},
     "maintenance": {"grease_cancelled_1", "grease_cancelled_2", "cancelled"},
-    "pick": {"power.again", "guard ${false}"},
-    "place": {"power.again", "guard ${false}"},
+    "hand_over": {"giver.again", "receiver.again", "pass.take.touch.pass", "guard ${false}"},
+    "pick": {"power.again", "grasp.take.touch.pass", "guard ${false}"},
+    "place": {"power.again", "set_down.leave.touch.pass", "guard ${false}"},
     "palletising": {"lay_sheet_cancelled_1", "lay_sheet_cancelled_2"},
     "polishing_cell": {"change_wheel_cancelled_1", "change_wheel_cancelled_2", "cancelled"},
     "watch_dog": {"not_begun"},

@@ -104,7 +104,7 @@ class LaserSettings(Model):
     """The laser scanner.
 
     Attributes:
-        services: Services in use where the cell has a scanner.
+        services: Services that need a scanner; left out where the cell has none.
         spot_power: Power of the beam where it is a spot, 0 to 1.
         line_power: Where it sweeps the whole range of mirror 1; shorter lines are as bright, and need less.
         settle: Longest wait for the mirrors, wall time [s].
@@ -152,14 +152,14 @@ class VssSettings(Model):
     frame_source: FrameSourceEntry
 
     def of_cell(self, cell: Cell) -> Self:
-        """Return the settings completed by a cell: cameras, light, stereo pair, Services of the laser."""
+        """Return the settings fitted to a cell: cameras, light, stereo pair, and no Services of a missing laser."""
         cameras, light, pairs = self.cameras or tuple(cell.cameras), self.light.name, self.stereo.pairs
         if pairs is None:
             standing = [name for name in cameras if name in cell.cameras and cell.cameras[name].parent == WORLD]
             pairs = ((standing[0], standing[1]),) if len(standing) > 1 else ()
         return self.model_copy(
             update={
-                "services": (*self.services, *(self.laser.services if cell.laser else ())),
+                "services": tuple(name for name in self.services if cell.laser or name not in self.laser.services),
                 "cameras": cameras,
                 "light": Light(name=light or next(iter(cell.light_names), "")),
                 "stereo": StereoSettings(pairs=pairs, epipolar=self.stereo.epipolar),

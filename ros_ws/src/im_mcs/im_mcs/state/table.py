@@ -214,7 +214,7 @@ def next_state(state: State, event: Event, group: str = "", cause: str = "") -> 
         return row.target
     if state is State.UNCONFIGURED:
         raise StateError(UNCONFIGURED_MESSAGE, state=state.value, request=event.value)
-    allowed = [e.value for e in allowed_in(state)]
+    allowed = [e.value for e in allowed_in(state) if e is not Event.SURROUND]  # nobody asks for that by hand
     hint = f" ({RECOVER} does it)" if state is State.ESTOPPED else ""
     whose = f" of group '{group}'" if group else ""
     why = f"; the cause of this state: {cause}" if cause else ""
