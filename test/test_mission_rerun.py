@@ -59,7 +59,7 @@ def test_the_nets_of_this_installation_do_what_they_did(capsys, name):
     told = capsys.readouterr().out
     found = re.search(r"equal: (\d+) nets, (\d+) firings", told)
     assert found, told
-    assert int(found[1]) == 15
+    assert int(found[1]) == 16
     assert int(found[2]) > 150
 
 
