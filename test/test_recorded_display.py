@@ -58,7 +58,8 @@ def test_a_bag_whose_end_is_missing_shows_what_it_holds(tmp_path, share):
     cut = recording_of(tmp_path / "faults")
     assert 0 < len(cut.moments) < len(whole.moments)
     assert cut.moments == whole.moments[: len(cut.moments)]
-    assert [cut.descriptions[number].net for number in range(len(whole.descriptions))] == [each.net for each in whole.descriptions]
+    nets = [cut.descriptions[number].net for number in range(len(whole.descriptions))]
+    assert nets == [each.net for each in whole.descriptions]
 
 
 @pytest.fixture(scope="module")

@@ -193,8 +193,8 @@ def allows(state: State, event: Event) -> bool:
 
 
 def allowed_in(state: State) -> tuple[Event, ...]:
-    """Return requests with a row of the table in ``state``, in the order of the table."""
-    return tuple(row.event for row in TABLE if row.source is state)
+    """Return requests with a row of the table in ``state``, in its order; surroundings are told in every state."""
+    return tuple(row.event for row in TABLE if row.source is state and row.event is not Event.SURROUND)
 
 
 def next_state(state: State, event: Event, group: str = "", cause: str = "") -> State:
@@ -214,7 +214,7 @@ def next_state(state: State, event: Event, group: str = "", cause: str = "") -> 
         return row.target
     if state is State.UNCONFIGURED:
         raise StateError(UNCONFIGURED_MESSAGE, state=state.value, request=event.value)
-    allowed = [e.value for e in allowed_in(state) if e is not Event.SURROUND]  # nobody asks for that by hand
+    allowed = [e.value for e in allowed_in(state)]
     hint = f" ({RECOVER} does it)" if state is State.ESTOPPED else ""
     whose = f" of group '{group}'" if group else ""
     why = f"; the cause of this state: {cause}" if cause else ""
