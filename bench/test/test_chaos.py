@@ -13,7 +13,8 @@ from bench.chaos.trial import judge
 from im_cell.link import ControlState, TickCommand
 from im_cell.robot import load_cell
 from im_core.files import FileError
-from im_sim.actuators import HoldingBrakes
+from im_sim.actuators import Actuators
+from im_sim.brakes import HoldingBrakes
 from im_sim.plant import Plant
 
 SERVO, TWO = kill(("servo",)), kill(("dom", "mcs"))
@@ -132,10 +133,23 @@ def test_without_a_servo_power_is_off_from_the_second_tick_on():
 CELL = load_cell()
 
 
+class WeakBrakes:
+    """The cell, but for a share of the stated torque of its brakes."""
+
+    def __init__(self, share):
+        self._share = share
+
+    def __getattr__(self, name):
+        return getattr(CELL, name)
+
+    def per_joint(self, attribute):
+        return CELL.per_joint(attribute) * (self._share if attribute == "brake" else 1.0)
+
+
 def stopped(share, delay_s=CELL.brakes.delay):
     """Whether arms at half speed come to rest by brakes that have a share of their stated torque; what is found."""
     plant, rule = Plant(CELL, seed=1), Braking(CELL, CELL.period)
-    plant._actuators._brake_torques = share * CELL.per_joint("brake")
+    plant._actuators = Actuators(WeakBrakes(share), plant._dynamics, plant._dt)
     plant._brakes = HoldingBrakes(18, round(delay_s / CELL.period))
     for _ in range(60):  # the brakes let go
         plant.run_tick(TickCommand(np.zeros(18), True, np.zeros(18, dtype=bool), np.zeros(2), True, np.zeros(2)))

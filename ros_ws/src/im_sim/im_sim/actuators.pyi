@@ -64,7 +64,7 @@ class Actuators:
 
         (M + C) a = tau - B v + p / dt - h,   C = A + dt B
 
-    with the impulse p of dry friction and brakes (:class:`~im_sim.friction.DryFriction`). pybullet, which integrates
+    with the impulse p of dry friction and brakes (:class:`DryFriction`). pybullet, which integrates
     M a = tau_applied - h, arrives at the same v' under
 
         tau_applied = M a + h = tau - B v + p / dt - C a.
