@@ -32,6 +32,7 @@ _FIRST_S = 10.0
 """How long the first image of each camera is awaited [s]."""
 _LENGTH = re.compile(r"(\d+)(?:-(\d+))?=([0-9.]+)(mm|cm|m)")
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_DESCRIPTION = "Run the Vision Services System alone, on cameras with drivers of their own."
 _EXAMPLE = "example: scripts/im vss run --camera left:=/left/image_raw right:=/right/image_raw --fiducials 0-9=80mm"
 
 
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Args:
         arguments: Of the command line; None: those of the process.
     """
-    parser = NumberParser(prog="vss", description=__doc__, epilog=_EXAMPLE)
+    parser = NumberParser(prog="im vss", description=_DESCRIPTION, epilog=_EXAMPLE)
     parser.add_argument("action", choices=["run"])
     parser.add_argument(
         "--camera", nargs="+", required=True, type=_remapped, metavar="NAME:=TOPIC", help="topics of images"
