@@ -1,15 +1,17 @@
 """``im security make``: a keystore of SROS 2 for the running machine, from its deployment and its ROS graph."""
 
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rclpy.node import NodeNameNonExistentError
 
 from im_bringup.ros.interfaces import DISCOVERY_AT_MOST_S, settle
-from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
+from im_bringup.ros.interruptible import DONE, talk
+from im_bringup.ros.tasks import WAIT_S, TasksNode
 from im_bringup.security.keystore import Keystore
 from im_bringup.security.permissions import (
     AGENT,
@@ -23,36 +25,28 @@ from im_bringup.security.permissions import (
 from im_bringup.tasks.signed_link import agent_name
 from im_core.errors import WaitTimeoutError
 from im_core.options import NumberParser
-from im_core.ros import qos
 from im_core.ros.peers.servers import node_of
-from im_msgs.msg import TaskRegistry
 
-_WAIT_S = 10.0
 #: Bytes of a GUID that name the participant, which has one enclave.
 _PREFIX = 12
 
 
-class GraphNode(InterruptibleNode):
+class GraphNode(TasksNode):
     """Client that reads the registry of tasks, and what the nodes of each process offer."""
 
-    def __init__(self) -> None:
-        super().__init__("security")
-        self._registry: TaskRegistry | None = None
-        self.create_subscription(TaskRegistry, "/bootstrap/tasks", self._register, qos.LATCHED)
-
-    def read(self) -> tuple[dict[str, NodeInterfaces], list[str]]:
+    def interfaces(self) -> tuple[dict[str, NodeInterfaces], list[str]]:
         """Return the offers of each enclave of the machine, and the nodes that belong to none.
 
         Raises:
             KeyboardInterrupt: Somebody interrupted.
             WaitTimeoutError: The bootstrap told nothing in time, or a process is not in the graph.
         """
-        self._until(lambda: self._registry is not None, "the tasks on /bootstrap/tasks", _WAIT_S)
+        tasks = self.read(WAIT_S)
         settle(self)
         participants = {
             node_of(end): bytes(end.endpoint_gid)[:_PREFIX] for end in self.get_publishers_info_by_topic("/rosout")
         }
-        enclaves = _enclaves(self._registry or TaskRegistry(), participants)
+        enclaves = _enclaves(tasks, participants)
         of_participant = {participants[node]: name for node, name in enclaves.items() if node in participants}
         if missing := sorted(enclaves.keys() - participants.keys()):
             raise WaitTimeoutError(what=f"node {missing[0]} in the ROS graph", seconds=DISCOVERY_AT_MOST_S)
@@ -73,14 +67,11 @@ class GraphNode(InterruptibleNode):
             offers.heard |= {topic for topic, _ in self.get_subscriber_names_and_types_by_node(name, space or "/")}
             offers.served |= {each for each, _ in self.get_service_names_and_types_by_node(name, space or "/")}
 
-    def _register(self, message: TaskRegistry) -> None:
-        self._registry = message
 
-
-def _enclaves(registry: TaskRegistry, nodes: Collection[str]) -> dict[str, str]:
+def _enclaves(tasks: Sequence[Mapping[str, Any]], nodes: Collection[str]) -> dict[str, str]:
     """Return the enclave of each node of the deployment, of the bootstrap, and of the agents of other hosts."""
-    enclaves = {task.node: enclave_of(task.host, task.process) for task in registry.tasks}
-    for host in {task.host for task in registry.tasks}:
+    enclaves = {task["node"]: enclave_of(task["host"], task["process"]) for task in tasks}
+    for host in {task["host"] for task in tasks}:
         agent = f"/{agent_name(host)}"
         is_other = agent in nodes
         enclaves[agent if is_other else "/bootstrap"] = enclave_of(host, AGENT if is_other else BOOTSTRAP)
@@ -88,7 +79,7 @@ def _enclaves(registry: TaskRegistry, nodes: Collection[str]) -> dict[str, str]:
 
 
 def _make(folder: Path, node: GraphNode) -> int:
-    offers, strangers = node.read()
+    offers, strangers = node.interfaces()
     enclaves = {name: permissions_of(own) for name, own in offers.items()}
     enclaves[CLIENT] = client_permissions(offers.values())
     domain = node.context.get_domain_id()
@@ -106,7 +97,7 @@ def _tell(folder: Path, domain: int, offers: Mapping[str, NodeInterfaces], stran
     print(
         f"{folder} is a keystore for ROS domain {domain}. Keep {folder / 'private'} on one computer; each host "
         "needs public/ and enclaves/ with its own enclaves.\n"
-        f"Use it where DDS has security: export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce "
+        "Use it where DDS has security: export ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce "
         f"ROS_SECURITY_KEYSTORE={folder.resolve()} ROS_SECURITY_ENCLAVE_OVERRIDE={CLIENT}"
     )
 

@@ -15,7 +15,8 @@ from im_core.options import NumberParser, seconds
 from im_core.ros import qos
 from im_msgs.msg import TaskRecord, TaskRegistry
 
-_WAIT_S = 10.0
+#: How long the bootstrap is awaited at first [s].
+WAIT_S = 10.0
 _COLUMNS = {
     "id": "id",
     "task": "name",
@@ -133,7 +134,7 @@ def main() -> int:
     parser.add_argument(
         "--timeout",
         type=seconds,
-        default=_WAIT_S,
+        default=WAIT_S,
         metavar="S",
         help="longest wait for the bootstrap [s] (default: %(default)g)",
     )
