@@ -111,7 +111,8 @@ def test_its_cameras_are_calibrated_by_the_light_on_its_wrist(machine, cell, tmp
 
     shipped = cell[1]
     if not shipped.poses:
-        pytest.skip("this cell has no cameras")
+        assert "calibrate_camera" not in COMMANDS[cell[0]]
+        return
     few = yaml.safe_load(Path(shipped.poses).read_text())
     few["poses"] = few["poses"][:14]
     (tmp_path / "few.yaml").write_text(yaml.safe_dump(few))
