@@ -129,7 +129,7 @@ def test_partition_without_a_restart(client):
         assert "group 'testbed' is not in the preset in force, 3x6" in result.status.message
         answer = client.call(SetPartition, "set_partition", preset="2x9")
         assert not answer.success
-        assert "motion" in answer.message
+        assert "release first" in answer.message
     finally:
         client.to_cold()
         assert client.call(SetPartition, "set_partition", preset="2x9").success

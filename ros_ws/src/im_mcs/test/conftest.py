@@ -98,20 +98,21 @@ def frictionless(config: McsConfig) -> McsConfig:
 
 
 @pytest.fixture
-def make_bench(model: CellModel, cell: Cell) -> Callable[[McsConfig], Bench]:
+def make_bench(model: CellModel, cell: Cell) -> Callable[..., Bench]:
     """Benches over the loopback driver."""
 
-    def make(config: McsConfig) -> Bench:
+    def make(config: McsConfig, gravity: float = 1.0) -> Bench:
+        """Make a bench whose arms weigh ``gravity`` times what the laws know."""
         interfaces = {slot.channel: slot.interface for slot in config.joint_slots}
-        inertia = model.inertia_diagonal(cell.home)
-        driver = LoopbackDriver(inertia, cell.home, bias=CellModel(cell).gravity, interfaces=interfaces)
+        inertia, known = model.inertia_diagonal(cell.home), CellModel(cell)
+        driver = LoopbackDriver(inertia, cell.home, bias=lambda q: gravity * known.gravity(q), interfaces=interfaces)
         return Bench(config, model, driver)
 
     return make
 
 
 @pytest.fixture
-def bench(frictionless: McsConfig, make_bench: Callable[[McsConfig], Bench]) -> Bench:
+def bench(frictionless: McsConfig, make_bench: Callable[..., Bench]) -> Bench:
     return make_bench(frictionless)
 
 

@@ -282,6 +282,79 @@ def test_a_group_that_both_partitions_have_stays_reserved_and_stays_itself(confi
     assert bench.ask("power_on")["success"]
 
 
+def test_arms_at_rest_change_hands_under_power_without_a_bump(frictionless, make_bench, cell):
+    bench = make_bench(frictionless.with_preset("2x9"), gravity=1.1)  # a tenth of it is the integrals' work
+    for group, lease_s in (("left", 0.0), ("right", 500.0)):
+        assert bench.ask("reserve", group=group, owner="ann", lease_s=lease_s)["success"]
+    for request in ("power_on", "enable_motion"):
+        assert bench.ask(request, sender=BY_ANN)["success"]
+    bench.ask("set_speed", group="right", scale=0.5, sender=BY_ANN)
+    near = cell.home + 0.04
+    for group, index in (("left", slice(0, 9)), ("right", slice(9, 18))):
+        assert bench.ask("move", group=group, path=joint_path(near[index]), sender=BY_ANN)["success"]
+    steps = []
+    q, held, tau = bench.driver.q.copy(), bench.mcs.setpoint[0].copy(), bench.mcs.tau.copy()
+
+    def look():
+        nonlocal tau
+        assert bench.driver.drive.power
+        assert not bench.driver.drive.brakes.any()
+        assert bench.mcs.manager.state is State.MOTION
+        steps.append(np.abs(bench.mcs.tau - tau) / bench.mcs.limits.torque)
+        tau = bench.mcs.tau.copy()
+
+    for preset, names in (("1x18", {"testbed"}), ("3x6", {"left", "right", "transporter"}), ("2x9", {"left", "right"})):
+        assert bench.ask("repartition", look, preset=preset, sender=BY_ANN)["success"]
+        assert set(bench.mcs.manager.states) == set(bench.mcs.groups) == names
+        assert {bench.mcs.manager.reservations.of(name).owner for name in names} == {"ann"}
+        assert {bench.mcs.manager.reservations.of(name).lease_s for name in names} == {500.0}
+        while bench.mcs.wants_time:
+            bench.mcs.tick([])
+            look()
+        np.testing.assert_array_equal(bench.mcs.setpoint[0], held)
+        np.testing.assert_allclose(bench.driver.q, q, atol=1e-4)
+    assert np.max(steps) < 2e-3  # of the largest torque, in a tick
+    assert not bench.mcs.saturations.counts.any()
+    whole = bench.ask("repartition", preset="1x18", sender=BY_ANN)
+    assert whole["success"], whole["error"]
+    durations = []
+    for point in (cell.home, near):
+        whole = bench.ask("move", group="testbed", path=joint_path(point), sender=BY_ANN)
+        assert whole["success"], whole["error"]
+        durations.append(whole["results"]["duration"])
+        bench.ask("set_speed", group="testbed", scale=1.0, sender=BY_ANN)
+    assert durations[0] > 1.5 * durations[1]  # of two speeds the slower one
+    assert bench.ask("power_off", sender=BY_ANN)["success"]
+    assert not bench.driver.drive.power
+
+
+def test_what_cannot_change_hands_under_power_is_refused_and_stays(bench, cell):
+    bench.ask("reserve", group="left", owner="ann")
+    by_bob, preset = {"names": ["bob"]}, "1x18"
+    refused(bench.ask("repartition", preset=preset, sender=BY_ANN), "'left' reserved", "'testbed' has right_track")
+    bench.ask("reserve", group="right", owner="bob")
+    for sender in (BY_ANN, by_bob, {"names": ["ann", "bob"]}):
+        refused(bench.ask("repartition", preset=preset, sender=sender), "owner")
+    bench.ask("release", group="right", sender=by_bob)
+    bench.ask("reserve", group="right", owner="ann")
+    for request in ("power_on", "enable_motion"):
+        assert bench.ask(request, group="left", sender=BY_ANN)["success"]
+    refused(bench.ask("repartition", preset=preset, sender=BY_ANN), "'left' is motion, 'right' is reserved")
+    bench.ask("power_on", group="right", sender=BY_ANN)
+    released = bench.send("enable_motion", group="right", sender=BY_ANN)
+    asked = bench.send("repartition", preset=preset, sender=BY_ANN)
+    refused(bench.reply(asked), "while enable_motion is under way")
+    while bench.reply(released) is None:
+        bench.mcs.tick([])
+    moving = bench.send("move", group="left", path=joint_path(cell.home[LEFT] + 0.2), sender=BY_ANN)
+    refused(bench.ask("repartition", preset=preset, sender=BY_ANN), "'left', 'right' not at rest")
+    while bench.reply(moving) is None:
+        bench.mcs.tick([])
+    assert bench.reply(moving)["success"]
+    assert bench.mcs.config.preset == "2x9"
+    assert bench.ask("repartition", preset=preset, sender=BY_ANN)["success"]
+
+
 @pytest.mark.parametrize("preset", ["3x6", "2x9", "1x18"])
 def test_all_groups_of_a_partition_move_at_once(frictionless, make_bench, cell, preset):
     bench = make_bench(frictionless.with_preset(preset))

@@ -78,6 +78,7 @@ class ControlLaws:
         self.name = name
         self._present = _Share(self._laws[name])
         self._next: _Share | None = None
+        self._before: NDArray[np.float64] | None = None
 
     @property
     def switching(self) -> bool:
@@ -111,9 +112,14 @@ class ControlLaws:
         self._next = _Share(law, left=1.0)
         law.reset()
 
-    def reset(self) -> None:
-        """Start anew with the law asked for last, at once; the arm stands still."""
-        self._present, self._next = _Share(self._laws[self.name]), None
+    def reset(self, before: NDArray[np.float64] | None = None) -> None:
+        """Start anew with the law asked for last, at once; the arm stands still.
+
+        Args:
+            before: Commands of other laws from which to go on without a bump, shape (n,); None: there were none.
+        """
+        self._present, self._next = _Share(self._laws[self.name], left=0.0 if before is None else 1.0), None
+        self._before = before
         self._present.law.reset()
 
     def hold_integral(self, hold: bool) -> None:
@@ -129,6 +135,10 @@ class ControlLaws:
         present, coming = self._present, self._next
         if self._model_changes:
             present.law.hold_integral(False)
+        if (before := self._before) is not None:
+            present.error, self._before = given.setpoint.q - given.q, None
+            present.torque = before - present.answer(given)
+            return before
         if coming is None and present.left > 0.0:
             present.ticks += 1
             past = present.ticks / self._fade_ticks

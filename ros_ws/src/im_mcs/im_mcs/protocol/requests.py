@@ -241,6 +241,7 @@ class RepartitionRequest(ServoRequest):
     """Divide the joints into the groups of another preset."""
 
     preset: Text
+    sender: By = NOBODY
 
 
 class TransitionRequest(ServoRequest):

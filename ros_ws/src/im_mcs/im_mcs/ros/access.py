@@ -291,14 +291,14 @@ class McsAccess:
                     raise
                 await pause(self.node, _AGAIN_S)
 
-    async def repartition(self, preset: str) -> None:
-        """Divide the joints into groups anew.
+    async def repartition(self, preset: str, client: str) -> None:
+        """Divide the joints into groups anew, for a client.
 
         Raises:
             ImError: There is no such preset, or the state does not allow it.
         """
         config = self.config.with_preset(preset)
-        await self.request(Event.REPARTITION, {"preset": preset})
+        await self.request(Event.REPARTITION, {"preset": preset, "sender": await self.sender(client)})
         self.config = config
         kinematics = Kinematics(config, CellModel(self.cell))
         kinematics.surround(self._around)

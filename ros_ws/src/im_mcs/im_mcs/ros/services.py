@@ -108,8 +108,8 @@ class StateServices:
         await self._mcs.request(Event.RENEW, {"owner": request.owner})
         return f"the lease of '{request.owner}' is renewed"
 
-    async def _set_partition(self, request: SetPartition.Request, *_: object) -> str:
-        await self._mcs.repartition(request.preset)
+    async def _set_partition(self, request: SetPartition.Request, _: object, client: str) -> str:
+        await self._mcs.repartition(request.preset, client)
         return f"the groups are {', '.join(self._mcs.config.groups)}"
 
     def _ready(self, group: str) -> Work:

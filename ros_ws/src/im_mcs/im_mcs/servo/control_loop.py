@@ -1,6 +1,6 @@
 """From setpoints to commands, for all groups under control: plan, limit, control, limit; then look around."""
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,15 @@ class ControlLoop:
             self._limiter.hold(group.index, q[group.index])
             if group not in self.engaged:
                 self.engaged.append(group)
+
+    def hand_over(self, former: Sequence[ControlledGroup], heirs: Iterable[ControlledGroup]) -> None:
+        """Let groups hold the joints of others, which end, at the same setpoints, with commands that go on."""
+        for group in former:
+            group.disengage()
+        for group in heirs:
+            group.engage(self.setpoint[0, group.index], self.command[group.index])
+            self.engaged.append(group)
+        self.engaged = [group for group in self.engaged if group.engaged]
 
     def disengage(self, groups: Container[str]) -> None:
         """End setpoints and commands of groups, from the current tick on."""

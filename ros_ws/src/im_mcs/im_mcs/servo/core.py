@@ -17,7 +17,7 @@ from im_mcs.limits.saturation import Saturations
 from im_mcs.model import CellModel, ControlledModel
 from im_mcs.planning.goals import Goal
 from im_mcs.protocol.evidence import Recorder
-from im_mcs.protocol.requests import request_id
+from im_mcs.protocol.requests import Sender, request_id
 from im_mcs.safety import Reaction, SafetyFinding, Situation, Supervisor
 from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.servo.answers import Answers, Emit
@@ -240,24 +240,27 @@ class Mcs:
         self.measured = self.manager.measured = self._testbed.read()
         self.grippers.find(before, self.measured.gripper)
 
-    def repartition(self, preset: str) -> None:
-        """Divide the joints into the groups of another preset.
+    def repartition(self, preset: str, sender: Sender) -> None:
+        """Divide the joints into the groups of another preset; what is at rest under power stays so.
 
         Raises:
             NotFoundError: There is no such preset.
-            StateError: Not allowed now, or a reserved group has other joints there.
+            StateError: Not allowed now, or not with the groups that are reserved.
             ConfigError: A control law of a group cannot be loaded.
         """
-        config = self.config.with_preset(preset)
-        self.manager.check_repartition({name: group.joints for name, group in config.groups.items()}, preset)
-        held = next((group.held for group in self.groups.values() if group.held is not None), None)
+        config, before = self.config.with_preset(preset), self.groups
+        joints = {name: group.joints for name, group in config.groups.items()}
+        heirs = self.manager.check_repartition(joints, preset, sender)
+        held = next((group.held for group in before.values() if group.held is not None), None)
         self.groups, self._collision = self._partitions.enter(preset)
         for group in self.groups.values():
             group.held = held
-        self.manager.repartition(
-            {name: group.joints for name, group in config.groups.items()},
-            {name: group.index for name, group in self.groups.items()},
-        )
+        self.manager.repartition(joints, {name: group.index for name, group in self.groups.items()}, heirs)
+        for heir, names in heirs.items():
+            self.groups[heir].inherit([before[name] for name in names])
+        former = [before[name] for name in dict.fromkeys(name for names in heirs.values() for name in names)]
+        engaged = [self.groups[heir] for heir, names in heirs.items() if before[names[0]].engaged]
+        self.loop.hand_over(former, engaged)
         self.config = config
         self.situation.groups = self.groups
 

@@ -63,7 +63,7 @@ class Machine(Protocol):
     answers: Answers
     measured: Measured
 
-    def repartition(self, preset: str) -> None:
+    def repartition(self, preset: str, sender: Sender) -> None:
         """Divide the joints into the groups of another preset."""
         ...
 
@@ -142,7 +142,7 @@ class Dispatch:
                 manager.renew(request.owner)
                 return False
             case RepartitionRequest():
-                mcs.repartition(request.preset)
+                mcs.repartition(request.preset, request.sender)
                 return False
             case EstopRequest():
                 mcs.estop(StateError(request.reason))

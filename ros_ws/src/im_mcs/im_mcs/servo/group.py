@@ -151,11 +151,16 @@ class ControlledGroup:
 
     # what may be asked of it
 
-    def engage(self, q: NDArray[np.float64]) -> None:
-        """Hold at ``q``, shape (n,): the first setpoint is the measured position."""
+    def engage(self, q: NDArray[np.float64], before: NDArray[np.float64] | None = None) -> None:
+        """Hold at ``q``, shape (n,): the first setpoint is the measured position, or that of the groups before.
+
+        Args:
+            q: Positions [rad or m].
+            before: Commands of the groups before, from which the law goes on, shape (n,); None: there were none.
+        """
         self.hold(q)
         self.check.q, self.check.v = q, np.zeros_like(q)
-        self.controller.reset()
+        self.controller.reset(before)
         self.monitor.restart()
         self.engaged = True
 
@@ -332,6 +337,12 @@ class ControlledGroup:
     def set_speed(self, scale: float) -> None:
         """Set the share of the planned speed, up to 1, for the current motion and later ones; 0 halts on the path."""
         self._rates.override = scale
+
+    def inherit(self, former: Sequence["ControlledGroup"]) -> None:
+        """Take over a pause and the smallest speed of the groups before."""
+        rates = [group._rates for group in former]
+        self._rates.override = min(rate.override for rate in rates)
+        self._rates.paused = any(rate.paused for rate in rates)
 
     def set_ceiling(self, scale: float) -> None:
         """Set the upper bound of the rate, in steps of 0.05 from 0.05 to 1; independent of the client's override."""

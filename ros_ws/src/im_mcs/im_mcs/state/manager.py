@@ -274,28 +274,56 @@ class StateManager:
         self.check(Event.RENEW)
         self.reservations.renew(owner, self.measured.stamp_ns)
 
-    def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
+    def check_repartition(
+        self, groups: Mapping[str, Sequence[str]], preset: str, sender: Sender
+    ) -> dict[str, list[str]]:
         """Check whether the slots may be divided into other groups.
 
         Args:
             groups: Slots of each group.
             preset: Name of the partition, for messages.
+            sender: Who asks.
+
+        Returns:
+            The groups that will be reserved in the place of others, each with those others.
 
         Raises:
-            StateError: Not allowed now, or a reserved group has other joints there.
+            StateError: Not allowed now, or not with the groups that are reserved.
         """
         self.check(Event.REPARTITION)
-        self.reservations.check_repartition(groups, preset)
+        heirs = self.reservations.heirs(groups, preset, sender)
+        for heir, former in heirs.items():
+            self._require_idle(Event.REPARTITION, former)
+            states = {self._states[group] for group in former}
+            if len(states) > 1:
+                each = ", ".join(f"'{group}' is {self._states[group].value}" for group in former)
+                raise StateError(f"repartition to {preset} is refused: of the joints of group '{heir}' there, {each}")
+            if State.MOTION in states and not (self._arms.moving(former) is None and self._arms.settled(former)):
+                named = ", ".join(f"'{group}'" for group in former)
+                raise StateError(f"repartition to {preset} is refused: {named} not at rest", groups=former)
+        return heirs
 
-    def repartition(self, groups: Mapping[str, Sequence[str]], index: Mapping[str, NDArray[np.intp]]) -> None:
-        """Divide the slots into other groups; to be checked before.
+    def repartition(
+        self,
+        groups: Mapping[str, Sequence[str]],
+        index: Mapping[str, NDArray[np.intp]],
+        heirs: Mapping[str, Sequence[str]],
+    ) -> None:
+        """Divide the slots into other groups; power and brakes stay as they are.
 
         Args:
             groups: Slots of each group.
             index: Joints of each group, as ranks.
+            heirs: What :meth:`check_repartition` returned.
         """
-        self.reservations.repartition(groups)
+        self.reservations.repartition(groups, heirs)
+        states = {heir: self._states[former[0]] for heir, former in heirs.items()}
+        needing = {heir for heir, former in heirs.items() if former[0] in self._needing}
+        gone = {group for former in heirs.values() for group in former}
+        self._states = {group: state for group, state in self._states.items() if group not in gone} | states
+        self._needing = (self._needing - gone) | needing
         self._index = index
+        self._judge_states()
 
     def shut_down(self, reason: str) -> None:
         """Go towards power off by the ordinary ways, as soon as nothing moves; to be called tick by tick."""

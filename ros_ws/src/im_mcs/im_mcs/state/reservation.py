@@ -1,7 +1,8 @@
 """Allocation of slots to groups (paper, section 4: "allocate resources and prevent contention")."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from im_core.errors import NotFoundError, StateError
 from im_mcs.protocol.requests import NOBODY, Sender
@@ -202,24 +203,54 @@ class Reservations:
                 owner=reservation.owner,
             )
 
-    def check_repartition(self, groups: Mapping[str, Sequence[str]], preset: str) -> None:
-        """Check whether the reserved groups have the same slots in another partition.
+    def heirs(self, groups: Mapping[str, Sequence[str]], preset: str, sender: Sender) -> dict[str, list[str]]:
+        """Return the groups of another partition that take over slots of reserved groups, each with these.
+
+        A group that has the same slots there stays as it is, and is not among them.
+
+        Args:
+            groups: Slots of each group of the other partition.
+            preset: Its name, for messages.
+            sender: Who asks.
 
         Raises:
-            StateError: One has not; all such are named.
+            StateError: A group takes over some slots that are reserved and some that are not, or of several owners; or
+                the sender may not drive a group that ends.
         """
         lost = [group for group in self._held if tuple(groups.get(group, ())) != self._groups[group]]
-        if lost:
-            named = ", ".join(f"'{group}'" for group in lost)
-            raise StateError(
-                f"repartition to {preset} is refused: {named} reserved, and other joints there; release first",
-                groups=lost,
-                preset=preset,
-            )
+        for group in lost:
+            self.require_driver(group, sender)
+        whose = {slot: group for group in lost for slot in self._groups[group]}
+        heirs: dict[str, list[str]] = {}
+        for heir, slots in groups.items():
+            former = list(dict.fromkeys(whose[slot] for slot in slots if slot in whose))
+            named = ", ".join(f"'{group}'" for group in former)
+            why = ""
+            if former and (free := [slot for slot in slots if slot not in whose]):
+                why = f"group '{heir}' has {free[0]} there, too, which is not"
+            elif len({_plain(self._held[group].owner) for group in former}) > 1:
+                why = f"for several owners, and together group '{heir}' there"
+            if why:
+                sentence = f"repartition to {preset} is refused: {named} reserved, and {why}; release first"
+                raise StateError(sentence, groups=former, preset=preset)
+            if former:
+                heirs[heir] = former
+        if unused := [slot for slot in whose if not any(slot in groups[heir] for heir in heirs)]:
+            sentence = f"repartition to {preset} is refused: {unused[0]} is reserved, and in no group there"
+            raise StateError(sentence, slot=unused[0], preset=preset)
+        return heirs
 
-    def repartition(self, groups: Mapping[str, Sequence[str]]) -> None:
-        """Another set of groups; reservations stay."""
+    def repartition(self, groups: Mapping[str, Sequence[str]], heirs: Mapping[str, Sequence[str]]) -> None:
+        """Another set of groups; reservations stay, or go to the heirs with the lease that ends first."""
         self._groups = {name: tuple(slots) for name, slots in groups.items()}
+        before = dict(self._held)
+        for group in {group for former in heirs.values() for group in former}:
+            del self._held[group]
+        for heir, former in heirs.items():
+            first = min(
+                (before[group] for group in former), key=lambda held: held.until_ns if held.lease_s else math.inf
+            )
+            self._held[heir] = replace(first, group=heir)
 
     def _slots(self, group: str) -> tuple[str, ...]:
         if group not in self._groups:

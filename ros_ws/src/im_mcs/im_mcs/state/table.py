@@ -93,7 +93,7 @@ _RESERVED = "the group is reserved"
 _OWNER = "by the owner of the group"
 _HOLDS = "by the owner of the group, whose lease holds"
 _UNDER_WAY = "the goal is under way or waits"
-_SAME = "the reserved groups have the same joints in it"
+_SAME = "reserved groups have the same joints in it, or go at rest to groups of the same owner"
 _SAFE = "by the owner of the group; every brake holds"
 _CARRIED = "by the owner of the group; gravity torque present before the brakes release"
 _AT_REST = "by the owner of the group, or its lease has lapsed; goals end, at rest first"
@@ -128,6 +128,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.ACTIVE, Event.RELEASE, State.COLD, f"{_OWNER}; power off first"),
     StateTransition(State.ACTIVE, Event.RENEW, State.ACTIVE, "the owner has reserved a group"),
     StateTransition(State.ACTIVE, Event.TAKE_OVER, State.ACTIVE, _RESERVED),
+    StateTransition(State.ACTIVE, Event.REPARTITION, State.ACTIVE, _SAME),
     StateTransition(State.ACTIVE, Event.SET_GRIPPER, State.ACTIVE, _JAWS),
     StateTransition(State.ACTIVE, Event.CANCEL, State.ACTIVE, _UNDER_WAY),
     StateTransition(State.ACTIVE, Event.SET_CONTROLLER, State.ACTIVE, _LAW),
@@ -142,6 +143,7 @@ TABLE: tuple[StateTransition, ...] = (
     StateTransition(State.MOTION, Event.RELEASE, State.COLD, f"{_OWNER}; goals end, power off first"),
     StateTransition(State.MOTION, Event.RENEW, State.MOTION, "the owner has reserved a group"),
     StateTransition(State.MOTION, Event.TAKE_OVER, State.MOTION, _RESERVED),
+    StateTransition(State.MOTION, Event.REPARTITION, State.MOTION, _SAME),
     StateTransition(State.MOTION, Event.MOVE, State.MOTION, _HOLDS),
     StateTransition(State.MOTION, Event.STREAM, State.MOTION, _HOLDS),
     StateTransition(State.MOTION, Event.QUERY, State.MOTION, "a trajectory is followed at that time"),
