@@ -241,7 +241,7 @@ class Mcs:
         self.grippers.find(before, self.measured.gripper)
 
     def repartition(self, preset: str, sender: Sender) -> None:
-        """Divide the joints into the groups of another preset; what is at rest under power stays so.
+        """Divide the joints into the groups of another preset; arms at rest under power stay so.
 
         Raises:
             NotFoundError: There is no such preset.
