@@ -1,16 +1,19 @@
-"""A free body gripped by MCS, carried by a move of the arm, and let go; truth is asked of the testbed."""
+"""Free bodies gripped by MCS, carried, let go, and met by a guarded move; truth is asked of the testbed."""
 
+import copy
 import json
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from control_msgs.action import GripperCommand
+from geometry_msgs.msg import Pose
 
 from im_cell.robot import load_cell, urdf
 from im_core.config import package_file
 from im_core.ros.calls import call_blocking
-from im_msgs.srv import Advance, GetTruth, PlaceObject
+from im_msgs.action import Move
+from im_msgs.srv import Advance, GetTruth, InverseKinematics, PlaceObject
 from support.mcs_config import write_mcs_config
 
 
@@ -45,6 +48,10 @@ def grip(client, position, effort):
     return client.act(GripperCommand, "/left_gripper/gripper_cmd", goal)[1]()
 
 
+def line(client, pose, **fields):
+    return client.act(Move, "/left/move", Move.Goal(line=[pose], **fields))[1]().result
+
+
 def test_a_block_is_gripped_carried_and_let_go(client):
     client.to_motion()
     block = load_cell().objects[0]
@@ -74,3 +81,28 @@ def test_a_block_is_gripped_carried_and_let_go(client):
     assert grip(client, 0.08, 60.0).result.reached_goal
     assert client.call(Advance, "/testbed/advance", duration=2.0).success
     assert truth(client, "block")[2] < before[2] - 0.01, "it fell out of the jaws"
+
+
+def test_a_guarded_move_ends_on_the_block_below_and_fails_over_nothing(client):
+    client.to_motion()
+    before = truth(client, "block")
+    above = Pose()
+    above.position.x, above.position.y = before[:2]
+    above.position.z = before[2] + 0.08 + load_cell().gripper.reach + 0.08  # its half height, and room for the jaws
+    above.orientation.x, above.orientation.w = 1.0, 0.0  # straight down
+    answer = client.call(InverseKinematics, "inverse_kinematics", group="left", wrist=above, avoid_collisions=True)
+    assert answer.success, answer.status.message
+    assert client.move(list(answer.q)).success
+    below = copy.deepcopy(above)
+    below.position.z -= 0.12
+    result = line(client, below, line_speed=0.03, until_force=15.0)
+    assert result.success, result.status.message
+    assert 15.0 <= result.force < 60.0
+    assert before[2] + 0.04 < result.state.wrist.position.z - load_cell().gripper.reach < above.position.z
+    assert truth(client, "block")[:3] == pytest.approx(before[:3], abs=6e-3), "pressed, not pushed away"
+    assert line(client, above).success
+    above.position.z += 0.02
+    nothing = line(client, above, line_speed=0.03, until_force=15.0)
+    assert not nothing.success
+    assert nothing.status.code == "no_contact"
+    assert "no contact on the way" in nothing.status.message

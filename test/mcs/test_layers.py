@@ -5,6 +5,7 @@ import math
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from std_srvs.srv import Trigger
 
 from im_core import clock
 from im_msgs.msg import GroupSetpoints, GroupTorques, SetpointCommand, SlotStates, TorqueCommand
@@ -46,6 +47,30 @@ def test_every_layer_shows_itself(ready):
     moving = np.abs(np.diff(t) - 0.02) < 0.006
     slopes = np.diff(q, axis=0)[moving] / np.diff(t)[moving, None]
     np.testing.assert_allclose(slopes, ((v[1:] + v[:-1]) / 2)[moving], atol=0.05)
+
+
+def test_a_tare_lets_the_wrench_of_a_wrist_begin_at_zero_and_slots_as_they_are(ready):
+    slots = ready.listen(SlotStates, "/mcs/slots")
+    wrench = ready.listen(WrenchStamped, "/left_wrist/wrench")
+
+    def mean():
+        """Forces of the topic and of the slots, at rest."""
+        assert ready.move(ready.home).success
+        wrench.clear()
+        slots.clear()
+        ready.until(lambda: len(wrench) > 20 and len(slots) > 20)
+        forces = ([m.wrench.force for m in wrench], [m.wrenches[0].force for m in slots])
+        return [np.mean([[f.x, f.y, f.z] for f in each], axis=0) for each in forces]
+
+    before, raw = mean()
+    np.testing.assert_allclose(before, raw, atol=0.2)
+    assert np.linalg.norm(before) > 1.0  # the weight of gripper and light
+    answer = ready.call(Trigger, "/left_wrist/tare")
+    assert answer.success, answer.message
+    assert "/left_wrist/wrench is zero now" in answer.message
+    after, still = mean()
+    np.testing.assert_allclose(after, np.zeros(3), atol=0.15)
+    np.testing.assert_allclose(still, raw, atol=0.2)
 
 
 def test_the_owner_drives_setpoints(client):

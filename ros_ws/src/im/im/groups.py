@@ -106,26 +106,30 @@ class Arm(Group):
         """Gripper of the arm."""
         return Gripper(self._connection, f"{self.name}_gripper")
 
-    def move_to(self, pose: Pose, straight: bool = False, speed_scale: float = 1.0) -> None:
+    def move_to(self, pose: Pose, straight: bool = False, speed_scale: float = 1.0, until_force: float = 0.0) -> None:
         """Move the wrist frame to a pose, and wait for rest; Ctrl-C stops the motion.
 
         Args:
             pose: Goal in the world.
             straight: Along a straight line of the wrist; else interpolated in the joints.
             speed_scale: 0.01 to 1 of the configured limits.
+            until_force: Change of the force at the wrist that ends the motion on its way [N]; 0: none.
 
         Raises:
-            MachineError: The pose is out of reach, or the motion failed or was refused.
+            MachineError: The pose is out of reach, or the motion failed or was refused, or met no such force.
         """
         wrist = pose.message(self.tool_pose)
+        goal = Move.Goal(speed_scale=float(speed_scale), until_force=float(until_force))
         if straight:
-            self._move(Move.Goal(line=[wrist], speed_scale=float(speed_scale)))
+            goal.line = [wrist]
+            self._move(goal)
             return
         answer = self._connection.call(
             InverseKinematics, "/mcs/inverse_kinematics", group=self.name, wrist=wrist, avoid_collisions=True
         )
         require(answer)
-        self._move(Move.Goal(path=_path(self.state.joints, answer.q), speed_scale=float(speed_scale)))
+        goal.path = _path(self.state.joints, answer.q)
+        self._move(goal)
 
     def move_joints(self, speed_scale: float = 1.0, **positions: float) -> None:
         """Move joints to positions, and wait for rest; other joints of the group stay. Ctrl-C stops the motion.

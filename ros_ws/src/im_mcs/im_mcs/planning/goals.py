@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from im_core.errors import ImError
 from im_mcs.planning.checks.tolerances import TrajectoryTolerances
+from im_mcs.planning.contact import ContactWatch
 from im_mcs.planning.motions.preparation import Preparation
 from im_mcs.planning.motions.stream import OpenFollower, StreamLease
 from im_mcs.planning.retiming import RetimedTrajectory
@@ -38,6 +39,7 @@ class Queued:
         policy: What becomes of motions before it.
         share: Speed scale of this motion alone.
         tolerances: Of a trajectory.
+        until_force: Change of the force at a wrist that ends it [N]; 0: none.
         at_once: It has taken the place of another that had not begun: a trajectory waits for no re-timing.
         ticks: Since it was asked for.
         preparation: Its preparation, once begun.
@@ -49,6 +51,7 @@ class Queued:
     policy: Policy
     share: float
     tolerances: TrajectoryTolerances | None
+    until_force: float = 0.0
     at_once: bool = False
     ticks: int = 0
     preparation: Preparation | None = None
@@ -71,6 +74,7 @@ class Current:
         lease: the lease of the sender, of streaming setpoints or velocities.
         ticks: Since it began.
         at_once: It ends early, and stood still already.
+        contact: Judge of the contact that ends a guarded move.
     """
 
     goal: Goal
@@ -84,6 +88,7 @@ class Current:
     lease: StreamLease | None = None
     ticks: int = 0
     at_once: bool = False
+    contact: ContactWatch | None = None
 
 
 @dataclass

@@ -262,12 +262,17 @@ def _share(scale: float) -> float:
 
 
 class MoveRequest(ServoRequest):
-    """Follow a path; a scale of 0 stands for 1."""
+    """Follow a path; a scale of 0 stands for 1.
+
+    Attributes:
+        until_force: Change of the force at a wrist that ends the motion as a success [N]; 0: it goes to its end.
+    """
 
     group: Text
     path: Annotated[Move, Field(discriminator="kind")]
     policy: Annotated[Policy, Field(strict=False, description=f"one of {', '.join(Policy)}")] = Policy.REFUSE
     speed_scale: Annotated[float, Field(description=f"between {SLOWEST:g} and 1 (0 stands for 1)")] = 1.0
+    until_force: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [N]{_BOUND}")] = 0.0
     sender: By = NOBODY
 
     @field_validator("speed_scale")

@@ -2,10 +2,12 @@
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from std_srvs.srv import Trigger
 
 from im_core.rate_groups import RateStatistics
 from im_core.ros import run as ros_run
@@ -21,7 +23,7 @@ from im_mcs.ros.actions.move_server import MoveServer
 from im_mcs.ros.actions.trajectory_server import TrajectoryServer
 from im_mcs.ros.controller_services import ControllerServices
 from im_mcs.ros.estop_server import EstopServer
-from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices, SurroundingsServices
+from im_mcs.ros.services import KinematicsServices, MotionServices, StateServices, SurroundingsServices, offer
 from im_mcs.ros.servo_keeper import POLL_S
 from im_mcs.ros.topics.command_topics import CommandTopics
 from im_mcs.ros.topics.controller_state import ControllerStates
@@ -78,6 +80,8 @@ class McsNode(ManagedNode):
             MoveServer(self._mcs, motions),
             TrajectoryServer(self._mcs, motions),
         )
+        for wrist in self._layers.wrists:
+            offer(self._mcs, Trigger, f"/{wrist}/tare", partial(self._layers.tare, wrist))
         self._commands = CommandTopics(self._mcs)
         self._estop = EstopServer(self._mcs)
         self._publish_state()

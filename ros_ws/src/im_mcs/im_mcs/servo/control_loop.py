@@ -212,6 +212,7 @@ class ControlLoop:
         self._free(slice(None), m.q)
         gravity = self.model.gravity(m.q)
         for group in self.engaged:
+            group.feel(m.tick, m.q, m.wrench)
             driven = self.torque_streams.torque(group.name)
             own = group.command(m.tick, m.q, v, gravity, setpoint) if driven is None else driven
             wanted[group.place] = own

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ImError, StateError
+from im_core.errors import DataError, ImError, StateError
 from im_mcs.control import ControlInput, ControlLaws
 from im_mcs.model.dynamics import place_of
 from im_mcs.planning.checks.admission import check_jog, check_move, check_stream
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.checks.tolerances import tolerances_of
+from im_mcs.planning.contact import ContactWatch
 from im_mcs.planning.goals import Current, Goal, Queued, Rates
 from im_mcs.planning.motions.jog import Jog, JogFollower, JogLimit, wrist_tracker
 from im_mcs.planning.motions.preparation import prepare
@@ -194,13 +195,17 @@ class ControlledGroup:
 
         Raises:
             StateError: Another motion is under way and the policy is to refuse, or a protective stop holds the group.
-            DataError: It has not as many values as the group has joints, or does not end at rest.
+            DataError: It has not as many values as the group has joints, or does not end at rest; or it is to end at a
+                force, and the group has no sensor.
             LimitError: A point is out of a joint's range.
         """
         move = request.path
         self._require_free(request.policy)
         check_move(self.context, move)
-        queued = Queued(goal, move, request.policy, request.speed_scale, tolerances_of(self.context, move))
+        if request.until_force and not self.context.force_sensors:
+            raise DataError(f"group '{self.name}' has no force sensor, and the move is to end at a force")
+        tolerances = tolerances_of(self.context, move)
+        queued = Queued(goal, move, request.policy, request.speed_scale, tolerances, request.until_force)
         if request.policy is Policy.REPLACE:
             replaced = self._replaced(goal)
             queued.at_once = bool(self._queue)
@@ -391,6 +396,14 @@ class ControlledGroup:
             self._interrupt(current.stream.fault)
         return self.setpoint
 
+    def feel(self, tick: int, q: NDArray[np.float64], wrenches: NDArray[np.float64]) -> None:
+        """End a guarded move at a contact; arguments as :meth:`im_mcs.planning.contact.ContactWatch.update`."""
+        current = self._current
+        if current is None or current.contact is None or current.goal.fault is not None:
+            return
+        if (fault := current.contact.update(tick, q, wrenches)) is not None:
+            self._interrupt(fault)
+
     def cut(self, setpoint: Setpoint, joints: Sequence[str], tick: int) -> None:
         """Note the setpoint left by limits in the current tick: a motion along a path cannot succeed any more.
 
@@ -564,6 +577,10 @@ class ControlledGroup:
         else:
             planner.follow(trajectory, self._start_rate(queued))
         self._current = Current(queued.goal, queued.share, queued.tolerances, asked_s=trajectory.duration)
+        if queued.until_force:
+            context = self.context
+            watch = ContactWatch(self.name, context.force_sensors, context.model, queued.until_force)
+            self._current.contact = watch
         self._note_asked(self._current, queued, trajectory)
         self._begun()
 
@@ -620,8 +637,12 @@ class ControlledGroup:
     def _finish(self, goal: Goal, fault: ImError | None, ticks: int) -> None:
         results: dict[str, Any] = {"duration": ticks * self.planner.period_s}
         current = self._current
-        if current is not None and current.goal is goal and current.retimed is not None:
-            results["retimed"] = current.retimed.report
+        if current is not None and current.goal is goal:
+            if current.retimed is not None:
+                results["retimed"] = current.retimed.report
+            if current.contact is not None:
+                fault = current.contact.verdict(fault)
+                results["force"] = current.contact.force
         self._ended.append((goal, fault, results))
 
     def _suspended(self, fault: ImError) -> None:

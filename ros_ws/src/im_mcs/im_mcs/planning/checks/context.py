@@ -43,6 +43,13 @@ class PlanContext:
     config: McsConfig
 
     @cached_property
+    def force_sensors(self) -> dict[str, int]:
+        """Return the rows of the sensors of the group's wrists among the measured wrenches, by wrist."""
+        tips = self.model.cell.devices("force")
+        rows = {tips[slot.name]: row for row, slot in enumerate(self.config.wrench_slots)}
+        return {wrist: row for wrist, row in rows.items() if wrist in self.frames}
+
+    @cached_property
     def generators(self) -> dict[str, Callable[..., Any]]:
         """Return the configured makers of motions, by kind, each called with context, move and start.
 

@@ -50,7 +50,7 @@ class MoveServer:
             fail(handle, error)
         else:
             result.success, result.status = True, ok_status()
-            result.duration = float(results["duration"])
+            result.duration, result.force = float(results["duration"]), float(results.get("force", 0.0))
             handle.succeed()
         finally:
             self._goals.end_goal(handle)
@@ -78,7 +78,9 @@ class MoveServer:
             positions = [list(point.positions) for point in goal.path.points]
             points = ordered_points(group, joints, list(goal.path.joint_names), positions)
             path = {"kind": "joint", "points": points, "blend": goal.blend}
-        return {"group": group, "path": path, "policy": _POLICIES[goal.policy], "speed_scale": goal.speed_scale}
+        policy = _POLICIES[goal.policy]
+        scale, force = goal.speed_scale, goal.until_force
+        return {"group": group, "path": path, "policy": policy, "speed_scale": scale, "until_force": force}
 
     def _add_state(self, group: str, result: Move.Result) -> None:
         mcs = self._mcs

@@ -3,9 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Wrench, WrenchStamped
 from rclpy.publisher import Publisher
 
+from im_core.errors import StateError
 from im_core.ros import qos
 from im_core.ros.messages.stamps import to_stamp
 from im_mcs.ros.access import McsAccess
@@ -17,6 +19,9 @@ Sample = dict[str, Any]
 class Layers:
     """``/mcs/slots``, ``/<wrist>/wrench``, ``/<group>/setpoints`` and ``/<group>/torques``.
 
+    Attributes:
+        wrists: Frames of the force-torque sensors.
+
     Args:
         access: MCS.
     """
@@ -27,10 +32,12 @@ class Layers:
         self._drivers = [access.config.testbed.drivers[slot.driver].driver for slot in access.config.joint_slots]
         self._grippers = [slot.name for slot in access.config.gripper_slots]
         tips = access.cell.devices("force")
-        self._wrists = [tips[slot.name] for slot in access.config.wrench_slots]
+        self.wrists = [tips[slot.name] for slot in access.config.wrench_slots]
+        self._zero = np.zeros((len(self.wrists), 6))
+        self._newest: Sequence[Sample] = ()
         self._slots = access.node.create_publisher(SlotStates, "/mcs/slots", qos.EVENTS)
         self._wrenches = [
-            access.node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self._wrists
+            access.node.create_publisher(WrenchStamped, f"/{wrist}/wrench", qos.EVENTS) for wrist in self.wrists
         ]
         self._torques = self._per_group(GroupTorques, "torques")
         self._setpoints = self._per_group(GroupSetpoints, "setpoints")
@@ -44,6 +51,7 @@ class Layers:
         """
         if not samples:
             return
+        self._newest = samples
         if self._slots.get_subscription_count():
             self._slots.publish(self._slot_states(samples[-1]))
         for rank, publisher in enumerate(self._wrenches):
@@ -78,14 +86,28 @@ class Layers:
             grippers=self._grippers,
             opening=sample["gripper"],
             grip_force=sample["gripper_force"],
-            wrists=self._wrists,
+            wrists=self.wrists,
             wrenches=[_fill(Wrench(), values) for values in sample["wrench"]],
         )
 
+    async def tare(self, wrist: str, *_: object) -> str:
+        """Let ``/<wrist>/wrench`` count from the present reading on; slots show the reading as it is.
+
+        Raises:
+            StateError: There is no reading.
+        """
+        rank = self.wrists.index(wrist)
+        rows = [sample["wrench"][rank] for sample in self._newest]
+        if not rows or not np.isfinite(rows).all():
+            raise StateError(f"the force sensor of {wrist} gives no reading", frame=wrist)
+        self._zero[rank] = np.mean(rows, axis=0)
+        force = ", ".join(f"{value:.2f}" for value in self._zero[rank, :3])
+        return f"/{wrist}/wrench is zero now; the sensor's force is ({force}) N"
+
     def _wrench(self, rank: int, sample: Sample) -> WrenchStamped:
         message = WrenchStamped()
-        message.header.stamp, message.header.frame_id = to_stamp(sample["stamp_ns"]), self._wrists[rank]
-        _fill(message.wrench, sample["wrench"][rank])
+        message.header.stamp, message.header.frame_id = to_stamp(sample["stamp_ns"]), self.wrists[rank]
+        _fill(message.wrench, (np.asarray(sample["wrench"][rank]) - self._zero[rank]).tolist())
         return message
 
     def _group_torques(self, group: str, sample: Sample, law: str) -> GroupTorques:
