@@ -181,6 +181,50 @@ def test_a_switch_is_refused_by_name_and_allowed_wherever_the_group_is_reserved(
     assert "set_controller is refused in state estopped" in reply["error"]["message"]
 
 
+def test_other_gains_of_the_law_in_force_take_over_without_a_bump_and_hold(frictionless, make_bench, cell):
+    bench = make_bench(frictionless, gravity=1.1)  # a tenth of the weight is the integral's work
+    bench.to_motion("left")
+    law = bench.mcs.groups["left"].controller.name
+    torques = []
+
+    def look():
+        torques.append(bench.mcs.tau[:9].copy())
+
+    look()
+    for gains in ({"bandwidth_rad_s": 30.0}, {"bandwidth_rad_s": 80.0, "integral_rad_s": 20.0}, {}):
+        reply = bench.ask("set_controller", look, group="left", controller="", parameters=gains)
+        assert reply["success"], reply["error"]
+        assert bench.mcs.groups["left"].controller.name == law
+        assert bench.mcs.groups["left"].monitor.at_rest
+    steps = np.abs(np.diff(torques, axis=0)) / bench.mcs.limits.torque[:9]
+    assert steps.max() < 2e-3
+    np.testing.assert_allclose(bench.driver.q, cell.home, atol=1e-4)
+    assert bench.ask("set_controller", group="left", controller=law)["success"]
+    assert bench.send("set_controller", group="left", controller=law)
+    assert not bench.mcs.groups["left"].controller.switching, "it is in force already"
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [
+        ({"bandwith": 30.0}, ["bandwith", "did you mean 'bandwidth_rad_s'"]),
+        ({"bandwidth_rad_s": -1.0}, ["bandwidth_rad_s", "-1.0"]),
+        ({"bandwidth_rad_s": float("nan")}, ["bandwidth_rad_s"]),
+        ({"bandwidth_rad_s": float("inf")}, ["bandwidth_rad_s"]),
+        ({"bandwidth_rad_s": "fast"}, ["bandwidth_rad_s", "fast"]),
+        ([1.0], ["parameters"]),
+    ],
+)
+def test_gains_that_no_law_has_are_refused_and_change_nothing(bench, gains, words):
+    bench.to_motion("left")
+    reply = bench.ask("set_controller", group="left", controller="", parameters=gains)
+    assert not reply["success"]
+    for word in words:
+        assert word in reply["error"]["message"]
+    assert not bench.mcs.groups["left"].controller.switching
+    assert bench.mcs.manager.state.value == "motion"
+
+
 def test_an_estop_in_the_middle_of_a_switch_leaves_the_law_asked_for(bench):
     bench.to_motion("left")
     bench.send("set_controller", group="left", controller="im_mcs.control.pid:Pid")

@@ -1,19 +1,22 @@
 """The control laws of one group, of which one is in force; changed at run time without a bump."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import NotFoundError
+from im_core.errors import ConfigError, NotFoundError
 from im_mcs.control.controller import ControlInput
 from im_mcs.control.guard import GuardedLaw
 from im_mcs.control.law_process import RemoteLaw
 from im_mcs.model import ControlledModel
 
 _SHADOW_S = 0.036
+_CONFIGURED: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass
@@ -58,6 +61,7 @@ class ControlLaws:
         period_s: Servo period [s].
         handover_s: Time in which the difference fades [s].
         model: The laws' model, if what the arms carry may change: while it does, nothing is at rest, and integrals run.
+        make: Makes a law with parameters in place of some of the configuration's; None: there is no other.
 
     Attributes:
         name: The law in force, or about to be.
@@ -70,8 +74,10 @@ class ControlLaws:
         period_s: float,
         handover_s: float,
         model: ControlledModel | None = None,
+        make: Callable[[str, Mapping[str, Any]], GuardedLaw] | None = None,
     ) -> None:
         self._laws = dict(laws)
+        self._make, self._given = make, dict[str, Mapping[str, Any]]()
         self._model = model
         self._shadow_ticks = math.ceil(_SHADOW_S / period_s)
         self._fade_ticks = math.ceil(handover_s / period_s)
@@ -94,23 +100,34 @@ class ControlLaws:
     def _model_changes(self) -> bool:
         return self._model is not None and self._model.changing
 
-    def switch(self, name: str) -> None:
-        """Let another law take over from the next tick on; do nothing if already in force.
+    def switch(self, name: str, parameters: Mapping[str, Any] = _CONFIGURED) -> bool:
+        """Let another law take over from the next tick on; return whether it is not in force already.
+
+        Args:
+            name: Its name.
+            parameters: In place of those of the configuration; what is not named is as configured.
 
         Raises:
             NotFoundError: The configuration has no such law.
+            ConfigError: A parameter is none of the law's, or out of range; or the law has a process of its own.
         """
         if name not in self._laws:
             raise NotFoundError(kind="control law", name=name, known=self._laws)
-        if name == self.name:
-            return
+        known = parameters == self._given.get(name, _CONFIGURED)
+        if known and name == self.name:
+            return False
+        if not known:
+            if self._make is None or isinstance(self._laws[name], RemoteLaw):
+                raise ConfigError(f"{name} has a process of its own, and takes no other parameters while that runs")
+            self._laws[name], self._given[name] = self._make(name, parameters), dict(parameters)
         self.name = name
         law = self._laws[name]
         if law is self._present.law:  # called back while the other was still in the shadow
             self._next = None
-            return
+            return True
         self._next = _Share(law, left=1.0)
         law.reset()
+        return True
 
     def reset(self, before: NDArray[np.float64] | None = None) -> None:
         """Start anew with the law asked for last, at once; the arm stands still.

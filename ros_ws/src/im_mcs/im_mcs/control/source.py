@@ -1,5 +1,6 @@
 """Source of the groups' control laws: made in the servo process, or served by separate processes."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -59,15 +60,16 @@ class LawSource:
             ConfigError: One cannot be loaded.
         """
         first = self._config.group_control.get(group, self._config.control).controller
-        setup = self._setup(preset, group)
+        setup, configured = self._setup(preset, group), self._config.parameters_of_laws(group)
+
+        def make(law: str, parameters: Mapping[str, Any]) -> GuardedLaw:
+            return load_controller(law, ControllerSetup(**setup, parameters={**configured[law], **parameters}))
+
         laws: dict[str, GuardedLaw | RemoteLaw] = {}
-        for law, parameters in self._config.parameters_of_laws(group).items():
-            if law in self._processes:
-                laws[law] = self._connect(law, preset, group)
-            else:
-                laws[law] = load_controller(law, ControllerSetup(**setup, parameters=parameters))
+        for law in configured:
+            laws[law] = self._connect(law, preset, group) if law in self._processes else make(law, {})
         config = self._config
-        return ControlLaws(laws, first, config.servo.period_s, config.switching.handover_s, self._model)
+        return ControlLaws(laws, first, config.servo.period_s, config.switching.handover_s, self._model, make)
 
     @property
     def late(self) -> dict[str, int]:

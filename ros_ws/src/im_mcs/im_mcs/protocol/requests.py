@@ -356,10 +356,11 @@ class SetGripperRequest(ServoRequest):
 
 
 class SetControllerRequest(ServoRequest):
-    """Let another control law take over a group."""
+    """Let another control law, or the same with other parameters, take over a group; empty: the law in force."""
 
     group: Text
     controller: Text
+    parameters: dict[str, Any] = Field(default_factory=dict)
     sender: By = NOBODY
 
 

@@ -1,15 +1,17 @@
 """Services of MCS: of the state manager, on motions under way, and kinematic questions."""
 
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
+import pydantic
 from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
+from im_core.config import parse_model
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.status import ok_status, to_status
@@ -46,6 +48,7 @@ _WAY = (Event.RESERVE, Event.POWER_ON, Event.ENABLE_MOTION)
 _COVERED = {State.RESERVED: 1, State.ACTIVE: 2, State.MOTION: 3}
 """How much of the way a state has behind it."""
 _STOPS = (Event.PROTECTIVE_STOP, Event.RESET)
+
 Work = Callable[[Any, Any, str], Awaitable[str]]
 """What a service does: given request, response and client, it returns what to say."""
 
@@ -53,6 +56,10 @@ _Answer = TypeVar("_Answer")
 
 _MOST_QUESTIONS = 16
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+class LawParameters(pydantic.RootModel[dict[str, pydantic.JsonValue]]):
+    """Parameters of a control law by name, as a request gives them."""
 
 
 class StateServices:
@@ -210,7 +217,8 @@ class MotionServices:
         return f"{request.group} carries {payload.m:g} kg"
 
     async def _set_controller(self, request: SetController.Request, _: object, client: str) -> str:
-        return await switch_law(self._mcs, request.group, request.controller, client)
+        parameters = parse_model(request.parameters or "{}", LawParameters, "parameters").root
+        return await switch_law(self._mcs, request.group, request.controller, client, parameters)
 
     async def _set_gripper(self, request: SetGripper.Request, response: SetGripper.Response, client: str) -> str:
         opening = 0.0 if request.close else self._mcs.cell.gripper.stroke
@@ -393,15 +401,19 @@ class KinematicsServices:
             self._asked -= 1
 
 
-async def switch_law(mcs: McsAccess, group: str, law: str, client: str) -> str:
-    """Let another control law take over a group; return what to say.
+async def switch_law(
+    mcs: McsAccess, group: str, law: str, client: str, parameters: Mapping[str, Any] | None = None
+) -> str:
+    """Let another control law, or one with other parameters, take over a group; return what to say.
 
     Raises:
         ImError: It is refused.
     """
     mcs.group(group)
-    await mcs.request(Event.SET_CONTROLLER, {"group": group, "controller": law, "sender": await mcs.sender(client)})
-    return f"{law} takes over {group}"
+    sender = await mcs.sender(client)
+    arguments = {"group": group, "controller": law, "parameters": parameters or {}, "sender": sender}
+    await mcs.request(Event.SET_CONTROLLER, arguments)
+    return f"{law or 'the law in force'} takes over {group}"
 
 
 def offer(mcs: McsAccess, srv_type: type[Any], name: str, work: Work, *, urgent: bool = False) -> None:

@@ -186,7 +186,7 @@ class Dispatch:
             case SetSpeedRequest():
                 self._owned(request.group, request.sender).set_speed(request.scale)
             case SetControllerRequest():
-                self._owned(request.group, request.sender).switch(request.controller)
+                self._owned(request.group, request.sender).switch(request.controller, request.parameters)
             case SetPayloadRequest():
                 self._set_payload(request)
             case CollisionSceneRequest():

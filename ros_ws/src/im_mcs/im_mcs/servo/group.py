@@ -4,7 +4,7 @@ Motions are prepared in slices while others move, begun at a knot, and ended one
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -177,17 +177,21 @@ class ControlledGroup:
         self.gate.open()
         self.monitor.restart()
 
-    def switch(self, law: str) -> None:
+    def switch(self, law: str, parameters: Mapping[str, Any]) -> None:
         """Let another control law take over, without a bump; the group is then to come to rest anew.
+
+        Args:
+            law: Its name; empty: the one in force.
+            parameters: Of the law, in place of those of the configuration.
 
         Raises:
             NotFoundError: The configuration has no such law.
+            ConfigError: A parameter is none of the law's, or out of range.
         """
-        before = self.controller.name
-        self.controller.switch(law)
+        changed = self.controller.switch(law or self.controller.name, parameters)
         if not self.engaged:
             self.controller.reset()
-        elif law != before:
+        elif changed:
             self.monitor.restart()
 
     def request(self, goal: Goal, request: MoveRequest) -> None:
