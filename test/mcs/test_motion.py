@@ -184,13 +184,20 @@ def test_a_law_takes_over_in_the_middle_of_a_motion(ready):
     assert answer.message == f"{COMPUTED_TORQUE} takes over left"
     assert result().success
     ready.until(lambda: ready.status().controller == COMPUTED_TORQUE)
-    for group, controller, sentence in (
-        ("left", "os:system", "there is no control law 'os:system'"),
-        ("left", "", "there is no control law ''"),
-        ("lefft", COMPUTED_TORQUE, "did you mean 'left'"),
-        ("right", COMPUTED_TORQUE, "group 'right' is not reserved"),
+    softer = "{bandwidth_rad_s: 40.0}"
+    answer = ready.call(SetController, "set_controller", group="left", parameters=softer)
+    assert answer.success, answer.message
+    assert ready.move(ready.home + 0.05).success
+    for group, controller, parameters, sentence in (
+        ("left", "os:system", "", "there is no control law 'os:system'"),
+        ("lefft", COMPUTED_TORQUE, "", "did you mean 'left'"),
+        ("right", COMPUTED_TORQUE, "", "group 'right' is not reserved"),
+        ("left", "", "{bandwith_rad_s: 40.0}", "did you mean 'bandwidth_rad_s'"),
+        ("left", "", "{bandwidth_rad_s: [", "parameters"),
+        ("left", "", "40.0", "parameters"),
     ):
-        answer = ready.call(SetController, "set_controller", group=group, controller=controller)
+        given = {"group": group, "controller": controller, "parameters": parameters}
+        answer = ready.call(SetController, "set_controller", **given)
         assert not answer.success
         assert sentence in answer.message
 
