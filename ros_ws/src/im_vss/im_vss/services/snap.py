@@ -11,7 +11,7 @@ from im_vss.services.service import VisionService
 
 @dataclass(frozen=True)
 class SnapRequest:
-    """Take one image with each camera, all at the same time; exposure 0 stands for the nominal one [s]."""
+    """Expose cameras, all at the same time; exposure 0 stands for the nominal one [s]."""
 
     cameras: tuple[str, ...]
     exposure_s: float = 0.0

@@ -14,6 +14,7 @@ from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
 from im_vss.pending_looks import Look
 from im_vss.services.service import VisionService
+from im_vss.services.snap import SnapRequest
 from im_vss.spot import SpotFinding
 from im_vss.tools.spot import StereoFinding
 
@@ -127,14 +128,6 @@ def find_in_pairs(
 
 
 @dataclass(frozen=True)
-class SpotFindStereoRequest:
-    """Find the light with two cameras, exposed at the same time; exposure 0 stands for the nominal one [s]."""
-
-    cameras: tuple[str, ...]
-    exposure_s: float = 0.0
-
-
-@dataclass(frozen=True)
 class SpotFindStereoResult:
     """Finding of each camera, in the order of the request, the point, and the times of the steps [s].
 
@@ -152,7 +145,7 @@ class SvcSpotFindStereo(VisionService):
 
     name: ClassVar[str] = "spot_find_stereo"
 
-    def serve(self, client: VisionClient, request: SpotFindStereoRequest) -> SpotFindStereoResult:
+    def serve(self, client: VisionClient, request: SnapRequest) -> SpotFindStereoResult:
         """Find the light.
 
         Raises:
@@ -174,20 +167,12 @@ class SvcSpotFindStereo(VisionService):
         return SpotFindStereoResult(spots, stereo, {**timing, **watch.report()}, remark)
 
 
-@dataclass(frozen=True)
-class SpotLookRequest:
-    """Expose cameras for the light, all at the same time; exposure 0 stands for the nominal one [s]."""
-
-    cameras: tuple[str, ...]
-    exposure_s: float = 0.0
-
-
 class SvcSpotLook(VisionService):
     """The first half of SpotFind: done when all is exposed; :class:`SvcSpotFind` has the second, by the look's name."""
 
     name: ClassVar[str] = "spot_look"
 
-    def serve(self, client: VisionClient, request: SpotLookRequest) -> str:
+    def serve(self, client: VisionClient, request: SnapRequest) -> str:
         """Expose an image without light and one with light, common to all cameras; return the name of the look.
 
         The images are read out and searched in a thread of their own, under the leases that any SpotFind has; once they

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from im_core.ros.messages.stamps import to_stamp
 from im_msgs.msg import Ellipse, Fiducial, LineSegment
@@ -27,24 +27,27 @@ from im_vss.services.features import (
     LineFindResult,
     SeenFiducial,
 )
+from im_vss.services.laser import LaserSpot3dResult
 from im_vss.services.snap import SnapRequest, SnapResult
 from im_vss.services.spot import (
     SpotFindRequest,
     SpotFindResult,
-    SpotFindStereoRequest,
     SpotFindStereoResult,
-    SpotLookRequest,
 )
 
 
-class SnapPort(Port):
+class CamerasPort(Port):
+    """Port of Services that are asked for cameras and an exposure."""
+
+    def request(self, message: Any) -> SnapRequest:
+        """Read cameras and exposure."""
+        return SnapRequest(tuple(message.cameras), message.exposure)
+
+
+class SnapPort(CamerasPort):
     """`im_msgs/srv/Snap`."""
 
     kind: ClassVar[type] = Snap
-
-    def request(self, message: Snap.Request) -> SnapRequest:
-        """Read cameras and exposure."""
-        return SnapRequest(tuple(message.cameras), message.exposure)
 
     def answer(self, result: SnapResult, response: Snap.Response) -> None:
         """Fill in images and camera infos, of the same stamps."""
@@ -71,45 +74,42 @@ class SpotFindPort(Port):
         response.timing_json = json.dumps(result.timing)
 
 
-class SpotLookPort(Port):
+class SpotLookPort(CamerasPort):
     """`im_msgs/srv/SpotLook`."""
 
     kind: ClassVar[type] = SpotLook
-
-    def request(self, message: SpotLook.Request) -> SpotLookRequest:
-        """Read cameras and exposure."""
-        return SpotLookRequest(tuple(message.cameras), message.exposure)
 
     def answer(self, result: str, response: SpotLook.Response) -> None:
         """The name of the look."""
         response.look = result
 
 
-class SpotFindStereoPort(Port):
+class SpotFindStereoPort(CamerasPort):
     """`im_msgs/srv/SpotFindStereo`."""
 
     kind: ClassVar[type] = SpotFindStereo
 
-    def request(self, message: SpotFindStereo.Request) -> SpotFindStereoRequest:
-        """Read cameras and exposure."""
-        return SpotFindStereoRequest(tuple(message.cameras), message.exposure)
-
     def answer(self, result: SpotFindStereoResult, response: SpotFindStereo.Response) -> None:
         """Fill in the point, or the cause of the absence, and the finding of each camera."""
-        stereo = result.stereo
-        response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
-        response.point.header = to_header("world", result.spots[0].stamp_ns)
-        if stereo.point is not None:
-            response.found = True
-            place = response.point.point
-            place.x, place.y, place.z = (float(value) for value in stereo.point.position)
-            response.covariance = stereo.point.covariance.ravel()
-        for seen, chosen in zip(result.spots, stereo.spots, strict=True):
-            response.candidates.append(to_candidates(seen))
-            finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
-            response.spots.append(to_spot(replace(seen, finding=finding)))
-        response.status.message = result.remark
-        response.timing_json = json.dumps(result.timing)
+        fill_point(response, result)
+        response.candidates = [to_candidates(seen) for seen in result.spots]
+
+
+def fill_point(response: Any, result: SpotFindStereoResult | LaserSpot3dResult) -> None:
+    """Fill in the point of two cameras, or the cause of the absence, and the finding of each camera."""
+    stereo = result.stereo
+    response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
+    response.point.header = to_header("world", result.spots[0].stamp_ns)
+    if stereo.point is not None:
+        response.found = True
+        place = response.point.point
+        place.x, place.y, place.z = (float(value) for value in stereo.point.position)
+        response.covariance = stereo.point.covariance.ravel()
+    for seen, chosen in zip(result.spots, stereo.spots, strict=True):
+        finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
+        response.spots.append(to_spot(replace(seen, finding=finding)))
+    response.status.message = result.remark
+    response.timing_json = json.dumps(result.timing)
 
 
 class CircleFindPort(Port):

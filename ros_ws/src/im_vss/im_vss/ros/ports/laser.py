@@ -1,7 +1,6 @@
 """Ports of the Services of the laser scanner: pointing, spots, scans, calibration."""
 
 import json
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +9,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from im_core.ros.messages.stamps import to_stamp
 from im_msgs.srv import LaserCalibrate, LaserPoint, LaserSpot3d, LineScan
-from im_vss.ros.messages import to_header, to_pose, to_spot
+from im_vss.ros.messages import to_header, to_pose
+from im_vss.ros.ports.images import fill_point
 from im_vss.ros.ports.port import Port
 from im_vss.services.laser import (
     LaserCalibrateRequest,
@@ -59,20 +59,8 @@ class LaserSpot3dPort(Port):
 
     def answer(self, result: LaserSpot3dResult, response: LaserSpot3d.Response) -> None:
         """Fill in the point, or the cause of the absence, and the finding of each camera."""
-        stereo = result.stereo
-        response.cause, response.epipolar_distance = stereo.cause, stereo.epipolar_px
+        fill_point(response, result)
         response.angles = [result.beam.mirror1, result.beam.mirror2]
-        response.point.header = to_header("world", result.spots[0].stamp_ns)
-        if stereo.point is not None:
-            response.found = True
-            place = response.point.point
-            place.x, place.y, place.z = (float(value) for value in stereo.point.position)
-            response.covariance = stereo.point.covariance.ravel()
-        for seen, chosen in zip(result.spots, stereo.spots, strict=True):
-            finding = seen.finding if chosen is None else replace(seen.finding, spot=chosen, cause="")
-            response.spots.append(to_spot(replace(seen, finding=finding)))
-        response.status.message = result.remark
-        response.timing_json = json.dumps(result.timing)
 
 
 class LineScanPort(Port):
