@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 from im_bringup.tasks.memory_limit import refused
 from im_bringup.tasks.receivers import Receivers
@@ -28,8 +28,7 @@ from im_core.processes.loop_heartbeat import Pulse
 from im_core.processes.process import ChildProcess
 from im_core.processes.startup import start_timeout_s
 
-if TYPE_CHECKING:
-    from im_bringup.machine.machine_state import MachineRecord
+T = TypeVar("T")
 
 #: How often in a row a machine that was ready is started again and does not become ready.
 MOST_TRIES = 3
@@ -121,7 +120,7 @@ class BootstrapKeeper:
             return ""
         from im_bringup.machine import machine_state as machine
 
-        record = _record()
+        record = _tried(machine.read)
         if record is not None and self._child is not None and record.pid == self._child.pid:
             if record.state == machine.READY:
                 self._tries = 0
@@ -145,7 +144,7 @@ class BootstrapKeeper:
         from im_bringup.machine import machine_state as machine
         from im_core.processes.procfs import ProcessId
 
-        record = _record()
+        record = _tried(machine.read)
         if record is not None and record.state == machine.READY:
             self._tries = 0
         elif not self._tries:
@@ -182,11 +181,10 @@ class BootstrapKeeper:
             clock.sleep(_AGAIN_S)
 
 
-def _record() -> "MachineRecord | None":
-    from im_bringup.machine import machine_state as machine
-
+def _tried(read: Callable[[], T | None]) -> T | None:
+    """Read the record of the machine; on a failure print the reason, and return None."""
     try:
-        return machine.read()
+        return read()
     except (ImError, OSError) as error:
         _say(str(error))
         return None
