@@ -134,7 +134,9 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
         for each in (only_looks, operates):
             each.until(f"{ENDED}.includes('look done')", "the end of the command")
             each.until(f"{FIRED}.includes('look')", "its firings")
-        assert only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED)
+        machine.wait_for(
+            lambda: only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED), "the same firings in each tab"
+        )
         only_looks.until(f"{ENDED} === {json.dumps(operates.page.evaluate(ENDED))}", "the same ends")
         assert not only_looks.page.is_visible("#start")
         operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")

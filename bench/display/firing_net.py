@@ -44,7 +44,7 @@ def shown_firing(rings: int, length: int, per_s: float) -> Iterator[DisplayServe
                 sequence += 1
                 server.show(state.firing(_firing(f"t{ring}_{at[ring]}", sequence, clock.monotonic() - began)))
                 at[ring] = (at[ring] + 1) % length
-            tokens = {f"p{ring}_{place}": int(at[ring] == place) for ring in range(rings) for place in range(length)}
+            tokens = {f"p{ring}_{place}": 1 for ring, place in enumerate(at)}
             server.show(state.marking(NAME, {"tokens": tokens, "sequence": sequence, **_AUTOMATIC}))
 
     firing = threading.Thread(target=fire, name="rings", daemon=True)

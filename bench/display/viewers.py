@@ -1,13 +1,13 @@
 """CPU time of the process that answers viewers of the page."""
 
 import asyncio
-from pathlib import Path
+import os
 
 import aiohttp
 
 from bench.display.firing_net import shown_firing
 from bench.figures import Line
-from bench.usage import cpu_s, program
+from bench.usage import children, cpu_s, program
 from im_core import clock
 from im_core.errors import ImError
 from im_pnt_display.page.server import WEB_PROCESS
@@ -23,20 +23,17 @@ def lines(seconds: float) -> list[Line]:
     Raises:
         ImError: A viewer heard nothing.
     """
-    return [
-        Line(f"{VIEWERS} viewers, {places} places, {per_s:g}/s", _share(rings, length, per_s, seconds), "%", bar=5.0)
-        for rings, length, per_s in ((25, 40, 500.0), (4, 12, 20.0))
-        for places in (f"{rings * length:,}",)
-    ]
+    found = []
+    for rings, length, per_s in ((25, 40, 500.0), (4, 12, 20.0)):
+        with shown_firing(rings, length, per_s) as server:
+            share, told_per_s = asyncio.run(_watched(f"{server.url}ws", seconds))
+        name = f"{VIEWERS} viewers, {rings * length:,} places, {per_s:g}/s"
+        found.append(Line(name, share, "%", None, f"of a core; {told_per_s:.3g} messages a second to each", bar=5.0))
+    return found
 
 
-def _share(rings: int, length: int, per_s: float, seconds: float) -> float:
-    """CPU time of the process of the page over wall time [%]."""
-    with shown_firing(rings, length, per_s) as server:
-        return asyncio.run(_watched(f"{server.url}ws", seconds))
-
-
-async def _watched(address: str, seconds: float) -> float:
+async def _watched(address: str, seconds: float) -> tuple[float, float]:
+    """CPU time of the process of the page over wall time [%], and messages to a viewer [1/s]."""
     heard = [0] * VIEWERS
 
     async def view(session: aiohttp.ClientSession, number: int) -> None:
@@ -50,18 +47,13 @@ async def _watched(address: str, seconds: float) -> float:
             while not all(heard):
                 await asyncio.sleep(0.1)
         await asyncio.sleep(_SETTLED_S)
-        (pid,) = (child for child in _children() if program(child) == WEB_PROCESS)
+        (pid,) = (child for child in children(os.getpid()) if program(child) == WEB_PROCESS)
         before, used, began = list(heard), cpu_s(pid), clock.monotonic()
         await asyncio.sleep(seconds)
-        share = 100.0 * (cpu_s(pid) - used) / (clock.monotonic() - began)
+        took_s = clock.monotonic() - began
+        share, told = 100.0 * (cpu_s(pid) - used) / took_s, (sum(heard) - sum(before)) / VIEWERS / took_s
         if silent := sum(now == then for now, then in zip(heard, before, strict=True)):
             raise ImError(f"{silent} of {VIEWERS} viewers have heard nothing while they were measured")
         for each in viewing:
             each.cancel()
-    return share
-
-
-def _children() -> list[int]:
-    """Children of this process."""
-    tasks = Path("/proc/self/task").iterdir()
-    return [int(word) for task in tasks for word in (task / "children").read_text(encoding="ascii").split()]
+    return share, told

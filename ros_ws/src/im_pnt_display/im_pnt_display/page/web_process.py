@@ -33,7 +33,8 @@ async def answer_visitors(host: str, link: socket.socket, listening: Sequence[so
     reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_PIECE)
 
     def operate(wanted: Mapping[str, str]) -> None:
-        writer.write(f"{json.dumps(wanted)}\n".encode())
+        if not writer.is_closing():
+            writer.write(f"{json.dumps(wanted)}\n".encode())
 
     def count(*numbers: int) -> None:
         operate({"net": "", "request": "audience", "argument": json.dumps(numbers)})
