@@ -174,14 +174,22 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
 
 STEPS = """
 net: steps
-places: {idle: 1, here: , there: , lost: }
+places: {idle: 1, here: , there: , near: , lost: }
+templates:
+  round_trip:
+    ports: {in: away, out: returned}
+    places: {midway: }
+    transitions:
+      turn: {in: away, out: midway}
+      arrive: {in: midway, out: returned}
 commands:
   go:
     arguments: {goal: {type: string}, speed: {type: number, default: 1.0, minimum: 0.1, maximum: 2.0}}
 transitions:
   go: {in: idle, out: here, symbol: go}
   walk: {in: here, out: there, action: walk, on_failure: lost}
-  back: {in: there, out: idle, emit: go_done}
+  back: {use: round_trip, in: there, out: near}
+  end: {in: near, out: idle, emit: go_done}
   give_up: {in: lost, out: idle, emit: go_failed}
 """
 PART = "document.getElementById('part').innerText"
@@ -236,11 +244,23 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     assert not looks.page.is_visible("#part-break")
     looks.page.keyboard.press("Escape")
     assert not looks.page.is_visible("#part")
+    operates.page.click("[aria-label^='transition, back']")
+    operates.page.click("#part-inside button:has-text('back.arrive')")
+    operates.page.click("#part-break")
+    for each in (operates, looks):
+        each.until("document.querySelectorAll('.node.stops').length === 2", "the breakpoint at the box of the subnet")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.page.click("#part-go")
+    looks.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token before a transition inside")
+    operates.page.click("[aria-label^='transition, back.arrive']")  # the subnet has unfolded, for a token is in it
     operates.page.click("#part-go")
     late = tab(url.partition("?")[0])
     for each in (operates, looks, late):
         each.until(f"{ENDED}.includes('1 go done') && {ENDED}.includes('walked: 3')", "the end of the command")
     operates.until(f"{PART}.includes('t = ')", "the firings of the transition")
+    operates.page.click("#part-break")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.until("document.getElementById('part-break').textContent.startsWith('clear')", "the other breakpoint")
     operates.page.click("#part-break")
     looks.until("document.querySelectorAll('.node.stops').length === 0", "the end of the breakpoint")
 

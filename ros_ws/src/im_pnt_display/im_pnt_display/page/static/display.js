@@ -213,7 +213,7 @@ function showMcs(mcs) {
 function knownOf({ net, name }) {
   const { tokens = {}, proposed = [] } = markings.get(net) ?? {};
   return { tokens: tokens[name] ?? 0, waits: proposed.includes(name), breakpoint: (breakpoints.get(net) ?? []).includes(name),
-    inside: nets.get(net).drawing.nodes.filter((node) => node.kind === "transition" && node.name.startsWith(`${name}.`)),
+    inside: nets.get(net)?.drawing.nodes.filter((node) => node.kind === "transition" && node.name.startsWith(`${name}.`)) ?? [],
     firings: firings.filter((firing) => firing.net === net && firing.transition === name).slice(-3).reverse() };
 }
 
