@@ -108,14 +108,14 @@ def start(each, command, **choices):
 
 
 def wait_for_shades(each):
-    """The number of colours of the drawn cell, once there is one."""
+    """Wait until the cell is drawn: robots have shades, and so the picture has many colours."""
     deadline = clock.monotonic() + PATIENCE_S
     while clock.monotonic() < deadline:
         picture = Image.open(io.BytesIO(each.page.locator("#robot").screenshot())).convert("RGB")
         if (shades := len(picture.getcolors(1 << 20))) > 200:
             break
         each.page.wait_for_timeout(50)
-    return shades
+    assert shades > 200, "robots have shades"
 
 
 def followed(machine, topic):
@@ -141,13 +141,19 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
         assert not only_looks.page.is_visible("#start")
         operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")
         operates.until("document.querySelectorAll('.spot:not([hidden])').length > 0", "the spot in it")
-        assert wait_for_shades(operates) > 200, "robots have shades"
+        wait_for_shades(operates)
 
         start(operates, "calibrate_camera", group="left")
         operates.until(f"/running|calibrate_camera/.test({STATE})", "the command in the line")
         operates.until(f"/\\d+ % .*about \\d+ (s|min) left/.test({STATE})", "progress and the time that is left")
         if PICTURES:
             operates.page.screenshot(path=Path(PICTURES) / "page.png")
+            large = connected(tab(f"{url}#cell=1", (700, 1100)))
+            wait_for_shades(large)
+            for _ in range(4):
+                large.page.press("#robot", "+")
+            large.page.locator("#robot").screenshot(path=Path(PICTURES) / "cell.png")
+            large.page.close()
         operates.page.click("#line button:has-text('pause')")
         only_looks.until(f"{STATE}.includes('paused')", "the pause")
         operates.page.click("#line button:has-text('cancel')")
@@ -252,7 +258,9 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     operates.page.click("[aria-label^='transition, walk']")
     operates.page.click("#part-go")
     looks.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token before a transition inside")
-    operates.page.click("[aria-label^='transition, back.arrive']")  # the subnet has unfolded, for a token is in it
+    assert operates.page.locator("#tokens > g").count() == 1, "it is shown at the box"
+    operates.page.click("[aria-label^='transition, back']")
+    operates.page.click("#part-inside button:has-text('back.arrive')")
     operates.page.click("#part-go")
     late = tab(url.partition("?")[0])
     for each in (operates, looks, late):
@@ -365,7 +373,7 @@ def with_cell(tmp_path_factory):
 def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
     each = tab(with_cell)
     each.until("document.querySelectorAll('#cameras figure').length === 1", "the camera")
-    assert wait_for_shades(each) > 200, "robots have shades"
+    wait_for_shades(each)
     assert not each.page.evaluate(SEEN)
     each.page.keyboard.press("End")
     each.until(SEEN, "the image")

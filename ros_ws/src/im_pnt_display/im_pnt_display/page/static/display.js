@@ -151,8 +151,10 @@ function showMoment(moment) {
 }
 
 function enterNet(net) {
-  const shown = new Set((net.usual ?? net.drawing).nodes.map((node) => node.place || node.name));
-  net.folded = new Set(net.drawing.nodes.map((node) => node.place || node.name).filter((name) => !shown.has(name)));
+  const { nodes } = net.usual ?? net.drawing, shown = new Set(nodes.map((node) => node.place || node.name));
+  const boxes = nodes.filter((node) => node.subnet).map((node) => `${node.name}.`);  // they show the tokens inside
+  net.folded = new Set(net.drawing.nodes.map((node) => node.place || node.name)
+    .filter((name) => !shown.has(name) && !boxes.some((box) => name.startsWith(box))));
   nets.set(net.net, net);
   unfolded.delete(net.net);
 }

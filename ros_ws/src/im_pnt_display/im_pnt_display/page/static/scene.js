@@ -202,8 +202,12 @@ export class Scene {
     if (!this.nodes.has(net)) return;
     const inNet = (key) => key.startsWith(`${net}.`);
     const counts = new Map(), states = new Map();
-    for (const [place, count] of Object.entries(tokens))
-      if (count > 0) for (const { key, node } of this.places.get(`${net}.${place}`) ?? []) counts.set(key, { count, node });
+    for (const [place, count] of Object.entries(tokens)) {
+      if (count <= 0) continue;
+      const key = `${net}.${this.part(net, place)}`, box = this.spots.get(key);
+      for (const { key, node } of this.places.get(`${net}.${place}`) ?? []) counts.set(key, { count, node });
+      if (box?.subnet) counts.set(key, { count: count + (counts.get(key)?.count ?? 0), node: box });
+    }
     for (const [state, names] of Object.entries({ active, cancelling, doubt: in_doubt, waits: proposed }))
       for (const name of names ?? []) {
         const part = this.part(net, name);
@@ -225,9 +229,10 @@ export class Scene {
       if (link.net === net) link.line.classList.toggle("live", states.get(link.transition)?.includes("active") ?? false);
   }
 
-  // Draws the tokens of a place: a dot for one, a number for several.
-  drawToken({ kind, x, y }, count) {
-    const token = make("g", {}, this.above), small = kind === "reference";
+  // Draws the tokens of a place: a dot for one, a number for several; those inside a folded subnet at a corner of its box.
+  drawToken(node, count) {
+    const token = make("g", {}, this.above), small = node.kind === "reference", inside = node.kind === "transition";
+    const x = inside ? node.x + node.box[0] : node.x, y = inside ? node.y - node.box[2] / 2 : node.y;
     make("circle", { class: "under", cx: x, cy: y, r: (small ? REFERENCE : RADIUS) - 0.4 }, token);
     if (count > 1) make("text", { x, y: y + 4 }, token, count); else make("circle", { cx: x, cy: y, r: small ? 3 : 5 }, token);
     return token;
@@ -272,7 +277,7 @@ export class Scene {
       const box = make("rect", { class: failed ? "failed" : "fired", x: spot.x - left, y: spot.y - height / 2, width: 2 * left,
         height, rx: 3 }, this.above);
       this.fading.set(key, box);
-      box.animate([{ opacity: 0.5 }, { opacity: 0 }], failed ? 1600 : 900).onfinish = () => {
+      box.animate([{ opacity: 1 }, { opacity: 0 }], failed ? 1600 : 900).onfinish = () => {
         box.remove();
         if (this.fading.get(key) === box) this.fading.delete(key);
       };
