@@ -18,6 +18,7 @@
 #   scripts/bench.sh --bag              recording beside the machine: messages a second, gaps, the recorder's CPU time
 #   scripts/bench.sh --calibration      the solver: errors over the bound and over OpenCV, coverage, verdicts
 #   scripts/bench.sh --strategies       failed tries with learned strategies and with fixed orders, in a model of a world
+#   scripts/bench.sh --display          the page: frames a second of a large net, the price of twenty viewers
 #   scripts/bench.sh --spot             how well the light is found in an image
 #   scripts/bench.sh --soak             does anything grow? 200 calibrations in a row; --soak random: for an hour
 #
@@ -34,7 +35,7 @@ part=""
 arguments=()
 for argument in "$@"; do
   case "$argument" in
-    --machine | --sizes | --nets | --mcs | --vss | --dom | --bag | --calibration | --spot | --soak | --strategies)
+    --machine | --sizes | --nets | --mcs | --vss | --dom | --bag | --calibration | --spot | --soak | --strategies | --display)
       [[ -z "$part" || "$part" == "${argument#--}" ]] || die 2 "--$part and $argument are two benchmarks; name one"
       part="${argument#--}"
       ;;

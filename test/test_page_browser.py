@@ -108,14 +108,14 @@ def start(each, command, **choices):
 
 
 def wait_for_shades(each):
-    """The number of colours of the drawn cell, once there is one."""
+    """Wait until the cell is drawn: robots have shades, and so the picture has many colours."""
     deadline = clock.monotonic() + PATIENCE_S
     while clock.monotonic() < deadline:
         picture = Image.open(io.BytesIO(each.page.locator("#robot").screenshot())).convert("RGB")
         if (shades := len(picture.getcolors(1 << 20))) > 200:
             break
         each.page.wait_for_timeout(50)
-    return shades
+    assert shades > 200, "robots have shades"
 
 
 def followed(machine, topic):
@@ -134,18 +134,26 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
         for each in (only_looks, operates):
             each.until(f"{ENDED}.includes('look done')", "the end of the command")
             each.until(f"{FIRED}.includes('look')", "its firings")
-        assert only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED)
+        machine.wait_for(
+            lambda: only_looks.page.evaluate(FIRED) == operates.page.evaluate(FIRED), "the same firings in each tab"
+        )
         only_looks.until(f"{ENDED} === {json.dumps(operates.page.evaluate(ENDED))}", "the same ends")
         assert not only_looks.page.is_visible("#start")
         operates.until("[...document.images].some((image) => image.naturalWidth === 640)", "the image of the camera")
         operates.until("document.querySelectorAll('.spot:not([hidden])').length > 0", "the spot in it")
-        assert wait_for_shades(operates) > 200, "robots have shades"
+        wait_for_shades(operates)
 
         start(operates, "calibrate_camera", group="left")
         operates.until(f"/running|calibrate_camera/.test({STATE})", "the command in the line")
         operates.until(f"/\\d+ % .*about \\d+ (s|min) left/.test({STATE})", "progress and the time that is left")
         if PICTURES:
             operates.page.screenshot(path=Path(PICTURES) / "page.png")
+            large = connected(tab(f"{url}#cell=1", (700, 1100)))
+            wait_for_shades(large)
+            for _ in range(4):
+                large.page.press("#robot", "+")
+            large.page.locator("#robot").screenshot(path=Path(PICTURES) / "cell.png")
+            large.page.close()
         operates.page.click("#line button:has-text('pause')")
         only_looks.until(f"{STATE}.includes('paused')", "the pause")
         operates.page.click("#line button:has-text('cancel')")
@@ -172,14 +180,22 @@ def test_a_machine_is_seen_and_operated_in_each_tab_and_after_a_restart(tab):
 
 STEPS = """
 net: steps
-places: {idle: 1, here: , there: , lost: }
+places: {idle: 1, here: , there: , near: , lost: }
+templates:
+  round_trip:
+    ports: {in: away, out: returned}
+    places: {midway: }
+    transitions:
+      turn: {in: away, out: midway}
+      arrive: {in: midway, out: returned}
 commands:
   go:
     arguments: {goal: {type: string}, speed: {type: number, default: 1.0, minimum: 0.1, maximum: 2.0}}
 transitions:
   go: {in: idle, out: here, symbol: go}
   walk: {in: here, out: there, action: walk, on_failure: lost}
-  back: {in: there, out: idle, emit: go_done}
+  back: {use: round_trip, in: there, out: near}
+  end: {in: near, out: idle, emit: go_done}
   give_up: {in: lost, out: idle, emit: go_failed}
 """
 PART = "document.getElementById('part').innerText"
@@ -234,11 +250,25 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     assert not looks.page.is_visible("#part-break")
     looks.page.keyboard.press("Escape")
     assert not looks.page.is_visible("#part")
+    operates.page.click("[aria-label^='transition, back']")
+    operates.page.click("#part-inside button:has-text('back.arrive')")
+    operates.page.click("#part-break")
+    for each in (operates, looks):
+        each.until("document.querySelectorAll('.node.stops').length === 2", "the breakpoint at the box of the subnet")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.page.click("#part-go")
+    looks.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token before a transition inside")
+    assert operates.page.locator("#tokens > g").count() == 1, "it is shown at the box"
+    operates.page.click("[aria-label^='transition, back']")
+    operates.page.click("#part-inside button:has-text('back.arrive')")
     operates.page.click("#part-go")
     late = tab(url.partition("?")[0])
     for each in (operates, looks, late):
         each.until(f"{ENDED}.includes('1 go done') && {ENDED}.includes('walked: 3')", "the end of the command")
     operates.until(f"{PART}.includes('t = ')", "the firings of the transition")
+    operates.page.click("#part-break")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.until("document.getElementById('part-break').textContent.startsWith('clear')", "the other breakpoint")
     operates.page.click("#part-break")
     looks.until("document.querySelectorAll('.node.stops').length === 0", "the end of the breakpoint")
 
@@ -343,7 +373,7 @@ def with_cell(tmp_path_factory):
 def test_over_a_bag_the_cell_is_drawn_as_it_was(with_cell, tab):
     each = tab(with_cell)
     each.until("document.querySelectorAll('#cameras figure').length === 1", "the camera")
-    assert wait_for_shades(each) > 200, "robots have shades"
+    wait_for_shades(each)
     assert not each.page.evaluate(SEEN)
     each.page.keyboard.press("End")
     each.until(SEEN, "the image")

@@ -58,6 +58,7 @@ FULL = (
     Step("vss", (), 7200.0),
     Step("dom"),
     Step("bag"),
+    Step("display"),
     Step("spot"),
     Step("strategies"),
     Step("calibration", ("errors", "noise", "verdicts", "poses"), 14400.0),

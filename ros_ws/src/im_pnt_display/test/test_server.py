@@ -29,7 +29,7 @@ from im_pnt_display.page.site import (
     Allowance,
 )
 from im_pnt_display.page.state import MOST_CELL_PARTS, REFUSALS_KEPT, DisplayState
-from im_pnt_display.page.viewers import Viewers
+from im_pnt_display.page.viewers import MOST_UNSENT, Viewers
 from support.viewer import next_change
 
 ASKED = {"net": "n", "request": "pause", "argument": ""}
@@ -528,20 +528,106 @@ def test_a_recording_plays_at_its_pace_however_often_play_is_clicked(tmp_path):
     assert json.loads(done.stdout) == [1.0, 1.0, 0.0, 0.0, 1.0]
 
 
+class Written(asyncio.WriteTransport):
+    """Transport that keeps what is written; ``unsent`` bytes of it wait."""
+
+    def __init__(self):
+        super().__init__()
+        self.lines, self.pieces, self.unsent = [], 0, 0
+
+    def write(self, data):
+        self.pieces += 1
+        self.lines += [json.loads(line) for line in data.decode().split("\n")]
+
+    def get_write_buffer_size(self):
+        return self.unsent
+
+    def is_closing(self):
+        return False
+
+
 def test_who_comes_while_nets_fire_is_told_each_firing_once():
     """What one thread has told of, and the thread of the server has not yet shown, is in no snapshot."""
-    state = DisplayState()
-    viewers = Viewers(state)
-    first, second = (state.firing({"net": "n", "sequence": number}) for number in (1, 2))
-    viewers.show(first)
-    backlog = viewers.enter()
-    viewers.show(second)
-    snapshot, *changes = (json.loads(backlog.get_nowait()) for _ in range(backlog.qsize()))
-    assert [firing["sequence"] for firing in [*snapshot["firings"], *changes]] == [1, 2]
-    condition = {"state": "motion", "stale": False}
-    for _ in range(2):
-        viewers.show(state.motion_control(condition))
-    assert backlog.qsize() == 1, "what is nothing new is not told"
+    state, other, viewer = DisplayState(), Written(), Written()
+
+    async def fire():
+        viewers = Viewers(state, bytes)
+        viewers.enter(other)
+        viewers.show(state.firing({"net": "n", "sequence": 1}))
+        viewers.enter(viewer)
+        viewers.show(state.firing({"net": "n", "sequence": 2}))
+        condition = {"state": "motion", "stale": False}
+        for _ in range(2):
+            viewers.show(state.motion_control(condition))
+        viewers.send()
+
+    asyncio.run(fire())
+    snapshot, *changes = viewer.lines
+    firings = [change for change in changes if change["kind"] == "firing"]
+    assert [firing["sequence"] for firing in [*snapshot["firings"], *firings]] == [1, 2]
+    assert len(changes) == 2, "what is nothing new is not told"
+    assert [change["kind"] for change in other.lines] == ["snapshot", "firing", "firing", "mcs"]
+
+
+def test_changes_that_follow_each_other_go_in_one_piece_with_the_newest_marking_alone():
+    state, viewer, at_cell = DisplayState(), Written(), Written()
+
+    async def fire():
+        viewers = Viewers(state, bytes)
+        viewers.enter(viewer)
+        viewers.enter(at_cell, at_cell=True)
+        for number in range(3):
+            viewers.show(state.firing({"net": "n", "sequence": number}))
+            viewers.show(state.marking("n", {"sequence": number}))
+            viewers.show(state.cell("joints", number))
+        while viewer.pieces < 2:
+            await asyncio.sleep(0.01)
+
+    asyncio.run(fire())
+    assert (viewer.pieces, at_cell.pieces) == (2, 2)
+    assert [(one["kind"], one["sequence"]) for one in viewer.lines[1:]] == [
+        ("firing", 0), ("firing", 1), ("firing", 2), ("marking", 2)]  # fmt: skip
+    assert [one["content"] for one in at_cell.lines if one["kind"] == "cell"] == [2]
+
+
+def test_a_viewer_that_takes_nothing_misses_changes_and_gets_the_state_later():
+    state, viewer, other = DisplayState(), Written(), Written()
+
+    async def fire():
+        viewers = Viewers(state, bytes)
+        for each in (viewer, other):
+            viewers.enter(each, at_cell=True)
+        viewers.show(state.cell("joints", 1))
+        viewers.send()
+        viewer.unsent = MOST_UNSENT + 1
+        viewers.show(state.firing({"net": "n", "sequence": 1}))
+        viewers.send()
+        viewer.unsent = 1
+        viewers.send()
+        assert viewer.pieces == 2
+        viewer.unsent = 0
+        while viewer.pieces == 2:
+            await asyncio.sleep(0.01)
+        viewers.show(state.firing({"net": "n", "sequence": 2}))
+        viewers.send()
+
+    asyncio.run(fire())
+    assert [one["kind"] for one in viewer.lines] == ["snapshot", "cell", "snapshot", "cell", "firing"]
+    assert [one["sequence"] for one in viewer.lines[2]["firings"]] == [1]
+    assert [one["kind"] for one in other.lines] == ["snapshot", "cell", "firing", "firing"]
+
+
+@pytest.mark.parametrize("length", [30, 125, 126, 2**16 - 1, 2**16, 2**20])
+def test_a_message_of_any_length_reaches_browsers(serve, length):
+    server = serve()
+
+    async def talk():
+        async with aiohttp.ClientSession() as session, session.ws_connect(socket_of(server), compress=15) as viewer:
+            await next_change(viewer)
+            server.show({"kind": "x" * (length - len('{"kind": ""}'))})
+            return await viewer.receive_str(timeout=60.0)
+
+    assert len(asyncio.run(talk())) == length
 
 
 def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept():

@@ -16,7 +16,7 @@ from im_core.processes.process import ChildProcess
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
-from im_pnt_display.page.viewers import VALUES, Audience, Operate, Viewers
+from im_pnt_display.page.viewers import VALUES, Audience, Operate, Viewers, link_frame, websocket_frame
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -65,7 +65,8 @@ class DisplayServer:
         self._host, self._port, self._recording, self._apart = host, port, recording, apart
         self.state.operable = operate is not None and operable
         self.state.recording = recording.overview if recording is not None else None
-        self._operate, self._viewers = operate, Viewers(self.state, audience if not apart else _nobody)
+        self._operate = operate
+        self._viewers = Viewers(self.state, link_frame if apart else websocket_frame, _nobody if apart else audience)
         self._sockets: list[socket.socket] = []
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -141,11 +142,11 @@ class DisplayServer:
             child = ChildProcess.of_module(WEB_PROCESS, [self._host, *map(str, given)], inherit=given)
         reader, writer = await asyncio.open_connection(sock=ours)
         writer.write(f"{self._token}\n".encode())
-        backlog = self._viewers.enter(of_cell=True)
+        viewer = self._viewers.enter(writer.transport, at_cell=True)
         try:
-            await _first(_pass_on(backlog, writer), self._take_requests(reader), self._stop.wait())
+            await _first(self._take_requests(reader), self._stop.wait())
         finally:
-            self._viewers.leave(backlog)
+            self._viewers.leave(viewer)
             self._audience(0, 0)
             writer.transport.abort()
             with contextlib.suppress(OSError):
@@ -192,12 +193,6 @@ async def _first(*works: Coroutine[object, object, object]) -> None:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _pass_on(backlog: asyncio.Queue[str], writer: asyncio.StreamWriter) -> None:
-    while True:
-        writer.write(f"{await backlog.get()}\n".encode())
-        await writer.drain()
 
 
 def _listening(host: str, port: int) -> list[socket.socket]:

@@ -15,7 +15,7 @@ from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
-from im_pnt_display.page.viewers import VALUES, Operate, Viewers
+from im_pnt_display.page.viewers import VALUES, Operate, Viewer, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -33,8 +33,6 @@ MOST_CONNECTIONS = 150
 """Connections at a time, of viewers and others: each is an open file of a process that has more to do."""
 _AT_ONCE = 16
 """Connections that are taken before the first of them is looked at."""
-GATHERED_S = 0.05
-"""Shortest time between two messages with changes to a viewer [s]."""
 LONGEST_REQUEST = 10_000
 """Bytes of what a viewer asks for."""
 VIEWER_PER_S, VIEWER_AT_ONCE = 10.0, 30
@@ -156,25 +154,26 @@ class Site:
         may_operate = self._may_operate(request)
         if len(self._viewers) >= MOST_VIEWERS:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
-        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False)
+        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False, compress=False)
         await socket.prepare(request)
-        backlog = self._viewers.enter()
-        sender = asyncio.create_task(_pass_on(backlog, socket))
+        if not isinstance(request.transport, asyncio.WriteTransport):
+            return socket  # the viewer has left
+        viewer = self._viewers.enter(request.transport)
         stopper = asyncio.create_task(self._stop.wait())
-        listener = asyncio.create_task(self._listen_to(socket, backlog, may_operate))
+        listener = asyncio.create_task(self._listen_to(socket, viewer, may_operate))
         try:
-            await asyncio.wait({sender, stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._viewers.leave(backlog)
-            for task in (sender, stopper, listener):
+            self._viewers.leave(viewer)
+            for task in (stopper, listener):
                 task.cancel()
-            await asyncio.gather(sender, stopper, listener, return_exceptions=True)
+            await asyncio.gather(stopper, listener, return_exceptions=True)
             if listener.done() and not listener.cancelled() and listener.exception() is None and listener.result():
                 await self._end_flood(request, socket)
             await socket.close()
         return socket
 
-    async def _listen_to(self, socket: web.WebSocketResponse, backlog: asyncio.Queue[str], may_operate: bool) -> bool:
+    async def _listen_to(self, socket: web.WebSocketResponse, viewer: Viewer, may_operate: bool) -> bool:
         """Take a message of a viewer; return whether the viewer has sent too much."""
         allowance = Allowance(VIEWER_PER_S, VIEWER_AT_ONCE)
         async for message in socket:
@@ -184,7 +183,7 @@ class Site:
                 await socket.pong(message.data)
             elif message.type is WSMsgType.TEXT and (wanted := _wanted(message.data)) is not None:
                 if wanted["request"] == "look":
-                    self._viewers.look(backlog, at_cell=wanted["argument"] == "cell")
+                    self._viewers.look(viewer, at_cell=wanted["argument"] == "cell")
                 elif refusal := self._refusal(may_operate or (self._recording is None and wanted["request"] == VALUES)):
                     await socket.send_json(self._viewers.state.answer(wanted["net"], False, refusal))
                 elif self._operate is not None:
@@ -228,16 +227,6 @@ class _Refusal(asyncio.Protocol):
 
 async def _file(path: Path, request: web.Request) -> web.FileResponse:
     return web.FileResponse(path)
-
-
-async def _pass_on(backlog: asyncio.Queue[str], socket: web.WebSocketResponse) -> None:
-    """Send changes, a line each; those that follow each other closely in one message, of which each has its price."""
-    while True:
-        changes = [await backlog.get()]
-        while not backlog.empty():
-            changes.append(backlog.get_nowait())
-        await socket.send_str("\n".join(changes))
-        await asyncio.sleep(GATHERED_S)
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:

@@ -1,12 +1,20 @@
-"""Viewers of the display, each with the changes still to be shown."""
+"""Viewers of the display, and the changes that go to all of them in one piece."""
 
 import asyncio
 import json
+import struct
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
+from im_core.clock import monotonic
 from im_pnt_display.page.state import Change, DisplayState
 
-VIEWER_BACKLOG = 500
+GATHERED_S = 0.05
+"""Shortest time between two pieces [s]."""
+MOST_UNSENT = 2**22
+"""Bytes that wait for a slow viewer; then it misses changes, and gets the state once these bytes are sent."""
+END_OF_PIECE = b"\n\n"
+"""Ends each piece on the link between two processes."""
 VALUES = "values"
 """Request for the values behind a part of a net; whoever looks may ask."""
 
@@ -17,39 +25,80 @@ Audience = Callable[[int, int], None]
 """Takes the numbers of viewers, and of viewers of the cell; called in the server's thread."""
 
 
+def websocket_frame(text: bytes) -> bytes:
+    """Return a text message of a server for any number of web sockets (RFC 6455, section 5.2)."""
+    length = len(text)
+    if length < 126:
+        return bytes((0x81, length)) + text
+    return (struct.pack("!BBH", 0x81, 126, length) if length < 2**16 else struct.pack("!BBQ", 0x81, 127, length)) + text
+
+
+def link_frame(text: bytes) -> bytes:
+    """Return a piece for the link between two processes."""
+    return text + END_OF_PIECE
+
+
+@dataclass(eq=False, slots=True)
+class Viewer:
+    """Somebody who looks at the display.
+
+    Attributes:
+        transport: Leads to the viewer.
+        at_cell: Whether it shows the cell, too.
+        late: Whether changes are left out, until it can take the state instead.
+    """
+
+    transport: asyncio.WriteTransport
+    at_cell: bool = False
+    late: bool = False
+
+
 class Viewers:
     """Viewers of a display; all but :attr:`state` for the loop of the server.
 
+    Changes that follow each other closely go in one piece, made once for all viewers: a line each, of a marking and of
+    a part of the cell the newest alone.
+
     Args:
         state: What is shown to whoever comes.
+        framed: Makes of a piece the bytes for a transport.
         audience: Takes each change of the numbers of viewers.
     """
 
-    def __init__(self, state: DisplayState, audience: Audience = lambda viewers, of_cell: None) -> None:
+    def __init__(
+        self,
+        state: DisplayState,
+        framed: Callable[[bytes], bytes],
+        audience: Audience = lambda viewers, of_cell: None,
+    ) -> None:
         self.state = state
-        self._audience = audience
+        self._framed, self._audience = framed, audience
         self._snapshot: str | None = None
-        self._backlogs: dict[asyncio.Queue[str], bool] = {}
+        self._viewers: set[Viewer] = set()
+        self._changes: dict[object, tuple[str, bool]] = {}
+        self._due: asyncio.TimerHandle | None = None
+        self._sent_s = -GATHERED_S
 
     def __len__(self) -> int:
-        return len(self._backlogs)
+        return len(self._viewers)
 
-    def enter(self, *, of_cell: bool = False) -> asyncio.Queue[str]:
-        """Enter a viewer, also of the cell or not; return the queue, with the state first."""
-        backlog: asyncio.Queue[str] = asyncio.Queue(VIEWER_BACKLOG)
-        backlog.put_nowait(self.snapshot_text())
-        self._backlogs[backlog] = of_cell
+    def enter(self, transport: asyncio.WriteTransport, *, at_cell: bool = False) -> Viewer:
+        """Enter a viewer, also of the cell or not; the state comes first."""
+        self.send()
+        viewer = Viewer(transport, at_cell)
+        transport.write(self._framed(self.snapshot_text().encode()))
+        self._viewers.add(viewer)
         self._tell()
-        return backlog
+        return viewer
 
-    def look(self, backlog: asyncio.Queue[str], *, at_cell: bool) -> None:
+    def look(self, viewer: Viewer, *, at_cell: bool) -> None:
         """Begin or end to show a viewer the cell; the known parts of the cell come first."""
-        if self._backlogs[backlog] == at_cell:
+        if viewer.at_cell == at_cell:
             return
-        self._backlogs[backlog] = at_cell
-        if at_cell:
-            for change in self.state.cell_parts():
-                self._pass_on(backlog, json.dumps(change))
+        self.send()
+        viewer.at_cell = at_cell
+        if parts := self._cell_text(viewer):
+            viewer.transport.write(self._framed(parts.encode()))
         self._tell()
 
     def snapshot_text(self) -> str:
@@ -58,33 +107,70 @@ class Viewers:
             self._snapshot = json.dumps(self.state.snapshot())
         return self._snapshot
 
-    def leave(self, backlog: asyncio.Queue[str]) -> None:
+    def leave(self, viewer: Viewer) -> None:
         """Remove a viewer."""
-        del self._backlogs[backlog]
+        self._viewers.discard(viewer)
         self._tell()
 
-    def show(self, change: Change) -> None:
-        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead."""
+    def show(self, change: Change, text: str = "") -> None:
+        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead.
+
+        Args:
+            change: The change.
+            text: The same as JSON, where it is known.
+        """
         if not self.state.enter(change):
             return
         of_cell = change["kind"] == "cell"
         if not of_cell:
             self._snapshot = None
-        viewers = [backlog for backlog, at_cell in self._backlogs.items() if at_cell or not of_cell]
-        text = json.dumps(change) if viewers else ""
-        for backlog in viewers:
-            self._pass_on(backlog, text)
+        if not self._viewers:
+            return
+        replaced = {"cell": change.get("part"), "marking": change.get("net")}.get(str(change["kind"]))
+        key = object() if replaced is None else (of_cell, replaced)
+        self._changes.pop(key, None)
+        self._changes[key] = (text or json.dumps(change), of_cell)
+        self._send_in(self._sent_s + GATHERED_S - monotonic())
 
-    def _pass_on(self, backlog: asyncio.Queue[str], text: str) -> None:
-        if backlog.full():
-            while not backlog.empty():
-                backlog.get_nowait()
-            backlog.put_nowait(self.snapshot_text())
-            if self._backlogs[backlog]:
-                for change in self.state.cell_parts():
-                    backlog.put_nowait(json.dumps(change))
-        else:
-            backlog.put_nowait(text)
+    def relay(self, piece: bytes) -> None:
+        """Show all changes of a piece that other viewers had gathered."""
+        for line in piece.decode().split("\n"):
+            self.show(json.loads(line), line)
+        self.send()
+
+    def send(self) -> None:
+        """Send all viewers the changes that are not sent yet."""
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
+        changes, self._changes = self._changes.values(), {}
+        self._sent_s = monotonic()
+        pieces = {
+            at_cell: self._framed("\n".join(lines).encode())
+            for at_cell in {viewer.at_cell for viewer in self._viewers}
+            if (lines := [line for line, of_cell in changes if at_cell or not of_cell])
+        }
+        for viewer in self._viewers:
+            unsent = viewer.transport.get_write_buffer_size()
+            if viewer.transport.is_closing():
+                continue
+            if viewer.late and not unsent:
+                viewer.late = False
+                parts = filter(None, (self.snapshot_text(), self._cell_text(viewer)))
+                viewer.transport.write(self._framed("\n".join(parts).encode()))
+            elif unsent > MOST_UNSENT:
+                viewer.late = True
+            elif not viewer.late and viewer.at_cell in pieces:
+                viewer.transport.write(pieces[viewer.at_cell])
+        if any(viewer.late for viewer in self._viewers):
+            self._send_in(GATHERED_S)
+
+    def _send_in(self, pause_s: float) -> None:
+        if self._due is None:
+            self._due = asyncio.get_running_loop().call_later(max(pause_s, 0.0), self.send)
+
+    def _cell_text(self, viewer: Viewer) -> str:
+        return "\n".join(map(json.dumps, self.state.cell_parts())) if viewer.at_cell else ""
 
     def _tell(self) -> None:
-        self._audience(len(self._backlogs), sum(self._backlogs.values()))
+        self._audience(len(self._viewers), sum(viewer.at_cell for viewer in self._viewers))

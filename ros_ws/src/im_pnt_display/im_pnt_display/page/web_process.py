@@ -1,7 +1,7 @@
 """The process answering visitors of the page, apart from the node showing nets: viewers cannot slow the machine.
 
-It takes the listening sockets of the display, and a socket to the display: the token, the state and its changes come
-there, a line each, and what viewers want done goes back, with how many they are. It ends with that socket.
+It takes the listening sockets of the display, and a socket to the display: the token, the state and pieces with its
+changes come there, and what viewers want done goes back, with how many they are. It ends with that socket.
 """
 
 import asyncio
@@ -10,13 +10,14 @@ import os
 import socket
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 from im_pnt_display.page.site import Site
 from im_pnt_display.page.state import DisplayState
-from im_pnt_display.page.viewers import Viewers
+from im_pnt_display.page.viewers import END_OF_PIECE, Viewers, websocket_frame
 
-_LONGEST_LINE = 2**30
-"""Longest line on the link, a snapshot of all nets [bytes]."""
+_LONGEST_PIECE = 2**30
+"""Longest piece on the link, a snapshot of all nets [bytes]."""
 _NICENESS = 10
 """Priority below that of the machine's processes."""
 
@@ -29,23 +30,25 @@ async def answer_visitors(host: str, link: socket.socket, listening: Sequence[so
         link: Leads to the display.
         listening: Sockets that visitors come to.
     """
-    reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_LINE)
+    reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_PIECE)
 
     def operate(wanted: Mapping[str, str]) -> None:
-        writer.write(f"{json.dumps(wanted)}\n".encode())
+        if not writer.is_closing():
+            writer.write(f"{json.dumps(wanted)}\n".encode())
 
     def count(*numbers: int) -> None:
         operate({"net": "", "request": "audience", "argument": json.dumps(numbers)})
 
-    viewers = Viewers(DisplayState(), count)
+    viewers = Viewers(DisplayState(), websocket_frame, count)
     token = (await reader.readline()).decode().strip()
-    viewers.show(json.loads(await reader.readline()))
     site = Site(host, viewers, operate, token=token)
     stop = asyncio.Event()
     async with asyncio.TaskGroup() as group:
-        group.create_task(site.serve(listening, stop))
-        while line := await reader.readline():
-            viewers.show(json.loads(line))
+        with suppress(asyncio.IncompleteReadError, ConnectionError):
+            viewers.relay((await reader.readuntil(END_OF_PIECE)).removesuffix(END_OF_PIECE))
+            group.create_task(site.serve(listening, stop))
+            while True:
+                viewers.relay((await reader.readuntil(END_OF_PIECE)).removesuffix(END_OF_PIECE))
         stop.set()
 
 

@@ -28,7 +28,7 @@ let socket = null;
 let operable = false;        // whether this page may operate nets
 let view = { x: 0, y: 0, scale: 1 }, moved = false;
 let size = { width: 0, height: 0 };  // of the drawing's window; to ask for it would have the layout made
-const scene = new Scene(byId("scene"), (net, node) => {
+const scene = new Scene(byId("scene"), byId("tokens"), (net, node) => {
   if (dragged) return;
   const key = `${net}.${node.name}`;
   if (!page.only.delete(key)) page.only.add(key);
@@ -151,8 +151,10 @@ function showMoment(moment) {
 }
 
 function enterNet(net) {
-  const shown = new Set((net.usual ?? net.drawing).nodes.map((node) => node.place || node.name));
-  net.folded = new Set(net.drawing.nodes.map((node) => node.place || node.name).filter((name) => !shown.has(name)));
+  const { nodes } = net.usual ?? net.drawing, shown = new Set(nodes.map((node) => node.place || node.name));
+  const boxes = nodes.filter((node) => node.subnet).map((node) => `${node.name}.`);  // they show the tokens inside
+  net.folded = new Set(net.drawing.nodes.map((node) => node.place || node.name)
+    .filter((name) => !shown.has(name) && !boxes.some((box) => name.startsWith(box))));
   nets.set(net.net, net);
   unfolded.delete(net.net);
 }
@@ -213,6 +215,7 @@ function showMcs(mcs) {
 function knownOf({ net, name }) {
   const { tokens = {}, proposed = [] } = markings.get(net) ?? {};
   return { tokens: tokens[name] ?? 0, waits: proposed.includes(name), breakpoint: (breakpoints.get(net) ?? []).includes(name),
+    inside: nets.get(net)?.drawing.nodes.filter((node) => node.kind === "transition" && node.name.startsWith(`${name}.`)) ?? [],
     firings: firings.filter((firing) => firing.net === net && firing.transition === name).slice(-3).reverse() };
 }
 
@@ -268,7 +271,8 @@ function listNets() {
 function listRunning(name) {
   part.refresh(name);
   const running = byId(`running-${name}`);
-  if (running) running.textContent = (markings.get(name)?.active || []).join(", ");
+  const active = (markings.get(name)?.active || []).join(", ");
+  if (running && running.textContent !== active) running.textContent = active;
   const operate = byId(`operate-${name}`);
   if (operate) showControls(operate, operable && shownNets().includes(name), name, markings.get(name), breakpoints.get(name) ?? [], ask);
 }
@@ -314,10 +318,11 @@ function listFirings() {
   }));
 }
 
-// What has changed is drawn once a frame, however often nets fire; the list of firings less often, for nobody reads so fast.
-const LIST_MS = 100;
+// What has changed is drawn once a frame, however often nets fire; the list of firings and the view follow less often,
+// for nobody reads so fast.
+const LIST_MS = 250, FOLLOW_MS = 500;
 const changed = new Set();  // nets with a marking that is not drawn yet
-let drawing = false, listed = 0, unlisted = false, newest = null;
+let drawing = false, listed = 0, unlisted = false, led = 0, newest = null;
 function soon(change = {}) {
   if (change.kind === "marking") changed.add(change.net);
   else unlisted = true;
@@ -335,13 +340,20 @@ function drawChanges(now) {
   else if (!player.counterexample) for (const name of names) scene.mark(markings.get(name));
   names.forEach(listRunning);
   scene.flashAll(isSeen);
-  if (newest && !moved) keepInView(newest.net, scene.part(newest.net, newest.transition));
-  newest = null;
-  if (!unlisted) return;
-  if (now - listed < LIST_MS) { soon(); return; }
-  unlisted = false;
-  listed = now;
-  listFirings();
+  if (newest && now - led >= FOLLOW_MS) {
+    if (!moved) keepInView(newest.net, scene.part(newest.net, newest.transition));
+    newest = null;
+    led = now;
+  }
+  if (unlisted && now - listed >= LIST_MS) {
+    listFirings();
+    unlisted = false;
+    listed = now;
+  }
+  if (newest || unlisted) {
+    drawing = true;
+    requestAnimationFrame(drawChanges);
+  }
 }
 
 function take(change) {
@@ -449,7 +461,9 @@ async function connect() {
   setTimeout(() => { if (attempt.readyState === WebSocket.CONNECTING) attempt.close(); }, CONNECT_MS);
 }
 
-function applyView() { byId("scene").setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`); }
+function applyView() {
+  for (const layer of ["scene", "tokens"]) byId(layer).setAttribute("transform", `translate(${view.x},${view.y}) scale(${view.scale})`);
+}
 
 // The first sight: the whole where its letters can be read, else as large as that asks for, around the newest firing.
 function settle() {

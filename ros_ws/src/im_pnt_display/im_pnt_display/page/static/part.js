@@ -22,7 +22,7 @@ function owner({ command, symbol, failure }) {
 
 export class Part {
   // ask(net, request, argument) asks the node that runs the net; known(net, part) returns what the page knows itself:
-  // tokens, whether it waits and has a breakpoint, and its last firings; live tells whether values can be asked for.
+  // tokens, whether it waits and has a breakpoint, its last firings, and the transitions inside; live tells whether values can be asked for.
   constructor(ask, known, live) {
     Object.assign(this, { ask, known, live, at: null, due: null, asked: 0 });
     byId("part-close").addEventListener("click", () => this.close());
@@ -37,6 +37,11 @@ export class Part {
     byId("part").hidden = false;
     byId("part-name").textContent = `${net}.${this.at.name}`;
     byId("part-values").replaceChildren();
+    byId("part-inside").replaceChildren(...this.known(this.at).inside.map((one) => {
+      const button = make("button", one.name);
+      button.addEventListener("click", () => this.open(net, one));
+      return button;
+    }));
     this.refresh(net);
   }
 

@@ -1,4 +1,4 @@
-// The drawing: nets as SVG with tokens, running transitions, flashes of firings, and arcs traced under the pointer.
+// The drawing: nets as SVG with running transitions and arcs traced under the pointer; above it tokens and flashes of firings.
 const SVG = "http://www.w3.org/2000/svg";
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 const GAP = 28, TITLE = 44, RADIUS = 11, REFERENCE = 6.5, LINE = 12;
@@ -90,20 +90,25 @@ function inOrder(parts) {
 }
 
 export class Scene {
-  constructor(root, onPick) {
-    this.root = root;
-    this.onPick = onPick;
+  // root and above are SVG groups of two layers: above the nets is what moves.
+  constructor(root, above, onPick) {
+    Object.assign(this, { root, above, onPick });
     this.clear();
   }
 
   clear() {
     this.root.replaceChildren();
-    this.nodes = new Map();    // net -> Map(name -> {group, node, token})
+    this.above.replaceChildren();
+    this.nodes = new Map();    // net -> Map(name -> {group, node})
+    this.places = new Map();   // "net.place" -> its nodes, references too
+    this.tokens = new Map();   // "net.name" -> {count, element} of each node with tokens
+    this.states = new Map();   // net -> Map(transition -> its classes)
     this.arcs = [];            // {line, net, arc}
     this.between = [];         // {line, net, transition}
     this.spots = new Map();    // "net.name" -> node, with its place in the whole
     this.extent = { width: 1, height: 1 };
-    this.flashes = new Map();  // "net.name" -> {group, failed}, of this frame
+    this.flashes = new Map();  // "net.name" -> whether it failed, of this frame
+    this.fading = new Map();   // "net.name" -> element
     this.due = null;
   }
 
@@ -122,7 +127,11 @@ export class Scene {
       for (const node of part.nodes)
         spots.set(`${part.net.net}.${node.name}`, { ...node, x: node.x + part.x, y: node.y + part.y + TITLE, part });
     }
-    for (const node of spots.values()) {
+    for (const [key, node] of spots) {
+      if (node.kind !== "transition") {
+        const place = `${node.part.net.net}.${node.place}`;
+        this.places.set(place, [...(this.places.get(place) ?? []), { key, node }]);
+      }
       const target = node.link && spots.get(node.link);
       if (!target) continue;
       const line = make("path", { class: "arc between", d: sideways(node, target),
@@ -154,7 +163,6 @@ export class Scene {
     const told = [node.kind, node.label, ...node.notes].join(", ");
     const group = make("g", { class: `node ${node.kind}`, tabindex: 0, role: "button", "aria-label": told }, parent);
     const [left, , height] = node.box;
-    let token = null;
     if (node.kind === "transition") {
       const inner = node.subnet ? 3 : 0, top = node.y - height / 2 + inner;
       make("rect", { x: node.x - left, y: node.y - height / 2, width: 2 * left, height, rx: 3 }, group);
@@ -167,8 +175,6 @@ export class Scene {
     } else {
       const radius = node.kind === "reference" ? REFERENCE : RADIUS;
       make("circle", { class: "rim", cx: node.x, cy: node.y, r: radius }, group);
-      token = make("g", { class: "token" }, group);
-      make("circle", { cx: node.x, cy: node.y, r: node.kind === "reference" ? 3 : 5 }, token);
       make("text", { x: node.x + radius + 4, y: node.y + (node.notes.length ? 1 : 4) }, group, node.label);
       node.notes.forEach((note, line) =>
         make("text", { class: "note", x: node.x + radius + 5, y: node.y + LINE * (line + 1) }, group, note));
@@ -177,7 +183,7 @@ export class Scene {
     group.addEventListener("keydown", (event) => { if (event.key === "Enter") this.onPick(net, node); });
     group.addEventListener("pointerenter", () => this.trace(net, node, true));
     group.addEventListener("pointerleave", () => this.trace(net, node, false));
-    return { group, node, token };
+    return { group, node };
   }
 
   // Marks the arcs of a part, of a place at all its references too.
@@ -193,40 +199,55 @@ export class Scene {
   }
 
   mark({ net, tokens, active, cancelling, in_doubt, proposed }) {
-    const parts = (names) => new Set((names || []).map((name) => this.part(net, name) || name));
-    const running = parts(active), ending = parts(cancelling), doubtful = parts(in_doubt), waiting = parts(proposed);
-    for (const drawn of (this.nodes.get(net) || new Map()).values()) {
-      const { group, node, token } = drawn;
-      const now = token ? tokens[node.place] || 0
-        : [running, ending, doubtful, waiting].map((names) => Number(names.has(node.name))).join("");
-      if (drawn.shown === now) continue;  // most of a large net is as it was
-      drawn.shown = now;
-      if (!token) {
-        group.classList.toggle("active", running.has(node.name));
-        group.classList.toggle("cancelling", ending.has(node.name));
-        group.classList.toggle("doubt", doubtful.has(node.name));
-        group.classList.toggle("waits", waiting.has(node.name));
-        continue;
-      }
-      group.classList.toggle("marked", now > 0);
-      group.classList.toggle("one", now === 1);  // a dot that is hidden and seen moves no other part: no new layout
-      token.querySelector("text")?.remove();
-      if (now > 1) make("text", { x: node.x, y: node.y + 4, "text-anchor": "middle" }, token, now);
+    if (!this.nodes.has(net)) return;
+    const inNet = (key) => key.startsWith(`${net}.`);
+    const counts = new Map(), states = new Map();
+    for (const [place, count] of Object.entries(tokens)) {
+      if (count <= 0) continue;
+      const key = `${net}.${this.part(net, place)}`, box = this.spots.get(key);
+      for (const { key, node } of this.places.get(`${net}.${place}`) ?? []) counts.set(key, { count, node });
+      if (box?.subnet) counts.set(key, { count: count + (counts.get(key)?.count ?? 0), node: box });
     }
+    for (const [state, names] of Object.entries({ active, cancelling, doubt: in_doubt, waits: proposed }))
+      for (const name of names ?? []) {
+        const part = this.part(net, name);
+        states.set(part, [...(states.get(part) ?? []), state]);
+      }
+    for (const [key, { count, element }] of this.tokens) {
+      if (!inNet(key) || counts.get(key)?.count === count) continue;
+      element.remove();
+      this.tokens.delete(key);
+    }
+    for (const [key, { count, node }] of counts)
+      if (!this.tokens.has(key)) this.tokens.set(key, { count, element: this.drawToken(node, count) });
+    const shown = this.states.get(net) ?? new Map();
+    for (const part of new Set([...shown.keys(), ...states.keys()]))
+      for (const state of ["active", "cancelling", "doubt", "waits"])
+        this.nodes.get(net).get(part)?.group.classList.toggle(state, states.get(part)?.includes(state) ?? false);
+    this.states.set(net, states);
     for (const link of this.between)
-      if (link.net === net) link.line.classList.toggle("live", running.has(link.transition));
+      if (link.net === net) link.line.classList.toggle("live", states.get(link.transition)?.includes("active") ?? false);
   }
 
-  // Marks the breakpoints: transitions by net.
+  // Draws the tokens of a place: a dot for one, a number for several; those inside a folded subnet at a corner of its box.
+  drawToken(node, count) {
+    const token = make("g", {}, this.above), small = node.kind === "reference", inside = node.kind === "transition";
+    const x = inside ? node.x + node.box[0] : node.x, y = inside ? node.y - node.box[2] / 2 : node.y;
+    make("circle", { class: "under", cx: x, cy: y, r: (small ? REFERENCE : RADIUS) - 0.4 }, token);
+    if (count > 1) make("text", { x, y: y + 4 }, token, count); else make("circle", { cx: x, cy: y, r: small ? 3 : 5 }, token);
+    return token;
+  }
+
+  // Marks the breakpoints: transitions by net; those of a folded subnet at its box.
   stop(breakpoints) {
-    for (const [net, nodes] of this.nodes)
-      for (const { group, node } of nodes.values()) group.classList.toggle("stops", (breakpoints.get(net) ?? []).includes(node.name));
+    for (const [net, nodes] of this.nodes) {
+      const parts = new Set((breakpoints.get(net) ?? []).map((name) => this.part(net, name)));
+      for (const [name, { group }] of nodes) group.classList.toggle("stops", parts.has(name));
+    }
   }
 
   firstMarked() {
-    for (const [net, nodes] of this.nodes)
-      for (const [name, { group, node }] of nodes)
-        if (node.kind === "place" && group.classList.contains("marked")) return this.spots.get(`${net}.${name}`);
+    for (const key of this.tokens.keys()) if (this.spots.get(key).kind === "place") return this.spots.get(key);
     return undefined;
   }
 
@@ -237,21 +258,29 @@ export class Scene {
   }
 
   flash({ net, transition, phase }) {
-    const part = this.part(net, transition), found = this.nodes.get(net)?.get(part);
-    if (!found) return;
-    this.flashes.set(`${net}.${part}`, { group: found.group, failed: phase === "FAILED" });
+    const part = this.part(net, transition);
+    if (!part) return;
+    this.flashes.set(`${net}.${part}`, phase === "FAILED");
     this.due ??= requestAnimationFrame(() => this.flashAll(() => true));
   }
 
-  // Shows the noted flashes of the parts that are seen. Classes that animate would have the layout made anew to begin again.
+  // Shows the noted flashes of the parts that are seen, but for those that run.
   flashAll(isSeen) {
     cancelAnimationFrame(this.due);
     this.due = null;
-    for (const [key, { group, failed }] of this.flashes) {
-      const box = group.querySelector("rect");
-      if (STILL.matches || !box || !isSeen(this.spots.get(key)) || (!failed && group.classList.contains("active"))) continue;
-      for (const animation of box.getAnimations()) animation.cancel();
-      box.animate([{ fill: failed ? "var(--bad)" : "#7cc98a" }, {}], failed ? 1600 : 900);
+    for (const [key, failed] of this.flashes) {
+      const spot = this.spots.get(key), { net } = spot.part.net;
+      if (STILL.matches || spot.kind !== "transition" || !isSeen(spot)) continue;
+      if (!failed && this.states.get(net)?.get(spot.name)?.includes("active")) continue;
+      this.fading.get(key)?.remove();
+      const [left, , height] = spot.box;
+      const box = make("rect", { class: failed ? "failed" : "fired", x: spot.x - left, y: spot.y - height / 2, width: 2 * left,
+        height, rx: 3 }, this.above);
+      this.fading.set(key, box);
+      box.animate([{ opacity: 1 }, { opacity: 0 }], failed ? 1600 : 900).onfinish = () => {
+        box.remove();
+        if (this.fading.get(key) === box) this.fading.delete(key);
+      };
     }
     this.flashes.clear();
   }

@@ -1,0 +1,1 @@
+"""Figures of the page: frames a second of a large net in a browser, and the price of many viewers."""
