@@ -89,6 +89,10 @@ def test_its_commands_are_those_that_its_parts_allow(machine, cell):
     name, shipped = cell
     told = json.loads(machine.message(String, "/dispatcher/commands", profile=qos.LATCHED).data)
     assert {command["symbol"] for command in told["commands"]} == COMMANDS[name]
+    refused = run_script("im", "run", "demo")
+    assert refused.returncode == 2
+    assert "demo is left out: " in refused.stderr
+    assert "it needs 2 of the arms of the cell, which has 1" in refused.stderr
     turned = (shipped.home + 0.1).tolist()
     answer = machine.execute("move", group="arm", joints=turned)()
     assert answer.success, answer.message
