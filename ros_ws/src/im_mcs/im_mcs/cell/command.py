@@ -57,7 +57,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="new|check")
     new = commands.add_parser("new", help="write the first cell file of a URDF")
     new.add_argument("urdf", type=Path, help="the URDF; its meshes are looked for beside it and in ROS packages")
-    new.add_argument("--srdf", type=Path, help="pairs of links that need no look (default: those that always touch)")
+    new.add_argument(
+        "--srdf",
+        type=Path,
+        help="pairs of links not compared, beside the URDF (default: all that always touch)",
+    )
     new.add_argument("--output", type=Path, help="file to write, beside the URDF (default: standard output)")
     check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
     check.add_argument("cell", help="cell file, or name of a shipped cell")
