@@ -189,7 +189,7 @@ class Cell(ObjectsFile):
 
     @cached_property
     def untouching(self) -> frozenset[frozenset[str]]:
-        """Pairs of links that are not compared: those of the file, and those that its SRDF switches off.
+        """Pairs of links without a comparison, of the cell file and of the SRDF.
 
         Raises:
             ConfigError: The SRDF is missing or not XML.
@@ -382,7 +382,7 @@ def resolved(named: str, beside: Path) -> Path:
 
 
 def robot_text(path: Path) -> str:
-    """Return the text of a URDF or SRDF; a file that ends in `.xacro` is expanded.
+    """Return the text of a URDF or SRDF, of a `.xacro` file expanded.
 
     Raises:
         ConfigError: The file cannot be read or expanded, or xacro is not installed.

@@ -117,7 +117,7 @@ def parse_description(text: str, name: str) -> UrdfTree:
 
 
 def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
-    """Return the pairs of links that an SRDF (MoveIt's) switches off.
+    """Return the pairs of links switched off by an SRDF (MoveIt's).
 
     Args:
         text: Contents of the file.
