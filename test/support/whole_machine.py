@@ -40,9 +40,9 @@ def write_few_poses(folder: Path) -> Path:
 
 
 def run_script(name, *arguments, timeout=300.0, **environment):
-    """Runs ``scripts/<name>.sh`` to its end."""
+    """Runs ``scripts/<name>.sh``, or ``scripts/im``, to its end."""
     return subprocess.run(
-        ["bash", str(ROOT / "scripts" / f"{name}.sh"), *map(str, arguments)],
+        ["bash", str(ROOT / "scripts" / (name if name == "im" else f"{name}.sh")), *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

@@ -145,9 +145,18 @@ class Machine:
     @property
     def commands(self) -> dict[str, Mapping[str, Any]]:
         """Descriptions of the commands by name: ``description``, ``arguments`` (a JSON schema), ``needs``, ..."""
+        return self._told()[0]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Why the cell has no such command: the parts that it lacks, by the command's name."""
+        return self._told()[1]
+
+    def _told(self) -> tuple[dict[str, Mapping[str, Any]], dict[str, str]]:
         text = self.connection.latest(String, "/dispatcher/commands").data
         try:
-            return {command["symbol"]: command for command in json.loads(text)["commands"]}
+            told = json.loads(text)
+            return {command["symbol"]: command for command in told["commands"]}, dict(told.get("left_out", {}))
         except (ValueError, KeyError, TypeError) as error:
             raise MachineError(f"/dispatcher/commands is no list of commands: {text[:60]!r}", "data") from error
 

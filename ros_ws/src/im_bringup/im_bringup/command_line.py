@@ -4,9 +4,10 @@ import argparse
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NoReturn
 
-from im_core.errors import NotFoundError, nearest
+from im_core.errors import NotFoundError, StateError, nearest
 from im_core.options import NumberParser, finite_number, whole
 
 Schema = Mapping[str, Any]
@@ -73,15 +74,25 @@ class CommandParser(NumberParser):
         )
 
 
-def command_told(commands: Sequence[Mapping[str, Any]], symbol: str) -> Mapping[str, Any]:
+def command_told(
+    commands: Sequence[Mapping[str, Any]], symbol: str, left_out: Mapping[str, str] = MappingProxyType({})
+) -> Mapping[str, Any]:
     """Return the Dispatcher's description of a command.
 
+    Args:
+        commands: All descriptions.
+        symbol: Name of the command.
+        left_out: Why the cell has no such command, by the command's name.
+
     Raises:
+        StateError: The cell lacks a part that the command needs.
         NotFoundError: There is no such command.
     """
     for told in commands:
         if told["symbol"] == symbol:
             return told
+    if symbol in left_out:
+        raise StateError(f"{symbol} is left out: {left_out[symbol]}", command=symbol)
     raise NotFoundError(kind="command", name=symbol, known=[str(told["symbol"]) for told in commands])
 
 

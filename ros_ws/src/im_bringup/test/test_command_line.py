@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from im_bringup.command_line import CommandParser, command_told, completions
-from im_core.errors import NotFoundError
+from im_core.errors import NotFoundError, StateError
 
 COMPLETION = Path(__file__).parents[4] / "scripts/im_completion.bash"
 MOVE = {
@@ -134,6 +134,11 @@ def test_help_tells_what_the_options_of_every_command_are_called_then(word, awkw
 def test_a_command_that_there_is_not_is_refused_with_the_nearest():
     with pytest.raises(NotFoundError, match="did you mean 'move'"):
         command_told([MOVE, GRIP], "mve")
+
+
+def test_a_command_that_the_cell_lacks_parts_for_names_them():
+    with pytest.raises(StateError, match="look is left out: it needs 1 of the cameras"):
+        command_told([MOVE, GRIP], "look", {"look": "it needs 1 of the cameras of the cell, which has 0"})
 
 
 @pytest.mark.parametrize(

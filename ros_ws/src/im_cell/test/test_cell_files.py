@@ -1,5 +1,9 @@
 """Cells of any URDF: what is read, what is assumed, and what is refused in one sentence."""
 
+import sys
+from types import SimpleNamespace
+from xml.dom import minidom
+
 import numpy as np
 import pytest
 
@@ -64,6 +68,19 @@ def test_a_urdf_in_a_package_is_found(tmp_path, monkeypatch):
     (tmp_path / "cell.yaml").write_text(CELL.replace("robot.urdf", "package://their_robot/urdf/robot.urdf"))
     with pytest.raises(ConfigError, match=r"package their_robot with 'urdf/robot\.urdf' is in no workspace"):
         load_cell(tmp_path / "cell.yaml")
+
+
+def test_a_xacro_is_expanded_where_xacro_is_installed(read, tmp_path, monkeypatch):
+    text, cell = robot(), CELL.replace("robot.urdf", "robot.urdf.xacro")
+    (tmp_path / "robot.urdf.xacro").write_text("<robot/>")
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    with pytest.raises(ConfigError, match=r"xacro is not installed here; where it is, `xacro robot.urdf.xacro >"):
+        read("", cell)
+    monkeypatch.setitem(sys.modules, "xacro", SimpleNamespace(process_file=lambda _: minidom.parseString("<robot")))
+    with pytest.raises(ConfigError, match="xacro cannot expand it"):
+        read("", cell)
+    monkeypatch.setitem(sys.modules, "xacro", SimpleNamespace(process_file=lambda _: minidom.parseString(text)))
+    assert read("", cell).joint_names == ("a", "b")
 
 
 def test_links_that_are_fixed_are_one_body_and_joints_of_no_group_stand_where_they_are_told(read):

@@ -96,8 +96,8 @@ GRIPPING = {"close_gripper", "open_gripper", "pick", "place", "hand_over", "grip
     [
         ("puma_pair", set()),
         ("ur5", {"demo", "look_laser", *GRIPPING}),
-        ("ur_pair", None),
-        ("panda", {"demo", "hand_over", "look", "look_laser", "calibrate_camera", "vision_coordinator"}),
+        ("ur_pair", {"look_laser", *GRIPPING}),
+        ("panda", {"demo", "hand_over", "look_laser"}),
         ("so101", None),
     ],
 )

@@ -1,6 +1,7 @@
 """``im cell``: a first cell file of a URDF, and what a cell file leaves open."""
 
 import re
+import shutil
 import struct
 
 import numpy as np
@@ -77,10 +78,16 @@ def test_pairs_of_an_srdf_are_taken(robot):
     srdf.write_text(
         '<robot name="r"><disable_collisions link1="base_link" link2="upper_arm_link" reason="Never"/></robot>'
     )
-    assert "- [base_link, upper_arm_link]" in first_cell(robot, srdf)
+    file = robot.with_name("cell.yaml")
+    file.write_text(first_cell(robot, srdf))
+    assert "srdf: robot.srdf" in file.read_text()
+    assert load_cell(file).untouching == {frozenset(("base_link", "upper_arm_link"))}
     srdf.write_text("<robot")
-    with pytest.raises(ConfigError, match=r"robot.srdf: is not XML"):
-        first_cell(robot, srdf)
+    with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: is not XML"):
+        load_cell(shutil.copy(file, robot.with_name("broken.yaml")))
+    srdf.unlink()
+    with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: cannot be read"):
+        load_cell(shutil.copy(file, robot.with_name("missing.yaml")))
 
 
 def test_meshes_that_are_not_there_or_in_millimetres_are_said(robot):

@@ -18,7 +18,7 @@ from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
-from im_core.errors import ArgumentError, ImError, NotFoundError, StoreError, require_text
+from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, require_text
 from im_core.files import FileError, read_text, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
@@ -140,10 +140,10 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
         print_list(commands, machine.under_way)
         return DONE
     try:
-        parser = CommandParser(command_told(commands, options.name))
+        parser = CommandParser(command_told(commands, options.name, machine.left_out))
         arguments, given = parser.read(texts)
         require_text(json.dumps(taken := handed_over(arguments), allow_nan=False), "the arguments")
-    except (NotFoundError, FileError, StoreError) as error:
+    except (NotFoundError, StateError, FileError, StoreError) as error:
         print(f"im run: {error.message}", file=sys.stderr)
         return USAGE
     except ValueError as error:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from im_cell.robot.description import UrdfGeometry, UrdfTree, parse_description
+from im_cell.robot.description import UrdfGeometry, UrdfTree, disabled_pairs, parse_description
 from im_cell.robot.objects import ObjectsFile
 from im_cell.robot.parameters import (
     Box,
@@ -35,7 +35,7 @@ from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Optics, Target
 from im_cell.robot.tree import WORLD, Joint, LinkInertia, Tree, assumptions, joint_of
 from im_cell.rotations import matrix_of_rpy
 from im_core.config import FieldError, load_model, package_file
-from im_core.errors import ConfigError, nearest
+from im_core.errors import ConfigError, nearest, shortened
 from im_core.files import MEBIBYTE, FileError, read_text
 from im_core.names import CELL, OBJECTS
 from im_core.text.yamltext import Location
@@ -59,6 +59,7 @@ class Cell(ObjectsFile):
     """
 
     urdf: str
+    srdf: str = ""
     poses: str = ""
     mount: CellMount = CellMount()
     groups: Annotated[dict[str, CellGroup], Field(min_length=1)]
@@ -84,7 +85,7 @@ class Cell(ObjectsFile):
     lamps: tuple[Lamp, ...] = ()
     laser: LaserScanner | None = None
 
-    @field_validator("urdf", "poses")
+    @field_validator("urdf", "srdf", "poses")
     @classmethod
     def _found(cls, named: str, info: ValidationInfo) -> str:
         return str(resolved(named, Path(str((info.context or {}).get("file", ""))))) if named else ""
@@ -92,9 +93,9 @@ class Cell(ObjectsFile):
     @model_validator(mode="after")
     def _references(self) -> Self:
         try:
-            description = self.description
+            description, _ = self.description, self.untouching
         except ConfigError as error:
-            raise FieldError(("urdf",), error.message) from None
+            raise FieldError(("srdf" if error.facts.get("file") == self.srdf else "urdf",), error.message) from None
         self._check_groups(description)
         self._check_joints()
         self._check_frames()
@@ -184,10 +185,17 @@ class Cell(ObjectsFile):
         Raises:
             ConfigError: The file is missing or no URDF of a tree.
         """
-        try:
-            return parse_description(read_text(Path(self.urdf), _LARGEST_URDF), self.urdf)
-        except FileError as error:
-            raise ConfigError(error.message, file=self.urdf) from error
+        return parse_description(robot_text(Path(self.urdf)), self.urdf)
+
+    @cached_property
+    def untouching(self) -> frozenset[frozenset[str]]:
+        """Pairs of links without a comparison, of the cell file and of the SRDF.
+
+        Raises:
+            ConfigError: The SRDF is missing or not XML.
+        """
+        given = frozenset(map(frozenset, self.never))
+        return given | disabled_pairs(robot_text(Path(self.srdf)), self.srdf) if self.srdf else given
 
     @cached_property
     def tree(self) -> Tree:
@@ -371,6 +379,28 @@ def resolved(named: str, beside: Path) -> Path:
         if (path := folder / package / below).is_file():
             return path
     raise ValueError(f"package {package} with '{below}' is in no workspace that is sourced, and in no folder above")
+
+
+def robot_text(path: Path) -> str:
+    """Return the text of a URDF or SRDF, of a `.xacro` file expanded.
+
+    Raises:
+        ConfigError: The file cannot be read or expanded, or xacro is not installed.
+    """
+    if path.suffix == ".xacro":
+        try:
+            import xacro
+
+            return str(xacro.process_file(str(path)).toxml())
+        except ImportError:
+            text = f"{path}: xacro is not installed here; where it is, `xacro {path.name} > {path.stem}` makes the URDF"
+            raise ConfigError(text, file=str(path)) from None
+        except Exception as error:  # of any kind: macros run expressions
+            raise ConfigError(f"{path}: xacro cannot expand it: {shortened(str(error))}", file=str(path)) from error
+    try:
+        return read_text(path, _LARGEST_URDF)
+    except FileError as error:
+        raise ConfigError(error.message, file=str(path)) from error
 
 
 def shipped_cells() -> tuple[str, ...]:

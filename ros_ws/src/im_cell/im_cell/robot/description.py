@@ -105,10 +105,7 @@ def parse_description(text: str, name: str) -> UrdfTree:
     Raises:
         ConfigError: It is not XML or no URDF, a number is none, or links and joints are no tree.
     """
-    try:
-        robot = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise ConfigError(f"{name}: is not XML: {error}", file=name) from error
+    robot = _xml(text, name)
     try:
         if robot.tag != "robot":
             raise ValueError(f"its outermost element is <{shortened(robot.tag)}>, not <robot>")
@@ -117,6 +114,27 @@ def parse_description(text: str, name: str) -> UrdfTree:
         return _tree(links, joints)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}", file=name) from error
+
+
+def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
+    """Return the pairs of links switched off by an SRDF (MoveIt's).
+
+    Args:
+        text: Contents of the file.
+        name: Of the file, for messages.
+
+    Raises:
+        ConfigError: It is not XML.
+    """
+    pairs = _xml(text, name).findall("disable_collisions")
+    return frozenset(frozenset((each.get("link1", ""), each.get("link2", ""))) for each in pairs)
+
+
+def _xml(text: str, name: str) -> ET.Element:
+    try:
+        return ET.fromstring(text)
+    except ET.ParseError as error:
+        raise ConfigError(f"{name}: is not XML: {error}", file=name) from error
 
 
 def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:

@@ -19,7 +19,7 @@ class Establishment:
 
     Args:
         host: The coordinator, or what stands for it.
-        task: Who keeps what is established.
+        task: Who keeps what is established; empty: a driver that is no task, and is taken to live on.
         what: Begins the name of the data object, such as ``powered``.
     """
 
@@ -64,6 +64,8 @@ class Establishment:
 
     async def _incarnation(self) -> int:
         """Return the present incarnation of the task; a coordinator just started waits for the first heartbeat."""
+        if not self._task:
+            return 0
         deadline = clock.monotonic() + HEARD_S
         while (incarnation := self._host.incarnation(self._task)) is None:
             if clock.monotonic() > deadline:

@@ -22,7 +22,7 @@ from im_pnt.execution.functions import ActionContext, Functions, idempotent, wok
 from im_pnt_node.rerun.host import Host
 
 LIGHTS = "/testbed/lights"
-LONG_EXPOSURE = "long_exposure"
+LONG_EXPOSURE, LIGHTS_OF = "long_exposure", "lights_of"
 LIGHTS_S, PAUSE_S = 5.0, 0.02
 LIGHT_FOUND = "light_found/"
 """Begins the name of a data object: whether a light was on before the command switched it on."""
@@ -38,6 +38,7 @@ class VisionCoordinator(Coordinator):
         self.declared.declare(
             LONG_EXPOSURE, 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )
+        self.declared.declare(LIGHTS_OF, "testbed", "task that switches lights; empty: a driver outside the machine")
 
 
 def vision_functions(host: Host) -> Functions:
@@ -72,7 +73,10 @@ class VisionFunctions:
     def __init__(self, host: Host) -> None:
         self._host, self._cell = host, load_cell()
         self._led_offset = np.array(self._cell.led.offset)
-        self._lit = Establishment(host, "testbed", "lit")
+
+    @property
+    def _lit(self) -> Establishment:
+        return Establishment(self._host, str(self._host.parameter(LIGHTS_OF)), "lit")
 
     async def light_on(self, ctx: ActionContext) -> dict[str, object]:
         """Has a light on.

@@ -10,7 +10,10 @@ from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.template import first_cell, touching_pairs
+from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
 
+_FEW = "straight lines keep the position, and the orientation but for turns about one axis of the tip"
+_FEWER = f"no straight lines: they need {FEWEST_JOINTS} joints or more"
 _EPILOG = """\
 exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
 
@@ -54,7 +57,11 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="new|check")
     new = commands.add_parser("new", help="write the first cell file of a URDF")
     new.add_argument("urdf", type=Path, help="the URDF; its meshes are looked for beside it and in ROS packages")
-    new.add_argument("--srdf", type=Path, help="pairs of links that need no look (default: those that always touch)")
+    new.add_argument(
+        "--srdf",
+        type=Path,
+        help="pairs of links not compared, beside the URDF (default: all that always touch)",
+    )
     new.add_argument("--output", type=Path, help="file to write, beside the URDF (default: standard output)")
     check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
     check.add_argument("cell", help="cell file, or name of a shipped cell")
@@ -69,6 +76,8 @@ def findings(cell: Cell, file: str) -> list[str]:
         devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]
         with_ = f", with {' and '.join(devices)}" if devices else ""
         lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
+        if (count := len(cell.carriers_of(group.tip))) < ARM_JOINTS:
+            lines.append(f"group {name}: {_FEW if count == FEWEST_JOINTS else _FEWER}")
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
     lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
     lines += [f"assumed: {sentence}" for sentence in cell.assumed]

@@ -1,7 +1,6 @@
 """The first cell file of a URDF: groups, homes and capsules, asking nothing that the URDF shows."""
 
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -9,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.robot import Box, Capsule, Cell
+from im_cell.robot.cell import robot_text
 from im_cell.robot.description import UrdfJoint, UrdfTree, parse_description
 from im_core.errors import ConfigError, DataError
-from im_core.files import MEBIBYTE, FileError, read_text
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.collision.bodies import Bodies
 from im_mcs.model import CellModel
 
-_LARGEST = 8 * MEBIBYTE
 _SAMPLES, _SEED_KEY = 400, 20261127
 _ALWAYS = 0.95
 _TOOL = re.compile("tcp|tool|ee|eef|gripper_frame|flange")
@@ -30,13 +28,13 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
 
     Args:
         urdf: The file.
-        srdf: Pairs of links that need no look (MoveIt's SRDF); None: those that always touch are found.
+        srdf: Pairs of links that are not compared (MoveIt's SRDF); None: those that always touch are found.
 
     Raises:
         ConfigError: The URDF or SRDF is missing or wrong, or nothing in it moves.
         DataError: A mesh is missing or in millimetres.
     """
-    description = parse_description(_text(urdf), str(urdf))
+    description = parse_description(robot_text(urdf), str(urdf))
     tips = _tips(description)
     if not tips:
         raise ConfigError(f"{urdf}: no chain of two joints or more moves, so there is no arm", file=str(urdf))
@@ -49,13 +47,14 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
         },
         "capsules": [{"link": description.root, "p0": (0, 0, 0), "p1": (0, 0, 0.01), "radius": 0.01}],
         "boxes": [_FLOOR],
+        "srdf": "" if srdf is None else str(srdf.absolute()),
     }
     bare = Cell.model_validate(data)
     capsules = enclosing_capsules(bare)
     cell = bare.model_copy(update={"capsules": tuple(capsules)})
-    never = _told(srdf, description) if srdf is not None else _always(cell)
+    never = () if srdf is not None else _always(cell)
     home = _home(cell.model_copy(update={"never": never}))
-    return _written(urdf, grouped, tips, home, capsules, never)
+    return _written(urdf, srdf, grouped, tips, home, capsules, never)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -135,16 +134,6 @@ def _always(cell: Cell) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys((first, second) for first, second in found))
 
 
-def _told(srdf: Path, description: UrdfTree) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links that an SRDF switches off."""
-    try:
-        robot = ET.fromstring(_text(srdf))
-    except ET.ParseError as error:
-        raise ConfigError(f"{srdf}: is not XML: {error}", file=str(srdf)) from error
-    pairs = [(each.get("link1", ""), each.get("link2", "")) for each in robot.findall("disable_collisions")]
-    return tuple(pair for pair in pairs if all(link in description.links for link in pair))
-
-
 def _home(cell: Cell) -> list[float]:
     """Return positions that are free of collisions and far from singular, among the middle and some others."""
     model = CellModel(cell)
@@ -167,6 +156,7 @@ def _home(cell: Cell) -> list[float]:
 
 def _written(
     urdf: Path,
+    srdf: Path | None,
     grouped: Mapping[str, Sequence[UrdfJoint]],
     tips: Sequence[str],
     home: Sequence[float],
@@ -175,8 +165,8 @@ def _written(
 ) -> str:
     names = [joint.name for joint in _ordered(grouped)]
     at = dict(zip(names, home, strict=True))
-    lines = [f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.", f"urdf: {urdf.name}", ""]
-    lines.append("groups:")
+    lines = [f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.", f"urdf: {urdf.name}"]
+    lines += [*([] if srdf is None else [f"srdf: {srdf.name}"]), "", "groups:"]
     for (name, joints), tip in zip(grouped.items(), tips, strict=True):
         lines += [f"  {name}:", f"    tip: {tip}", f"    joints: [{', '.join(joint.name for joint in joints)}]"]
         lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
@@ -198,13 +188,6 @@ def _written(
 
 def _ordered(grouped: Mapping[str, Sequence[UrdfJoint]]) -> list[UrdfJoint]:
     return [joint for joints in grouped.values() for joint in joints]
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_text(path, _LARGEST)
-    except FileError as error:
-        raise ConfigError(error.message, file=str(path)) from error
 
 
 def touching_pairs(cell: Cell) -> list[tuple[str, str]]:

@@ -33,7 +33,7 @@ class Bodies:
     """Capsules of all links and the boxes fixed to the world, at one position of the joints after the other.
 
     Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
-    them from touching otherwise. Nor are the pairs that the cell names in `never`.
+    them from touching otherwise. Nor are the pairs that the cell names, in `never` or an SRDF.
 
     Attributes:
         names: Link or box of each body.
@@ -55,7 +55,7 @@ class Bodies:
             self._add(box.name, box.name, 0, pin.SE3(np.eye(3), np.array(box.center)), shape)
         for thing in around.things:
             self._add_thing(thing)
-        self._never = {frozenset(pair) for pair in model.cell.never} | around.allowed
+        self._never = model.cell.untouching | around.allowed
         self._add_pairs()
         self.pairs = np.array(
             [(pair.first, pair.second) for pair in self._geometry.collisionPairs], dtype=np.intp

@@ -34,7 +34,9 @@ class Tracked:
 
 
 class ArmTracker:
-    """Newton's method for the six joints of an arm at a pose of the wrist, near to the present positions.
+    """Newton's method for the joints of an arm at a pose of the wrist, near to the present positions.
+
+    With five joints the wrist is where the pose is, turned about the axis that the arm gives up.
 
     Args:
         model: Kinematics.
@@ -56,10 +58,14 @@ class ArmTracker:
         return pin.updateFramePlacement(self._pin, self._data, self._frame).copy()
 
     def error(self, target: pin.SE3, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Way from the wrist at ``q`` to a pose, shape (6,): linear [m], angular [rad]."""
+        """Way from the wrist at ``q`` to a pose, shape (6,): linear [m], angular [rad], without turns given up."""
         pin.forwardKinematics(self._pin, self._data, q)
         pose = pin.updateFramePlacement(self._pin, self._data, self._frame)
-        return np.concatenate([target.translation - pose.translation, pin.log3(target.rotation @ pose.rotation.T)])
+        turn = target.rotation @ pose.rotation.T
+        for axis in (pose.rotation @ self._arm.given_up).T:
+            about = pin.Quaternion(turn)
+            turn = turn @ pin.exp3(-2.0 * np.arctan2(about.vec() @ axis, about.w) * axis)
+        return np.concatenate([target.translation - pose.translation, pin.log3(turn)])
 
     def solve(self, target: pin.SE3, guess: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return all joint positions to reach a pose, only the arm's changed from ``guess``; None if none is near.
@@ -74,12 +80,12 @@ class ArmTracker:
             if np.abs(error).max() < _PRECISION:
                 return q
             try:
-                step = np.linalg.solve(self._jacobian(q)[:, joints], error)
+                step = np.linalg.solve(self._square(q), error)
             except np.linalg.LinAlgError:
                 return None
             if np.abs(step).max() > _LARGEST_STEP:
                 return None
-            q[joints] += step
+            q[joints] += step[: len(joints)]
         return None
 
     def derivatives(
@@ -101,16 +107,20 @@ class ArmTracker:
         """
         joints = self._arm.joints
         jacobian = self._jacobian(q)
-        arm = jacobian[:, joints]
+        turn = self._rotation()
+        arm = self._arm.square(jacobian, turn)
         dq, ddq = dq.copy(), ddq.copy()
         dq[joints] = ddq[joints] = 0.0
         try:
-            dq[joints] = np.linalg.solve(arm, twist - jacobian @ dq)
+            first = np.linalg.solve(arm, twist - jacobian @ dq)
+            dq[joints] = first[: len(joints)]
             pin.forwardKinematics(self._pin, self._data, q, dq, self._rest)
             bias = pin.getFrameClassicalAcceleration(
                 self._pin, self._data, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             ).vector
-            ddq[joints] = np.linalg.solve(arm, twist_rate - bias - jacobian @ ddq)
+            for axis, rate in zip((turn @ self._arm.given_up).T, first[len(joints) :], strict=True):
+                bias[3:] += rate * np.cross(jacobian[3:] @ dq, axis)
+            ddq[joints] = np.linalg.solve(arm, twist_rate - bias - jacobian @ ddq)[: len(joints)]
         except np.linalg.LinAlgError:
             return None
         return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
@@ -123,15 +133,24 @@ class ArmTracker:
             twist: Velocity of the wrist along the axes of ``world``, shape (6,): linear, angular.
         """
         v = np.zeros_like(q)
+        self._arm.give_up(q)
         try:
-            v[self._arm.joints] = np.linalg.solve(self._jacobian(q)[:, self._arm.joints], twist)
+            v[self._arm.joints] = np.linalg.solve(self._square(q), twist)[: len(self._arm.joints)]
         except np.linalg.LinAlgError:
             return None
         return v
 
     def singular_value(self, q: NDArray[np.float64]) -> float:
         """Smallest singular value of the arm's Jacobian at ``q``, shape (n,); lengths divided by the reach."""
-        return self._smallest(self._jacobian(q)[:, self._arm.joints])
+        return self._smallest(self._square(q))
+
+    def _square(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        jacobian = self._jacobian(q)
+        return self._arm.square(jacobian, self._rotation())
+
+    def _rotation(self) -> NDArray[np.float64]:
+        """Rotation of the wrist where the Jacobian was computed last, shape (3, 3)."""
+        return np.asarray(self._data.oMf[self._frame].rotation)
 
     def _smallest(self, jacobian: NDArray[np.float64]) -> float:
         return float(np.linalg.svd(jacobian * self._scale, compute_uv=False)[-1])

@@ -250,7 +250,8 @@ class PntNode(ManagedNode):
         Args:
             run: Runs a command; None: :meth:`.Commands.run`.
         """
-        server = ExecuteServer(self, self.exchange.nets, self.commands, run or self.commands.run, self.explained)
+        runs, lacking = run or self.commands.run, self._library.left_out
+        server = ExecuteServer(self, self.exchange.nets, self.commands, runs, self.explained, lacking)
         self.loader.changed = server.tell
 
     def net_with_servers(self, name: str) -> list[Net]:

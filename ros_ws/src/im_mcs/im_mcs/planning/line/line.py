@@ -34,8 +34,9 @@ _SLOWER = 1.0 + 1e-9
 class _LineArm:
     """One arm on a line, with its joints in the group: shape (n,); a group of one arm has all its joints there."""
 
-    def __init__(self, context: PlanContext, frame: str) -> None:
+    def __init__(self, context: PlanContext, frame: str, start: NDArray[np.float64]) -> None:
         self.frame, self.arm = frame, Arm(context.model, frame)
+        self.arm.give_up(start)
         missing = [context.model.names[i] for i in self.arm.joints if i not in context.index]
         if missing:
             raise StateError(f"a straight line of {frame} needs {', '.join(missing)}, not in the group")
@@ -54,6 +55,9 @@ class LinePreparation:
     acceleration and jerk for all lines between two rests, and one speed for each rounded corner: the largest with
     which no joint passes its limits. That is time-optimal only where the arm's Jacobian changes little on the way.
     It rests in corners that the lines are too short to round by a millimetre.
+
+    An arm of five joints keeps the position, and the orientation but for turns about one axis of the wrist: the one
+    about which it cannot turn the wrist in its place where the line begins.
 
     A group that carries its arm on joints of its own (a cart) moves these too where that helps, see
     :class:`~im_mcs.planning.line.carriers.CarrierChoice`.
@@ -74,7 +78,7 @@ class LinePreparation:
         self._settings = context.config.planning.line
         self._start = context.q_all().copy()
         self._start[context.index] = start().q
-        self._arms = [_LineArm(context, frame) for frame in context.frames]
+        self._arms = [_LineArm(context, frame, self._start) for frame in context.frames]
         self._tracker = self._arms[0].tracker
         self._poses = [pin.XYZQUATToSE3(np.array(values)) for values in move.poses]
         self._speed, self._blend = move.speed or np.inf, move.blend

@@ -156,7 +156,7 @@ class JogFollower(OpenFollower):
         return v * rate * share
 
     def _of_joints(self, jog: Jog, tracker: ArmTracker) -> NDArray[np.float64]:
-        """Return the velocities of the arm's six joints that move the wrist; the joints that carry the arm stand."""
+        """Return the velocities of the arm's joints that move the wrist; the joints that carry the arm stand."""
         q = self._all(self._state.q)
         turn = self._context.model.pose(q, jog.frame).rotation
         twist = np.concatenate([turn @ jog.velocity[:3], turn @ jog.velocity[3:]])
@@ -198,7 +198,7 @@ def wrist_tracker(context: PlanContext) -> ArmTracker | None:
     That takes longer than a tick has.
     """
     for frame in context.frames if len(context.frames) == 1 else ():
-        with suppress(StateError):  # of a wrist that hangs on less than six joints
+        with suppress(StateError):  # of a wrist that hangs on less than five joints
             arm = Arm(context.model, frame)
             if np.isin(arm.joints, context.index).all():
                 return ArmTracker(context.model, arm, frame)

@@ -51,6 +51,7 @@ class ExecuteServer:
         commands: Its commands.
         run: Runs a command.
         explained: Returns the resources of a command, and the resources still awaited.
+        left_out: Why nets are not loaded: the cell lacks what they need; by the net's name.
     """
 
     def __init__(
@@ -60,8 +61,10 @@ class ExecuteServer:
         commands: Commands,
         run: RunCommand,
         explained: Callable[[OpenCommand], tuple[Sequence[str], str]],
+        left_out: Mapping[str, str],
     ) -> None:
         self._node, self._nets, self._commands, self._run, self._explained = node, nets, commands, run, explained
+        self._left_out = left_out
         self._list = node.create_publisher(String, f"/{node.task_name}/commands", qos.LATCHED)
         self._server = GuardedActionServer(
             node,
@@ -82,7 +85,7 @@ class ExecuteServer:
             for entry in commands_of(executor.written):
                 if "needs" in entry or entry["symbol"] not in told:  # who does it tells more than who hands it on
                     told[entry["symbol"]] = entry
-        self._list.publish(String(data=json.dumps({"commands": list(told.values())})))
+        self._list.publish(String(data=json.dumps({"commands": list(told.values()), "left_out": dict(self._left_out)})))
 
     def _list_open(self, _: ListCommands.Request, response: ListCommands.Response) -> ListCommands.Response:
         response.commands = [self._state(command) for command in self._commands.open()]
