@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from im_cell.robot.parameters import NonNegative, Positive, Size, Vector
-from im_cell.rotations import matrix_of_rpy, quaternion_of_matrix
+from im_cell.robot.scenery import Target
+from im_cell.rotations import matrix_of_quaternion, matrix_of_rpy, quaternion_of_matrix
 from im_core.config import FieldError, Model
 
 #: Most free bodies of a cell; the link to the testbed has room for them.
@@ -54,10 +55,30 @@ class FreeBody(Model):
         """Side of the largest square on its upper face [m]."""
         return min(self.size[:2]) * (1.0 if self.kind == "box" else 0.5**0.5)
 
+    def printed(self, pose: NDArray[np.float64]) -> Target | None:
+        """Return the print on the upper face, if any.
+
+        Args:
+            pose: Of the body: position [m] and quaternion x, y, z, w, shape (7,).
+        """
+        if self.fiducial is None:
+            return None
+        axes = matrix_of_quaternion(pose[3:])
+        top = pose[:3] + 0.5 * self.size[2] * axes[:, 2]
+        return Target(
+            name=self.name, kind="fiducial", id=self.fiducial, size=self.fiducial_size, plate=self.face,
+            position=_vector(top), normal=_vector(axes[:, 2]), up=_vector(axes[:, 1]),
+        )  # fmt: skip
+
     @property
     def start(self) -> NDArray[np.float64]:
         """Pose at the start: position [m] and quaternion x, y, z, w, shape (7,)."""
         return np.array([*self.position, *quaternion_of_matrix(matrix_of_rpy(self.rpy))])
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 class ObjectsFile(Model):

@@ -16,7 +16,7 @@ from im_core.stopwatch import Stopwatch
 from im_sim.cameras.laser import LaserLight
 from im_sim.cameras.lens import FloatImage, Lens, vignette
 from im_sim.cameras.light import Spot, add_spot, image_of_light, reflect
-from im_sim.cameras.plates import Plates, TargetPatch, printed, target_patch
+from im_sim.cameras.plates import Plates, TargetPatch, target_patch
 from im_sim.cameras.protocol import CameraSettings
 from im_sim.cameras.scene import SceneMirror
 from im_sim.cameras.sensor import noise_stream, read_out
@@ -226,7 +226,9 @@ class CameraBank:
         """Return the targets in the image of a camera; the targets of a fixed camera are drawn once."""
         if unit.patches is not None:
             return unit.patches
-        targets = (*self._cell.targets, *printed(self._cell.objects, self._seen))
+        bodies = zip(self._cell.objects, self._seen[: 7 * len(self._cell.objects)].reshape(-1, 7), strict=True)
+        prints = [body.printed(pose) for body, pose in bodies]
+        targets = (*self._cell.targets, *(each for each in prints if each is not None))
         drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in targets)
         patches = [patch for patch in drawn if patch is not None]
         if unit.parent == "world" and len(targets) == len(self._cell.targets):

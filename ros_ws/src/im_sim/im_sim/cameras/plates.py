@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.fiducial import CELLS, code_of
-from im_cell.robot import FreeBody, Target, Vector
-from im_cell.rotations import matrix_of_quaternion
+from im_cell.robot import Target
 
 Array = NDArray[np.float64]
 FloatImage = NDArray[np.float32]
@@ -84,27 +83,6 @@ def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float)
             depth += distance
     share = len(steps) ** 2
     return TargetPatch(area, *((image / share).astype(np.float32) for image in (coverage, brightness, depth)))
-
-
-def printed(bodies: Sequence[FreeBody], poses: Array) -> list[Target]:
-    """Return the prints on the upper faces of free bodies as targets; positions and quaternions of all in a row."""
-    targets = []
-    for body, pose in zip(bodies, poses[: 7 * len(bodies)].reshape(-1, 7), strict=True):
-        if body.fiducial is not None:
-            axes = matrix_of_quaternion(pose[3:])
-            top = pose[:3] + 0.5 * body.size[2] * axes[:, 2]
-            targets.append(
-                Target(
-                    name=body.name, kind="fiducial", id=body.fiducial, size=body.fiducial_size, plate=body.face,
-                    position=_vector(top), normal=_vector(axes[:, 2]), up=_vector(axes[:, 1]),
-                )
-            )  # fmt: skip
-    return targets
-
-
-def _vector(values: Array) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def _area(

@@ -224,12 +224,14 @@ class SvcFiducialPose(VisionService):
         return FiducialPoseResult(tuple(found), "; ".join(causes), {**images.timing, **watch.report()}, remark)
 
     def _wanted(self, ids: tuple[int, ...]) -> dict[int, Target]:
-        """The plates of the cell, by number.
+        """Return plates and prints of the cell, by number.
 
         Raises:
             NotFoundError: The cell has no plate of a number.
         """
-        known = {target.id: target for target in self.rig.cell.targets if target.kind == "fiducial"}
+        cell = self.rig.cell
+        prints = [body.printed(body.start) for body in cell.objects]
+        known = {each.id: each for each in (*cell.targets, *prints) if each is not None and each.kind == "fiducial"}
         for number in ids:
             if number not in known:
                 raise NotFoundError(kind="fiducial", name=str(number), known=[str(one) for one in known])
