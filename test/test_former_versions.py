@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.parameter import Parameter
 
 from im_core.ros.calls import call_blocking, pause
+from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main, spin_in_thread
 from im_dispatcher.ros.node import Dispatcher
@@ -47,7 +48,7 @@ class Arm(ManagedNode):
         super().__init__("arm", parameter_overrides=[Parameter("standalone", value=True)])
         self._folder, self.goals, self.ended = folder, [], []
         ActionServer(self, Move, "/arm/move", self._move, cancel_callback=lambda _: CancelResponse.ACCEPT)
-        self._run = ActionClient(self, ExecuteCommand, "/dispatcher/execute")
+        self._run = GuardedActionClient(self, ExecuteCommand, "/dispatcher/execute")
         self._load = self.create_client(LoadNet, "/dispatcher/load_net")
         self._list = self.create_client(ListCommands, "/dispatcher/list_commands")
 
@@ -70,7 +71,7 @@ class Arm(ManagedNode):
         """Gives a command, and returns the promise of its goal handle."""
         assert self._run.wait_for_server(60.0)
         arguments = json.dumps({"side": side})
-        return self._run.send_goal_async(ExecuteCommand.Goal(symbol="carry", arguments=arguments))
+        return in_loop(self, self._run.send_goal_async, ExecuteCommand.Goal(symbol="carry", arguments=arguments))
 
     def listed(self) -> ListCommands.Response:
         return call_blocking(self._list, ListCommands.Request(), 60.0, "list_commands")
@@ -125,10 +126,10 @@ def free(node):
     return node.exchange.nets["carry"].marking().get("free", 0)
 
 
-def result(goal, wait_until):
+def result(arm, goal, wait_until):
     """What a command has ended with."""
     wait_until(goal.done, "the command to be taken", 60.0)
-    promise = goal.result().get_result_async()
+    promise = in_loop(arm, goal.result().get_result_async)
     wait_until(promise.done, "the end of the command", 60.0)
     outcome = promise.result().result
     assert outcome.success, outcome.status.message
@@ -150,11 +151,11 @@ def test_commands_end_in_the_version_in_which_they_began(arm, dispatcher, tmp_pa
     assert f"its former version {former} has not ended its commands" in again.message
 
     (tmp_path / "moved_1").touch()
-    assert result(left, wait_until) == {"version": 1}
+    assert result(arm, left, wait_until) == {"version": 1}
     wait_until(lambda: not formers(dispatcher), "the former version to go")
     assert free(dispatcher) == 1
     (tmp_path / "moved_2").touch()
-    assert result(right, wait_until) == {"version": 2}
+    assert result(arm, right, wait_until) == {"version": 2}
     wait_until(lambda: free(dispatcher) == 2, "the tokens to be back")
     assert len(set(arm.goals)) == 2
 
@@ -213,7 +214,7 @@ def test_a_version_that_cannot_be_written_down_does_not_come(arm, dispatcher, tm
     assert "No space left" in told.message
     assert dispatcher.exchange.nets == before
     (tmp_path / "moved_1").touch()
-    assert result(left, wait_until) == {"version": 1}
+    assert result(arm, left, wait_until) == {"version": 1}
     wait_until(lambda: free(dispatcher) == 2, "the token to be back")
 
 

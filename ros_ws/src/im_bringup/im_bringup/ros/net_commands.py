@@ -17,7 +17,7 @@ def load() -> int:
     """Run ``im load``."""
     parser = _parser(
         "load",
-        "Give the dispatcher a net: verified, then live; a refusal prints why. Commands that run end in the former version.",
+        "Give the dispatcher a net: verified, then live; a refusal prints why. Running commands end in the former one.",
     )
     parser.add_argument("net", type=Path, metavar="NET.yaml", help="file of the net")
     options = parser.parse_args()

@@ -20,9 +20,8 @@ def hindrance_of_succession(executor: Executor, net: Net) -> str:
     old, new = executor.net, expand(net)
     marked = old.initial_marking()
     for each in (old, new):
-        for place in each.places.values():
-            if place.remote:
-                return f"other nets mark its place {place.name}"
+        if remote := [name for name, place in each.places.items() if place.remote]:
+            return f"other nets mark its place {remote[0]}"
         for transition in each.transitions.values():
             if transition.remote_outputs:
                 return f"its transition {transition.name} marks places of other nets"
@@ -35,9 +34,9 @@ def hindrance_of_succession(executor: Executor, net: Net) -> str:
         if begins.get(place) != tokens:
             return f"its place {place} begins with {tokens} tokens, that of the new version with {begins.get(place, 0)}"
     back = given_back(old, executor.marking())
-    for place in sorted({*old.rest_places(), *marked}):
-        if back.get(place, 0) != marked.get(place, 0) or place not in marked:
-            return f"it is not proved that its place {place} comes back to the tokens that it began with"
+    for name in sorted({*old.rest_places(), *marked}):
+        if name not in marked or back.get(name) != marked[name]:
+            return f"it is not proved that its place {name} comes back to the tokens that it began with"
     return ""
 
 
