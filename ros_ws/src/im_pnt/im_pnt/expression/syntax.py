@@ -24,7 +24,7 @@ ROOTS = ("arguments", "answers", "data", "failure", "command", "item")
 
 FUNCTIONS = {"min": (1, 20), "max": (1, 20), "abs": (1, 1), "round": (1, 2), "len": (1, 1)}
 FUNCTIONS |= {"sqrt": (1, 1), "sin": (1, 1), "cos": (1, 1), "any": (2, 2)}
-"""Functions, with the least and greatest number of their arguments; ``item``, in the condition of ``any``, is an element."""
+"""Functions, with the least and greatest number of their arguments; in that of ``any``, ``item`` is an element."""
 
 COMPARISONS = ("==", "!=", "<=", ">=", "<", ">", "in")
 WORDS = ("and", "or", "not", "in", "mod", "true", "false")
