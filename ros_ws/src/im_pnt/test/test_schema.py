@@ -15,7 +15,7 @@ FILE = Path(im_pnt.__file__).parent / "schema" / "net.schema.json"
 
 KEYS = {
     "AssumptionFile": "at_most returns",
-    "NetFile": "net description escalate include parameters templates use places services at_once commands rest "
+    "NetFile": "net description former escalate include parameters templates use places services at_once commands rest "
     "transitions assume interrupts",
     "InterruptFile": "during watch if do then says delay",
     "WatchedFile": "name type latched silent",

@@ -216,3 +216,47 @@ def test_the_command_prints_the_choices_and_weights_that_make_them(tmp_path, cap
     assert "there is nothing to choose" in capsys.readouterr().out
     for wrong in (["--reward", "done"], ["--reward", "=4"], []):
         assert main(["policy", str(file), *wrong]) == 2
+
+
+FLOW = "  grasp_from_side: {in: seen, out: held, weight: 3}\n"
+BLOCK = "  grasp_from_side:\n    # the better one\n    in: seen\n    out: held\n"
+NEXT = "  grasp_from_side:\n    {in: seen, out: held}\n"
+
+
+@pytest.mark.parametrize("side", [FLOW, BLOCK, NEXT], ids=["flow", "block", "next line"])
+def test_weights_are_written_into_the_file_and_used(tmp_path, capsys, side):
+    file = tmp_path / "pick.yaml"
+    text = (
+        "net: pick   # a picker\nplaces: {idle: 1, seen: , held: }\ntransitions:\n"
+        "  see: {symbol: pick, in: idle, out: seen}\n"
+        "  grasp_from_above:   {in: seen, out: slow}\n" + side + "  lift: {in: slow, out: held, delay: 9}\n"
+        "  end: {in: held, out: idle, emit: pick_done}\n"
+    ).replace("held: }", "held: , slow: }")
+    file.write_text(text)
+    asked = ["policy", str(file), "--command", "pick", "--choose", "grasp_from_above", "grasp_from_side", "--write"]
+    assert main(asked) == 0
+    told = capsys.readouterr().out
+    weights = {name: load_net(file).transitions[name].weight for name in ("grasp_from_above", "grasp_from_side")}
+    assert f"grasp_from_above {weights['grasp_from_above']:g}, grasp_from_side {weights['grasp_from_side']:g}" in told
+    assert weights["grasp_from_above"] < 0.01 < weights["grasp_from_side"]
+    kept = [line for line in file.read_text().splitlines() if "weight" not in line]
+    assert [line for line in text.splitlines() if line not in kept] == [
+        line for line in text.splitlines() if ("grasp" in line and "{" in line) or "    {in: seen" in line
+    ]
+    weighted = told.partition("with weights")[2].split(":")[0].split()[0]
+    assert main(asked[:-1]) == 0
+    assert capsys.readouterr().out.partition("as it is")[2].split(",")[0].split()[0] == weighted
+
+
+def test_weights_of_a_part_are_left_to_the_author(tmp_path, capsys):
+    file, part = tmp_path / "pick.yaml", tmp_path / "part.yaml"
+    part.write_text("transitions: {above: {in: seen, out: slow}, side: {in: seen, out: held}}\n")
+    file.write_text(
+        "net: pick\ninclude: part.yaml\nplaces: {idle: 1, seen: , slow: , held: }\n"
+        "transitions:\n  see: {symbol: pick, in: idle, out: seen}\n  lift: {in: slow, out: held, delay: 9}\n"
+        "  end: {in: held, out: idle, emit: pick_done}\n"
+    )
+    before = file.read_text(), part.read_text()
+    assert main(["policy", str(file), "--command", "pick", "--write"]) != 0
+    assert "write the weights yourself" in capsys.readouterr().err
+    assert (file.read_text(), part.read_text()) == before

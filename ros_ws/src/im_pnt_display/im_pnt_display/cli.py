@@ -55,6 +55,7 @@ def add(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     parser.add_argument("file", metavar="FILE", help="net file")
     parser.add_argument("-o", "--output", required=True, metavar="OUT", help="file to write, .svg or .dot")
     parser.add_argument("--all", action="store_true", help="draw the parts of subnets, otherwise one box each")
+    parser.add_argument("--usual", action="store_true", help="leave out what follows failures and cancellations alone")
     parser.add_argument("--phases", action="store_true", help="draw start, active, end and failed of timed transitions")
 
 
@@ -63,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
     output = Path(options.output)
     if output.suffix not in (".svg", ".dot"):
         raise ImError(f"cannot draw into '{output}': the name must end in .svg or .dot", code="input")
-    drawing = draw(load_net(options.file), phases=options.phases, subnets=options.all)
+    drawing = draw(load_net(options.file), phases=options.phases, usual=options.usual, subnets=options.all)
     write_output(output, svg(drawing) if output.suffix == ".svg" else dot(drawing), overwrite=True)
     print(f"{output}: {len(drawing.nodes)} nodes, {len(drawing.arcs)} arcs")
     return OK

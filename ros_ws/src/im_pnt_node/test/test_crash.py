@@ -9,15 +9,17 @@ import json
 import os
 import random
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from im_core.errors import DataError
-from im_pnt.execution.functions import ActionContext
+from im_pnt.execution.functions import ActionContext, GuardFunction
 from im_pnt.execution.jobs import Command
 from im_pnt.execution.notification import Firing, Observer, Phase
+from im_pnt.model.net import Net
 from im_pnt.netfile import parse_net
 from im_pnt_node.journal.folder import Folder
 from support.journalled import JournalledProcess
@@ -50,6 +52,53 @@ transitions:
   begin: {in: wanted, out: half, action: dig, on_failure: bad}
   end: {in: half, out: good, action: fill, on_failure: bad}
 """
+)
+ERRAND = parse_net(
+    """
+net: errand
+places: {idle: 1, wanted: , there: , oops: }
+interrupts:
+  person: {during: reach, if: in_the_way, do: [{action: say}, {action: wait}], then: restart}
+transitions:
+  begin: {in: idle, out: wanted, symbol: go}
+  reach: {in: wanted, out: there, request: legs.walk, on_failure: oops}
+  finish: {in: there, out: idle, emit: go_done}
+  fail: {in: oops, out: idle, emit: go_failed}
+"""
+)
+LEGS = parse_net(
+    """
+net: legs
+places: {wanted: , walking: , good: , bad: }
+services: {walk: {entry: wanted, done: good, failed: bad}}
+transitions:
+  start: {in: wanted, out: walking, action: start, on_failure: bad}
+  brake: {in: walking, guard: cancelled, out: bad, action: brake, on_failure: bad}
+  arrive: {in: walking, guard: clear, out: good, action: arrive, on_failure: bad}
+"""
+)
+
+
+class Mission(NamedTuple):
+    """Two nets, the first with the command ``go``; its actions, and its guards, by the effects so far."""
+
+    nets: tuple[Net, Net]
+    actions: tuple[str, ...]
+    guards: Callable[[Callable[[], list[str]]], Mapping[str, GuardFunction]]
+
+
+SERVED = Mission(
+    (BOSS, WORKER),
+    ("first", "north", "south", "breaks", "mend", "dig", "fill"),
+    lambda effects: {"answered": lambda ctx: ctx.replies["ask"] == {"last": "fill"}},
+)
+INTERRUPTED = Mission(
+    (ERRAND, LEGS),
+    ("start", "brake", "say", "wait", "arrive"),
+    lambda effects: {
+        "in_the_way": lambda ctx: "start" in effects() and "say" not in effects(),
+        "clear": lambda ctx: "say" in effects(),
+    },
 )
 
 
@@ -128,7 +177,7 @@ def lines(path: Path) -> list[str]:
     return path.read_text().splitlines() if path.exists() else []
 
 
-def live(folder: Path, point: int | None, compact_bytes: int) -> None:
+def live(folder: Path, point: int | None, compact_bytes: int, mission: Mission) -> None:
     """One life of the process: the mission, from where it is to its end."""
     killer = Killer(point)
 
@@ -144,22 +193,22 @@ def live(folder: Path, point: int | None, compact_bytes: int) -> None:
 
         return act
 
-    names = ("first", "north", "south", "breaks", "mend", "dig", "fill")
     process = JournalledProcess(
         "machine",
-        [BOSS, WORKER],
+        mission.nets,
         KillingFolder(folder / "journal", killer),
-        actions={name: effect(name) for name in names},
-        guards={"answered": lambda ctx: ctx.replies["ask"] == {"last": "fill"}},
+        actions={name: effect(name) for name in mission.actions},
+        guards=mission.guards(lambda: lines(folder / "effects")),
         observer=Teller(folder / "doubts"),
         compact_bytes=compact_bytes,
     )
-    boss = process.exchange.nets["boss"]
+    boss = process.exchange.nets[mission.nets[0].name]
     process.turn()
     results = []
     if boss.sequence == 0:
         boss.command(Command(1, "go"), results.append)
     for _ in range(20):
+        boss.guards_changed()
         process.turn()
         killer.point()
     assert not boss.busy()
@@ -168,14 +217,14 @@ def live(folder: Path, point: int | None, compact_bytes: int) -> None:
     (folder / "end").write_text(json.dumps({"marking": marking, "points": killer.count}))
 
 
-def run(folder: Path, points: list[int], compact_bytes: int) -> dict:
+def run(folder: Path, points: list[int], compact_bytes: int, mission: Mission = SERVED) -> dict:
     """Runs the mission in lives that end at given points, and then to its end."""
     folder.mkdir(parents=True)
     for point in [*points, None]:
         child = os.fork()
         if child == 0:
             try:
-                live(folder, point, compact_bytes)
+                live(folder, point, compact_bytes, mission)
                 os._exit(0)
             except BaseException as error:
                 append(folder / "errors", repr(error))
@@ -230,3 +279,23 @@ def test_killed_again_and_again(tmp_path):
     for trial in range(20):
         points = [dice.randrange(whole["points"]) for _ in range(dice.randrange(2, 6))]
         check(run(tmp_path / str(trial), points, 2000), whole, points)
+
+
+def test_an_interrupt_that_is_killed_at_any_point_happens_once(tmp_path):
+    """Before the cancel, while the action ends, in what is done, and before the action begins again."""
+    whole = run(tmp_path / "whole", [], 10**9, INTERRUPTED)
+    assert whole["effects"] == ["start", "brake", "say", "wait", "start", "arrive"]
+    assert whole["doubts"] == []
+    assert whole["marking"] == {"errand": {"idle": 1}, "legs": whole["marking"]["legs"]}
+    clean = 0
+    for point in range(whole["points"]):
+        killed = run(tmp_path / str(point), [point], 10**9, INTERRUPTED)
+        assert killed["marking"] == whole["marking"], point
+        assert len(killed["doubts"]) <= 1, point
+        if killed["doubts"]:  # what is in doubt has failed, and is not done again
+            left = iter(whole["effects"])
+            assert all(effect in left for effect in killed["effects"]), point
+        else:
+            assert killed["effects"] == whole["effects"], point
+            clean += 1
+    assert clean > whole["points"] // 3

@@ -413,3 +413,43 @@ def test_a_condition_without_a_value_ends_the_action_and_is_told(tmp_path):
     scenarios = load_scenarios(tmp_path / "n.test.yml")
     verdict = judge(scenarios, scenarios.scenarios[0], Coverage(), message_types())
     assert not verdict.complaints, verdict.told("")
+
+
+DIAGNOSED = """
+net: diagnosed
+places: {idle: {tokens: 1, resource: true}, wanted: , there: , failed: }
+interrupts:
+  fault:
+    during: reach
+    watch: {name: /diagnostics, type: diagnostic_msgs/msg/DiagnosticArray}
+    if: "${any(message.status, item.level >= 2 and item.name in ['motor: left', 'motor: right'])}"
+    then: fail
+transitions:
+  begin: {symbol: go, in: idle, out: wanted}
+  reach:
+    in: wanted
+    out: there
+    on_failure: failed
+    goal: {name: /drive, type: control_msgs/action/GripperCommand}
+    delay: 10.0
+  done: {in: there, out: idle, emit: go_done}
+  undone: {in: failed, out: idle, emit: go_failed}
+"""
+DIAGNOSES = """
+scenarios:
+  faults_of_others:
+    steps:
+      - {symbol: go, takes: 10.0}
+      - {at: 1.0, messages: {/diagnostics: {status: []}}}
+      - {at: 2.0, messages: {/diagnostics: {status: [{level: 2, name: "lamp"}, {level: 1, name: "motor: left"}]}}}
+  a_fault_of_one:
+    steps:
+      - {symbol: go, ends: failed, reason: interrupted by, takes: 3.0}
+      - {at: 3.0, messages: {/diagnostics: {status: [{level: 0, name: "lamp"}, {level: 2, name: "motor: right"}]}}}
+"""
+
+
+def test_any_of_several_diagnostics_interrupts(tmp_path, capsys):
+    (tmp_path / "diagnosed.yaml").write_text(DIAGNOSED)
+    (tmp_path / "diagnosed.test.yml").write_text(DIAGNOSES)
+    assert run(tmp_path / "diagnosed.yaml") == command.PASSED, capsys.readouterr().out

@@ -15,7 +15,10 @@ _CODES = "Exit codes: 0 done, 1 refused, 2 bad usage, 3 the machine does not run
 
 def load() -> int:
     """Run ``im load``."""
-    parser = _parser("load", "Give the dispatcher a net: verified, then live; a refusal prints why.")
+    parser = _parser(
+        "load",
+        "Give the dispatcher a net: verified, then live; a refusal prints why. Running commands end in the former one.",
+    )
     parser.add_argument("net", type=Path, metavar="NET.yaml", help="file of the net")
     options = parser.parse_args()
 

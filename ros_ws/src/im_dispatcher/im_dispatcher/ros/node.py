@@ -60,7 +60,7 @@ class Dispatcher(PntNode):
         named = "the commands to begin with: names of those shipped, net files, folders of them; separated by commas"
         self._commands_named = self.declared.declare("commands", ",".join(shipped()), named)
         host.attach(self)
-        self.create_subscription(Firing, "/pnt/firings", partial(note_firing, times), qos.EVENTS)
+        self.create_subscription(Firing, "/pnt/firings", partial(self._note_firing, times), qos.EVENTS)
         self._standing = {symbol: tell for command in commands for symbol, tell in command.standing.items()}
         self._resources = resources_of(load_cell())
         self._changes = OneAtATime(self.promise)
@@ -79,7 +79,7 @@ class Dispatcher(PntNode):
         A journal brings that back as it was: perhaps the process died between a net and what its commands need.
         """
         others = [net for net in nets if net.name != cell.NAME]
-        self._know(Needs(others, self._resources))
+        self._know(Needs([net for net in others if not net.former], self._resources))
         before = [net for net in nets if net.name == cell.NAME]
         return [*(before or [self._library.kept(cell.cell_net(self._needs))]), *others]
 
@@ -159,6 +159,11 @@ class Dispatcher(PntNode):
         """Return the testbed time [s]."""
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
+    def _note_firing(self, times: Iterable[StepTimes], message: Firing) -> None:
+        executor = self.exchange.nets.get(message.net)
+        message.net = (executor.written.former if executor is not None else "") or message.net
+        note_firing(times, message)
+
     def _know(self, needs: Needs) -> None:
         """Set the needs for the queue of commands."""
         self._needs = needs
@@ -188,7 +193,9 @@ class Dispatcher(PntNode):
                 self.loader.succeed(net, report)
 
     def _command_nets(self) -> list[Net]:
-        return [each.written for name, each in self.exchange.nets.items() if name != cell.NAME]
+        return [
+            net for each in self.exchange.nets.values() if not (net := each.written).former and net.name != cell.NAME
+        ]
 
     async def _run(
         self,
@@ -271,6 +278,10 @@ class Dispatcher(PntNode):
             return response
         response.success = True
         response.message = f"net {net.name} is live: {report.states} markings, bounded, never stuck"
+        for name, former in self.exchange.nets.items():
+            if former.written.former == net.name:
+                begun = ", ".join(f"{job.symbol} (number {job.command.id})" for job in former.jobs())
+                response.message += f"; {begun} goes on in its former version, {name}"
         return response
 
     async def _unload_net(self, request: UnloadNet.Request, response: UnloadNet.Response) -> UnloadNet.Response:

@@ -316,7 +316,7 @@ class Activity:
         on_cancel: Called when it is asked to end early.
         on_release: Called when its job is not held any more.
         on_abandon: Called with the error when its job is abandoned.
-        incarnation: As requests were named when it began, if they are named otherwise since; empty: they are not.
+        begun_as: Incarnation and net, as goals were named when it began, if they are named otherwise since; or empty.
     """
 
     number: int
@@ -339,7 +339,7 @@ class Activity:
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
     on_release: list[Callable[[], None]] = field(default_factory=list)
     on_abandon: list[Callable[[ImError], None]] = field(default_factory=list)
-    incarnation: str = ""
+    begun_as: str = ""
 
     def when_cancelled(self, callback: Callable[[], None]) -> None:
         """Call a function at the request to end early; at once if the action has got one."""

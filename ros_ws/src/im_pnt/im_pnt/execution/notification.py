@@ -199,6 +199,11 @@ class Notifier:
         self.flush()
         self._observer = observer
 
+    def rename(self, net: str) -> None:
+        """Report further firings under another name of the net."""
+        self.flush()
+        self._net = net
+
     def begin(self) -> None:
         """Note the start of the net's loop in the current thread."""
         self._thread = threading.get_ident()

@@ -46,10 +46,27 @@ def evaluate(node: Node, lookup: Lookup) -> object:
             return _truth(left, evaluate(left, lookup)) or _truth(right, evaluate(right, lookup))
         case Binary(sign, left, right):
             return _binary(node, sign, evaluate(left, lookup), evaluate(right, lookup))
+        case Call("any", (of, condition)):
+            return _any(of, evaluate(of, lookup), condition, lookup)
         case Call(function, arguments):
             return _call(node, function, [evaluate(each, lookup) for each in arguments])
         case Name(root):
             return lookup(root, "")
+
+
+def _any(of: Node, elements: object, condition: Node, lookup: Lookup) -> bool:
+    if not isinstance(elements, list):
+        raise ExpressionError(f"{shown(of)} is {_told(elements)}, not a list")
+
+    def holds(element: object) -> bool:
+        def found(root: str, name: str) -> object:
+            if root != "item":
+                return lookup(root, name)
+            return _field(Name(root), element, name) if name else element
+
+        return _truth(condition, evaluate(condition, found))
+
+    return any(holds(each) for each in elements)
 
 
 def as_text(value: object) -> str:

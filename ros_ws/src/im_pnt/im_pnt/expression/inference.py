@@ -1,7 +1,7 @@
 """Types of expressions, from the meanings of names at the place; type errors are found at load."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from im_core.errors import nearest
 from im_pnt.expression.errors import ExpressionError
@@ -21,12 +21,14 @@ class Meanings:
         answers: Likewise of the answer of a transition.
         data: Likewise of a data object.
         types: Looks up the fields of messages.
+        item: Type of the elements of a list, in a condition on these; None elsewhere.
     """
 
     arguments: Callable[[str], ValueType]
     answers: Callable[[str], ValueType]
     data: Callable[[str], ValueType]
     types: MessageTypes
+    item: ValueType | None = None
 
 
 def infer(node: Node, meanings: Meanings) -> ValueType:
@@ -40,7 +42,7 @@ def infer(node: Node, meanings: Meanings) -> ValueType:
             return _literal(value)
         case Listing(elements):
             return list_of(_common([infer(each, meanings) for each in elements]), length=len(elements))
-        case Field(Name(root), name):
+        case Field(Name(root), name) if root != "item":
             return _named(root, name, meanings)
         case Field(of, name):
             return _field(node, infer(of, meanings), name, meanings)
@@ -52,8 +54,17 @@ def infer(node: Node, meanings: Meanings) -> ValueType:
             return _truth(of, infer(of, meanings), sign)
         case Binary(sign, left, right):
             return _binary(sign, left, infer(left, meanings), right, infer(right, meanings))
+        case Call("any", (of, condition)):
+            kind = infer(of, meanings)
+            if kind.kind not in (ValueKind.LIST, ValueKind.ANY):
+                raise ExpressionError(f"any is of a list; {shown(of)} is {kind}")
+            return _truth(condition, infer(condition, replace(meanings, item=kind.element or ANY)), "any")
         case Call(function, arguments):
             return _call(function, arguments, [infer(each, meanings) for each in arguments])
+        case Name("item"):
+            if meanings.item is None:
+                raise ExpressionError("item is an element in the second value of any(LIST, CONDITION) alone")
+            return meanings.item
         case Name(root):
             raise ExpressionError(f"'{root}' alone is no value")
 

@@ -19,12 +19,12 @@ LONGEST = 500
 DEEPEST = 30
 """Most parentheses, signs and negations inside each other."""
 
-ROOTS = ("arguments", "answers", "data", "failure", "command")
+ROOTS = ("arguments", "answers", "data", "failure", "command", "item")
 """Where names begin."""
 
 FUNCTIONS = {"min": (1, 20), "max": (1, 20), "abs": (1, 1), "round": (1, 2), "len": (1, 1)}
-FUNCTIONS |= {"sqrt": (1, 1), "sin": (1, 1), "cos": (1, 1)}
-"""Functions, with the least and greatest number of their arguments."""
+FUNCTIONS |= {"sqrt": (1, 1), "sin": (1, 1), "cos": (1, 1), "any": (2, 2)}
+"""Functions, with the least and greatest number of their arguments; in that of ``any``, ``item`` is an element."""
 
 COMPARISONS = ("==", "!=", "<=", ">=", "<", ">", "in")
 WORDS = ("and", "or", "not", "in", "mod", "true", "false")
@@ -267,7 +267,7 @@ class _Parser:
                 raise self._error("the name of a field is missing after '.'")
             self._at += 1
             node = Field(node, name[1:-1] if kind == "text" else name)
-        if isinstance(node, Name) and self._parameters is None:
+        if isinstance(node, Name) and self._parameters is None and node.root != "item":
             raise self._error(f"'{node.root}' alone is no value; say which, as in {node.root}.{_EXAMPLES[node.root]}")
         return node
 
@@ -336,4 +336,5 @@ _EXAMPLES = {
     "data": "OBJECT.field",
     "failure": "code",
     "command": "id",
+    "item": "field",
 }

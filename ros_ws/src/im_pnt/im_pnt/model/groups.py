@@ -59,7 +59,7 @@ def require_one_reader(nets: Iterable[Net]) -> None:
     """
     owners: dict[str, Net] = {}
     for net in nets:
-        for symbol in net.begun_symbols():
+        for symbol in () if net.former else net.begun_symbols():
             if (other := owners.setdefault(symbol, net)) is not net:
                 both = f"nets {other.name} ({other.source}) and {net.name} ({net.source})"
                 raise NetError(f"{both} both have the command {symbol}", symbol=symbol, nets=[other.name, net.name])

@@ -290,6 +290,7 @@ class Net:
         commands: What is said of symbols that begin a command; one of which nothing is said takes anything.
         assume: What it takes for granted of other nets, by remote place or service.
         at_once: Requests that are served at once; others wait.
+        former: Net of which it is a former version, which ends its commands; empty: it is none.
 
     >>> net.initial_marking(), net.symbols(), net.functions(), net.partners()
     ({'cold': 1}, ('bake',), frozenset({'heat'}), frozenset())
@@ -306,6 +307,7 @@ class Net:
     commands: Mapping[str, CommandDeclaration] = field(default_factory=dict)
     assume: Mapping[str, Assumption] = field(default_factory=dict)
     at_once: int = 1
+    former: str = ""
 
     def place_of(self, transition: Transition) -> str:
         """Return file and line of a transition, as messages begin; empty where it was made by a program."""

@@ -113,6 +113,7 @@ class _Reader:
             self._commands(transitions),
             {name: _assumption(each) for name, each in file.assume.items()},
             file.at_once,
+            file.former or "",
         )
         for at, sentence in faults(net):
             raise self._error(at, sentence, key=True)

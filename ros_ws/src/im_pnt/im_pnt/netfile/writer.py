@@ -56,7 +56,7 @@ def describe(net: Net) -> dict[str, object]:
         raise NetError(f"net {net.name} is expanded; write the net before its expansion", net=net.name)
     return {
         "net": net.name,
-        **_filled(description=net.description),
+        **_filled(description=net.description, former=net.former),
         "places": {name: place_data(place) for name, place in net.places.items()},
         **_filled(
             services={name: _service_data(service) for name, service in net.services.items()},

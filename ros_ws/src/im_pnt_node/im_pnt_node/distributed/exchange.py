@@ -27,9 +27,10 @@ from im_pnt.execution.events import (
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import ABANDONED_CODE
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Job, JobKey, Owner, Request, TokenContext, scope_of
+from im_pnt.execution.journal_entries import Record
 from im_pnt.execution.notification import Departure, Observer
 from im_pnt.model.action import RequestAction
-from im_pnt.model.net import RemotePlace
+from im_pnt.model.net import Net, RemotePlace
 from im_pnt_node.distributed.entries import (
     EventPosted,
     ExchangeEntry,
@@ -127,6 +128,22 @@ class Exchange:
         for request_id, asked in waiting:
             self.book.close(request_id)
             self.watch(RequestAsked(request_id, name, asked.activity.number, asked.net, asked.node))
+
+    def rename(self, executor: Executor, net: Net, record: Record | None) -> None:
+        """Have a net go on under another name, beside the one that it had.
+
+        Args:
+            executor: The net; has taken all its events.
+            net: The same as written, under the other name.
+            record: Takes what happens to it from now on.
+        """
+        for activity in executor.activities:
+            activity.begun_as = activity.begun_as or f"{self.book.incarnation}/{activity.net}"
+        executor.rename(net, record)
+        for job in executor.jobs():
+            if job.request is not None and job.request.id in self.inboxes.in_work:
+                self.inboxes.in_work[job.request.id] = replace(self.inboxes.in_work[job.request.id], net=net.name)
+        self.nets[net.name] = executor
 
     # What the nets of this process send.
 
@@ -478,7 +495,7 @@ class Exchange:
             case RequestsRenamed(incarnation):
                 for executor in self.nets.values():
                     for activity in executor.activities:
-                        activity.incarnation = activity.incarnation or self.book.incarnation
+                        activity.begun_as = activity.begun_as or f"{self.book.incarnation}/{activity.net}"
                 self.book.incarnation = incarnation
             case TokenKept(net, place):
                 self.undeliverable[RemotePlace(net, place)] += 1

@@ -456,6 +456,7 @@ _ADDED: Mapping[str, object] = {
     "cancels": None,
     "keeps_failure": False,
     "silent": None,
+    "former": "",
 }
 """Fields that nets have not always had, with what says nothing: then a net is what it was without them."""
 

@@ -205,7 +205,7 @@ def _activity(activity: Activity) -> list[object]:
         encode_error(lineage.failure),
         encode_error(activity.doubt),
         reply,
-        *([activity.incarnation] if activity.incarnation else []),
+        *([activity.begun_as] if activity.begun_as else []),
     ]
 
 
@@ -219,7 +219,7 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:
                 activity.reply = REPLY.decode(reply)
-            activity.incarnation = str(renamed[0]) if renamed else ""
+            activity.begun_as = str(renamed[0]) if renamed else ""
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
 

@@ -150,6 +150,8 @@ class Library:
         self._reading = False
 
     def _enter(self, net: Net, node: str) -> None:
+        if net.former:
+            return
         if len(self._known) == MOST_NETS and net.name not in self._known:
             raise NetError(f"net {net.name} is not learned: {MOST_NETS} others are known", net=net.name)
         self._known[net.name], self._nodes[net.name] = net, node

@@ -1,8 +1,9 @@
 """Loading of nets: verified alone and together, taken in when the present one is at rest, and taken out."""
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
+from functools import partial
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, NotFoundError, StateError
@@ -11,8 +12,11 @@ from im_core.ros.node import ManagedNode
 from im_pnt.errors import JournalError, NetError, VerificationError
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
+from im_pnt.execution.journal_entries import Record
+from im_pnt.execution.succession import begin_succession, hand_over, hindrance_of_succession
 from im_pnt.expression.scope import check_net
 from im_pnt.model.net import Net
+from im_pnt.netfile.schema.names import MAX_NAME
 from im_pnt.verification import Verification, accept
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.journal.state import net_state, restore_net, taken_over
@@ -50,6 +54,7 @@ class Loader:
         observer: Is told that a net is not proved; publishes nets, and why one was refused.
         mission: Is told of each net.
         make: Makes the executor of a net.
+        recorder: Returns what records the events of a net of a name; None: there is no journal.
 
     Attributes:
         changed: Called when a net has come or gone.
@@ -69,11 +74,13 @@ class Loader:
         observer: NodeObserver,
         mission: MissionPublisher,
         make: Callable[[Net], Executor],
+        recorder: Callable[[str], Record | None],
     ) -> None:
         self._node, self._library, self._exchange, self._nets = node, library, exchange, exchange.nets
         self._functions, self._runner, self._sources, self._loop = functions, runner, sources, loop
         self._transport, self._commands, self._mission, self._make = transport, commands, mission, make
-        self._observer, self._publisher = observer, observer.publisher
+        self._observer, self._publisher, self._recorder = observer, observer.publisher, recorder
+        self._formers: list[Executor] = []
         self.changed: Callable[[], None] = lambda: None
 
     def begin(self, nets: Sequence[Net]) -> None:
@@ -96,7 +103,8 @@ class Loader:
         """Verify a net, alone and with the partners, and take the net into execution.
 
         Args:
-            net: The net; it takes the place of one of the same name when that one is at rest.
+            net: The net; it takes the place of one of the same name. Commands that have begun end in that one, as a
+                former version under another name; where this cannot be, that one is to come to rest before.
             patience_s: Longest wait for that [s].
             beside: Nets that take the places of those of their names in the same turn; verified with it.
             around: Entered in that turn before it comes, where it may still be refused, and left when it has come.
@@ -104,7 +112,8 @@ class Loader:
         Raises:
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: It names a function that is not registered, or does not fit to the present marking.
-            StateError: The present net of that name does not come to rest; says what keeps it.
+            StateError: The present net of that name does not come to rest; says what keeps it, and why its commands
+                cannot go on in a former version.
             WaitTimeoutError: ``/dom`` does not say whether the data objects are valid that its guards are woken by.
             JournalError: The journal cannot be written; all is as it was.
             ImError: What ``around`` raises.
@@ -129,13 +138,15 @@ class Loader:
         beside: Sequence[Net],
         around: Callable[[], AbstractContextManager[None]],
     ) -> Verification:
-        """Take in a verified net, once the present net of the name is at rest."""
+        """Take in a verified net, once the present net of the name is at rest, or may be a former version."""
         while True:
             report, state = await self._prepare(net, patience_s, beside)
             former = self._nets.get(net.name)
             try:
                 with around():
-                    self._take_in(self._library.kept(net), report, state)
+                    busy = former is not None and not former.at_rest()
+                    enter = partial(self._retire, former) if former is not None and busy else None
+                    self._take_in(self._library.kept(net), report, state, enter)
                     self._prepare_partners()
                     self._write_down(net.name, former)
             except EndpointGoesError:
@@ -237,7 +248,9 @@ class Loader:
         present = self._nets.get(net.name)
         if present is None:
             return report, None
-        await self._until_rest(present, patience_s)
+        await self._until_rest(present, patience_s, net)
+        if not present.at_rest():
+            return report, None
         context = carried_over(present, net)
         if context is net:
             return report, None
@@ -262,10 +275,68 @@ class Loader:
                 del self._nets[name]
                 self._publisher.withdrawn(name)
             else:
+                if former in self._formers:
+                    written = replace(former.written, name=name, former="")
+                    self._forget(former)
+                    self._exchange.rename(former, written, self._recorder(name))
                 self._nets[name] = former
                 self._publisher.described(former)
                 self._publisher.marked(former)
             raise
+
+    def _retire(self, former: Executor, executor: Executor) -> None:
+        """Have a busy net go on as a former version of the successor.
+
+        Raises:
+            StateError: It cannot.
+        """
+        net, rule = former.written, former.rule
+        while self._loop.pump(former):
+            pass
+        self._mission.publish()  # before the states: what has happened leads to them
+        if why := self._hindrance(former, executor.written):
+            raise StateError(f"net {net.name} is busy and cannot be replaced now: {why}", net=net.name)
+        begin_succession(former, executor)
+        # a number that no other version of the net gets: goals are known by it
+        name = f"{net.name[: MAX_NAME - 40]}_former_{former.sequence + rule.ledger.count}"
+        kept = self._library.kept(replace(net, name=name, former=net.name))
+        self._exchange.rename(former, kept, self._recorder(name))
+        self._nets[net.name] = executor
+        self._formers.append(former)
+        self._show(former)
+
+    def _hindrance(self, executor: Executor, net: Net) -> str:
+        """Return the reason against commands that go on in a former version of a net; empty: there is none."""
+        former = self._former_of(executor)
+        return former or hindrance_of_succession(executor, net)
+
+    def _former_of(self, executor: Executor) -> str:
+        """Return a clause about the former version of a net; empty: there is none."""
+        names = [each.net.name for each in self._formers if each.written.former == executor.net.name]
+        return f"its former version {names[0]} has not ended its commands" if names else ""
+
+    def tidy(self) -> None:
+        """Hand over the tokens of former versions of nets, and take out those at rest; after each turn."""
+        for former in tuple(self._formers):
+            successor = self._nets[former.written.former]
+            if not hand_over(former, successor) and not former.at_rest():
+                continue
+            if former.at_rest():
+                self._forget(former)
+                self._node.get_logger().info(f"net {former.net.name} has ended its commands, and is gone")
+                self._keep_sources()
+            else:
+                self._show(former)
+            self._show(successor)
+            with suppress(JournalError, NetError):  # the loop tries again, and says so; nothing leaves before
+                if self._loop.journal is not None:
+                    self._loop.journal.renew()
+            self._loop.wake()
+
+    def _forget(self, former: Executor) -> None:
+        self._formers.remove(former)
+        del self._nets[former.net.name]
+        self._publisher.withdrawn(former.net.name)
 
     def _take_in(
         self,
@@ -291,11 +362,16 @@ class Loader:
         elif net.name in self._nets:
             executor.count_on(self._nets[net.name])
         (enter or self._exchange.add)(executor)
+        if net.former:
+            self._formers.append(executor)
         self._sources.declare(wakes)
+        self._show(executor)
+        self._loop.wake()
+
+    def _show(self, executor: Executor) -> None:
         self._mission.loaded(executor)
         self._publisher.described(executor)
         self._publisher.marked(executor)
-        self._loop.wake()
 
     def _written(self) -> list[Net]:
         return [executor.written for executor in self._nets.values()]
@@ -321,7 +397,7 @@ class Loader:
             VerificationError: The net may not run; carries the firing sequence that shows why.
             NetError: They do not fit together.
         """
-        own = {name: executor.written for name, executor in self._nets.items() if name != without}
+        own = {name: each.written for name, each in self._nets.items() if name != without and not each.written.former}
         own |= {each.name: each for each in beside}
         together = [each for each in self._library.group(net, list(own.values())) if each.name != without]
         alone = await self.verified_alone(net)
@@ -348,13 +424,17 @@ class Loader:
             raise
         return report
 
-    async def _until_rest(self, executor: Executor, patience_s: float) -> None:
+    async def _until_rest(self, executor: Executor, patience_s: float, successor: Net | None = None) -> None:
+        """Wait until a net is at rest, or may go on as a former version of a successor."""
         began = monotonic()
-        while not (rest := executor.at_rest()):
+        while rest := self._former_of(executor) or "; ".join(executor.at_rest().reasons):
+            why = "" if successor is None else self._hindrance(executor, successor)
+            if successor is not None and not why and not executor.due:
+                return
             if monotonic() - began > (max(patience_s, TURN_S) if executor.due else patience_s):
                 name = executor.net.name
-                text = f"net {name} is not at rest and cannot be replaced now: {rest}"
-                raise StateError(text, net=name, reasons=list(rest.reasons))
+                while_busy = f"; its commands cannot go on in a former version: {why}" if why not in ("", rest) else ""
+                raise StateError(f"net {name} is not at rest and cannot be replaced now: {rest}{while_busy}", net=name)
             await pause(self._node, REST_CHECK_S)
 
 

@@ -15,6 +15,7 @@ from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import AskFunction, Functions, GuardFunction
+from im_pnt.execution.journal_entries import Record
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.model.groups import require_one_reader
 from im_pnt.model.net import Net
@@ -136,6 +137,7 @@ class PntNode(ManagedNode):
             self._observer,
             self._mission,
             self._executor,
+            self._recorder,
         )
         self._book = StrategyBook()
         self._looked = False
@@ -153,10 +155,14 @@ class PntNode(ManagedNode):
             seed=self.seed,
             wake=self._loop.wake,
             check_objects=lambda names, done: self.spawn(self.sources.check(names, done)),
-            record=None if journal is None else journal.recorder(net.name, self.log.items.append),
+            record=self._recorder(net.name),
             strategies=self._book,
             objects=self.values,
         )
+
+    def _recorder(self, net: str) -> Record | None:
+        journal = self._loop.journal
+        return None if journal is None else journal.recorder(net, self.log.items.append)
 
     # For subclasses.
 
@@ -180,7 +186,8 @@ class PntNode(ManagedNode):
             held = None if journal.of_this_run else stopped or not os.environ.get(RESUMES)
         self.loader.begin(self.completed(self._library.nets(journal.found if journal else {})))
         self.detail = nets_sentence(self.exchange.nets)
-        self.nets = {name: net_digest(yaml_text(each.written)) for name, each in self.exchange.nets.items()}
+        nets = {name: each.written for name, each in self.exchange.nets.items() if not each.written.former}
+        self.nets = {name: net_digest(yaml_text(net)) for name, net in nets.items()}
         goes_on = journal is not None and journal.start(self.exchange, self._transport.link, held)
         self._runner.surroundings.waits_for_all = goes_on or not self.get_parameter("standalone").value
         self.commands.restore(journal.lost if journal else "", sync=self._journal_sync is Sync.DISK)
@@ -290,6 +297,7 @@ class PntNode(ManagedNode):
         self._validity.turned()
         self._publisher.publish()
         self._mission.publish()
+        self.loader.tidy()
 
     def _guards_changed(self, source: str = "") -> None:
         """Ask guards with a declared source again, or all."""

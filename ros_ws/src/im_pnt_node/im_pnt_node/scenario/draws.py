@@ -7,7 +7,7 @@ from random import Random
 from im_core.errors import ImError
 from im_pnt.expression.syntax import Binary, Call, Literal, Node, Unary
 from im_pnt.expression.template import OPENS, Way, nodes, references
-from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, TEXT, MessageTypes, ValueKind, ValueType
+from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, TEXT, MessageTypes, ValueKind, ValueType, list_of
 from im_pnt.model.arguments import Argument, ArgumentType
 from im_pnt.model.net import Net
 
@@ -162,6 +162,8 @@ class ValueDraw:
                     kind = TEXT if isinstance(values[0], str) else BOOLEAN
                 self._note_use(left, kind)
                 self._note_use(right, kind)
+            case Call("any", (of, _)):
+                self._note_use(of, list_of(NUMBER))
             case Call(_, several):
                 for each in several:
                     self._note_use(each, NUMBER)

@@ -91,6 +91,9 @@ class NetFile(FragmentFile):
 
     net: Name = Field(description="Name by which commands and other nets refer to this net.")
     description: Text = Field("", description="One line for people.")
+    former: Given[Name] = Field(
+        None, description="Net of which this is a former version, which only ends its commands; a machine writes it."
+    )
     escalate: Given[PlaceName] = Field(
         None, description="Place for tokens of failed actions whose transition has no on_failure."
     )

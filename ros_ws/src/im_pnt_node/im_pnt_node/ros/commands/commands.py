@@ -219,6 +219,7 @@ class Commands:
         if not readers:
             raise NotFoundError(kind="command", name=symbol, known=self.symbols())
         meant = (arguments or {}).get(ADDRESS)
+        readers.sort(key=lambda each: bool(each.written.former) is (symbol in each.written.begun_symbols()))
         at_work = (each for each in readers if any(job.command.id == meant for job in each.jobs()))
         return next(at_work, readers[0]) if meant is not None else readers[0]
 

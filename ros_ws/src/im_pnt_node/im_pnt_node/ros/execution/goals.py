@@ -173,8 +173,8 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
         return ClientGoalHandle(client, self._goal_id(activity), accepted)
 
     def _goal_id(self, activity: Activity) -> UUID:
-        name = f"{activity.incarnation or self._incarnation()}/{activity.net}/{activity.number}"
-        return UUID(uuid=list(uuid.uuid5(_NAMESPACE, name).bytes))
+        begun = activity.begun_as or f"{self._incarnation()}/{activity.net}"
+        return UUID(uuid=list(uuid.uuid5(_NAMESPACE, f"{begun}/{activity.number}").bytes))
 
     def _make(self, name: str, type_name: str) -> WatchedServer[ActionClient]:
         node = self._surroundings.node
