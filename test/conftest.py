@@ -82,11 +82,12 @@ def own_participants():
 
 
 LONGEST = (
-    "case_study", "page_browser", "mission", "pnt_journal", "case_study_deaths", "vss_contention", "chaos",
-    "bootstrap_node", "hosts", "pose_cost", "trajectory", "motion", "recalibrate", "start_imports", "wrong_values",
-    "set_up", "middleware_memory", "pnt_node", "vss_laser", "record_replay", "your_robot", "testbed_drivers_node",
-    "owners", "imports", "vss_calibration_given", "vss_wrong_input", "vss_known_lengths", "backlog", "vss_tutorial",
-    "tutorials",
+    "case_study", "mission", "case_study_deaths", "hosts", "vendor_robot", "tutorials", "cells", "client",
+    "page_browser", "pnt_journal", "chaos", "scripts", "failing_disk", "vss_contention", "pick_and_place",
+    "bootstrap_node", "foreground", "dom_kills", "pose_cost", "trajectory", "motion", "recalibrate", "start_imports",
+    "wrong_values", "set_up", "middleware_memory", "pnt_node", "vss_laser", "record_replay", "your_robot",
+    "testbed_drivers_node", "owners", "imports", "calibrate_live", "vss_calibration_given", "vss_wrong_input",
+    "vss_known_lengths", "backlog", "vss_tutorial",
 )  # fmt: skip
 """Files ``test_<name>.py`` that take a third of a minute and more on a busy computer, the longest first."""
 

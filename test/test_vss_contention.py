@@ -52,7 +52,7 @@ REQUESTS = {
     "laser_calibrate": (LaserCalibrate, {"cameras": CEILING, "mirror1": [0.1], "mirror2": [0.05]}),
     "calibrate": (Calibrate, {}),  # with a synthetic scene, see `requests`
 }
-CLIENTS, KILLED = 30, 3
+CLIENTS, KILLED = 12, 1
 LONGEST_WAIT_S = 600.0
 MORTAL = """
 import json, sys, time
@@ -159,7 +159,7 @@ def test_the_only_client_dies_and_its_place_in_the_queue_is_free(machine, mortal
     machine.until(lambda: machine.vss._vsm.state().requests == ())
 
 
-def test_thirty_clients_of_every_service_of_which_a_tenth_is_killed(machine, mortal, requests, monkeypatch):
+def test_many_clients_of_every_service_of_which_one_is_killed(machine, mortal, requests, monkeypatch):
     machine.calibrate_cameras(*CEILING)
     machine.light(on=True)
     vsm, rig = machine.vss._vsm, machine.vss._rig

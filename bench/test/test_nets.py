@@ -110,12 +110,13 @@ def test_an_observed_player_tells_of_every_firing():
     assert player.fire(50) == player.observer.count == player.executor.sequence
 
 
-def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent(tmp_path):
+def test_our_own_process_fires_and_an_absent_peer_is_said_to_be_absent(tmp_path, monkeypatch):
+    monkeypatch.setattr(firings, "SIZES", (10, 100))
     lines = firings.lines(NO_PEERS, 50, 2, tmp_path)
-    assert len(lines) == 2 * (3 * 3 + 1 + 3)
+    assert len(lines) == 2 * (3 * 2 + 1 + 3)
     assert [line.value > 0 for line in lines] == [True] * len(lines)
     compared = [line for line in lines if line.against and line.against != "slowest"]
-    assert len(compared) == 2 * (3 * 2 + 3)
+    assert len(compared) == 2 * (2 * 2 + 3)
     assert {line.against for line in compared} == {"the peers could not be installed"}
     spread = next(line for line in lines if "slowest" in line.name)
     assert spread.measure >= 1.0

@@ -35,7 +35,7 @@ def shared_scene(seed, *, readings=20, each=4, sigma_m=SIGMA_M) -> SyntheticScen
 
 def test_errors_are_as_expected_with_four_spots_a_reading():
     found, expected, within, good = [], [], [], 0
-    for seed in range(800, 806):
+    for seed in range(800, 803):
         scene = shared_scene(seed)
         calibration = calibrate(scene.problem)
         good += calibration.success
@@ -44,7 +44,7 @@ def test_errors_are_as_expected_with_four_spots_a_reading():
         within.append(np.abs(deviations(calibration, scene)) < 2.0 * calibration.standard_deviations)
     assert 0.8 < rms(np.array(found)) / rms(np.array(expected)) < 1.3
     assert np.mean(within) > 0.9
-    assert good >= 5
+    assert good >= 2
 
 
 def test_the_order_of_poses_and_the_names_of_readings_do_not_matter():

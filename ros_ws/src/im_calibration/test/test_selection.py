@@ -36,11 +36,15 @@ def matrices(calibration):
     return [camera.model.K for camera in calibration.cameras]
 
 
-@pytest.mark.parametrize(("spots", "said"), [(0, "saw the LED in 0 poses"), (3, "in 3 poses"), (8, "has 8 spots")])
-def test_a_camera_with_too_few_spots_is_named_and_the_others_are_calibrated(scene, spots, said):
+@pytest.fixture(scope="module")
+def others(scene):
+    return calibrate(scene.of_cameras(["camera_0", "camera_2"]))
+
+
+@pytest.mark.parametrize(("spots", "said"), [(0, "saw the LED in 0 poses"), (8, "has 8 spots")])
+def test_a_camera_with_too_few_spots_is_named_and_the_others_are_calibrated(scene, others, spots, said):
     problem = blinded(scene, 1, spots)
     told = calibrate_possible(problem)
-    others = calibrate(problem.of_cameras(["camera_0", "camera_2"]))
     assert [camera.name for camera in told.cameras] == ["camera_0", "camera_2"]
     np.testing.assert_array_equal(matrices(told), matrices(others))
     assert (told.usable, told.success) == (True, False)

@@ -72,7 +72,7 @@ def wide(seed):
 
 @pytest.mark.parametrize(
     ("make", "seed", "words"),
-    [(make, seed, words) for i, words in enumerate(SLIPS) for make, seed in ((overhead, 61 + i), (wide, 81 + i))],
+    [(overhead, 61 + i, words) if i % 2 else (wide, 81 + i, words) for i, words in enumerate(SLIPS)],
 )
 def test_each_slip_is_named_with_what_it_gives(make, seed, words):
     sentence = find_slip(SLIPS[words](replace(make(seed), noise_to_estimate=BOTH)))
@@ -90,9 +90,8 @@ def test_the_nominal_offset_is_turned_with_the_rotations():
     assert "quaternions are x, y, z, w" in find_slip(wrong)
 
 
-@pytest.mark.parametrize("seed", range(400, 403))
-def test_what_is_no_slip_gets_no_such_name(seed):
-    rng = np.random.default_rng(seed)
+def test_what_is_no_slip_gets_no_such_name():
+    rng = np.random.default_rng(seed := 402)
     design = Design(
         poses=int(rng.integers(20, 60)),
         cameras=1 + seed % 2,

@@ -61,10 +61,10 @@ def test_who_computes_is_silent_for_as_long_as_it_computes(child):
 
 
 def test_who_is_kept_from_the_processor_is_not_silent(child):
-    """Among eight others on one core it has a ninth of it; less where they are not as nice."""
+    """Beside two others on one core, which are not as nice, it has a small part of it."""
     core = {max(os.sched_getaffinity(0))}
     pid = child(SPIN, core, 19)
-    for _ in range(8):
+    for _ in range(2):
         child(SPIN, core)
     assert listen(pid, 10.0, limit=1.5).seconds < 0.75
 
@@ -79,7 +79,7 @@ def test_patience_waits_for_whoever_is_kept_from_the_processor(child):
     """Others that sleep, or have ended, may wait for it."""
     core = {max(os.sched_getaffinity(0))}
     late = child(SPIN, core, 19)
-    for _ in range(8):
+    for _ in range(2):
         child(SPIN, core)
     patience, began = Patience([child(SLEEP), late, 0]), clock.monotonic()
     while clock.monotonic() < began + 1.5:

@@ -176,11 +176,11 @@ def test_a_step_of_priority_is_worth_ten_places_in_the_line():
     assert order == [busy, *high[:9], low, *high[9:]]
 
 
-def test_1000_random_schedules_of_6_commands_end_each_with_its_own_result():
+def test_random_schedules_of_6_commands_end_each_with_its_own_result():
     """No deadlock, no mix-up, nobody starved: whatever is ended, cancelled, failed, paused or resumed, and when."""
     dice = random.Random(13)
     overtaken, cells = 0, [Cell(some_nets(dice)) for _ in range(20)]
-    for _ in range(1000):
+    for _ in range(200):
         cell = dice.choice(cells)
         cell.results.clear()
         cell.begun.clear()
@@ -222,7 +222,7 @@ def test_1000_random_schedules_of_6_commands_end_each_with_its_own_result():
                 assert not result.results
         assert {name: cell.executor.marking().get(name) for name in RESOURCES} == dict.fromkeys(RESOURCES, 1)
         overtaken += cell.begun != sorted(cell.begun)
-    assert overtaken > 100  # the schedules do something
+    assert overtaken > 20  # the schedules do something
 
 
 def some_nets(dice: random.Random) -> list[str]:

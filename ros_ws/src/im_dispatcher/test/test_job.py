@@ -49,7 +49,7 @@ def test_a_loop_comes_back_as_it_was_and_takes_no_more_room_than_before(poses: i
     assert len(json.dumps(loop.to_json())) < 30
 
 
-@given(st.lists(st.sampled_from(["kept", "faint", "gone"]), min_size=FEWEST_POSES, max_size=200), st.data())
+@given(st.lists(st.sampled_from(["kept", "faint", "gone"]), min_size=FEWEST_POSES, max_size=60), st.data())
 def test_what_is_visited_again_is_visited_and_nothing_else_is_twice(fates: list[str], data: st.DataObject) -> None:
     """The arm goes on while a pose is looked at; what becomes of that is known before the next look."""
     loop, kept = PoseLoop(FEWEST_POSES), []

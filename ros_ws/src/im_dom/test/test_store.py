@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_core.errors import DataError, NotFoundError, StateError
@@ -294,6 +294,7 @@ def test_what_is_done_together_is_on_the_disk_as_one_when_it_is_answered(tmp_pat
 NAMES = st.sampled_from(["a", "b", "below/a", "below/b"])
 
 
+@settings(max_examples=30)
 @given(
     st.lists(
         st.lists(

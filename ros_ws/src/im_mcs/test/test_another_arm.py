@@ -61,7 +61,7 @@ def positions(ranges, count, share=1.0):
 
 def test_poses_that_it_reaches_are_found(other, ranges):
     solver = InverseKinematics(other, ranges, np.arange(6), FRAME)
-    for q in positions(ranges, 200):
+    for q in positions(ranges, 60):
         pose = other.pose(q, FRAME)
         found = other.pose(solver.solve(pose, HOME, HOME), FRAME)
         assert pin.log6(found.actInv(pose)).np == pytest.approx(0.0, abs=1e-6)
@@ -92,8 +92,8 @@ def line(other, ranges, config, q, way):
 
 def test_lines_far_from_singularities_are_followed(other, ranges, config):
     tracker, random = ArmTracker(other, Arm(other, FRAME), FRAME), np.random.default_rng(3)
-    far = [q for q in positions(ranges, 400, 0.9) if tracker.singular_value(q) > 0.1][:40]
-    assert len(far) == 40
+    far = [q for q in positions(ranges, 400, 0.9) if tracker.singular_value(q) > 0.1][:20]
+    assert len(far) == 20
     for q in far:
         way = random.standard_normal(3)
         target, end = line(other, ranges, config, q, 0.02 * way / np.linalg.norm(way))

@@ -118,8 +118,13 @@ def smooth(config):
     return with_first
 
 
-@pytest.mark.parametrize(("first", "second"), list(itertools.permutations(LAWS, 2)))
-@pytest.mark.parametrize("moving", [True, False], ids=["moving", "at rest"])
+@pytest.mark.parametrize(
+    ("first", "second", "moving"),
+    [
+        *((first, second, True) for first, second in itertools.pairwise((*LAWS, LAWS[0]))),
+        *((second, first, False) for first, second in itertools.pairwise((*LAWS, LAWS[0]))),
+    ],
+)
 def test_no_bump_in_closed_loop(smooth, make_bench, cell, first, second, moving):
     """Torque and acceleration of the arm change no faster after a switch than without one."""
     when = 60 if moving else 550
@@ -236,7 +241,7 @@ def test_an_estop_in_the_middle_of_a_switch_leaves_the_law_asked_for(bench):
     assert (controller.name, controller.switching) == ("im_mcs.control.pid:Pid", False)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_random_switches_with_friction_and_noise_leave_the_motion_undisturbed(plant_bench, config, cell, seed):
     random = np.random.default_rng(seed)
     bench = plant_bench(config, seed)

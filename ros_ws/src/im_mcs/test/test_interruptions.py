@@ -1,4 +1,4 @@
-"""Two hundred random interruptions in one seeded run: the arm never leaps."""
+"""Many random interruptions in one seeded run: the arm never leaps."""
 
 import numpy as np
 import pytest
@@ -163,25 +163,20 @@ class Run:
         assert self.ask(request, sender=ALL)["success"]
 
 
-@pytest.mark.parametrize("seed", [11])
-def test_two_hundred_interruptions(bench, seed):
-    random = np.random.default_rng(seed)
+def test_seventy_interruptions(bench):
+    random = np.random.default_rng(11)
     run = Run(bench, random)
-    done = dict.fromkeys(KINDS, 0)
-    for _ in range(200):
+    for kind in random.permutation(5 * KINDS):
         run.to_motion()
         run.ticks(1, "renew", owner="ann")
         for group in ("left", "right"):
             if random.random() < 0.7:
                 run.move(group, str(random.choice(["replace", "refuse", "append"])))
         run.ticks(int(random.integers(5, 60)))
-        kind = str(random.choice(KINDS))
-        run.interrupt(kind)
-        done[kind] += 1
+        run.interrupt(str(kind))
         run.ticks(int(random.integers(1, 30)))
         if random.random() < 0.5:
             run.ticks(1, "resume", sender=ALL)
-    assert min(done.values()) >= 5
     succeeded = [e for e in bench.events if e["event"] == "reply" and e["id"] in run.goals and e["success"]]
     assert succeeded
     run.to_motion()

@@ -11,7 +11,7 @@ from im_mcs.collision import CollisionChecker
 from im_mcs.poses.command import main
 
 PAIRS = {"left": ("wall", "table"), "right": ("wrist_left", "ceiling_right")}
-COUNT = 12
+COUNT = 8
 
 
 @pytest.fixture(scope="module", params=PAIRS)

@@ -4,6 +4,7 @@ Source: Hartley and Zisserman, "Multiple View Geometry", 2nd ed., sections 7.1 (
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +119,8 @@ def _start_camera(problem: CalibrationProblem, c: int, positions: Array, known: 
     elif lens is EQUIDISTANT:
         found = fisheye_start(points, pixels, (width, height), tolerance)
     else:
-        found = _ransac(points, pixels, tolerance, width) or affine_start(points, pixels, (width, height), tolerance)
+        pinhole = _ransac(points.tobytes(), pixels.tobytes(), tolerance, width)
+        found = pinhole or affine_start(points, pixels, (width, height), tolerance)
     if found is None and extent[2] < FLAT * extent[0]:
         raise DegenerateDataError(
             f"The LED positions seen by {name} lie in a plane, and no camera was found.",
@@ -184,8 +186,10 @@ def _pixel_tolerance(problem: CalibrationProblem, c: int, points: Array, pixels:
     return float(np.sqrt(lens**2 + 2.0 * spread + 2.0 * image**2))
 
 
-def _ransac(points: Array, pixels: Array, tolerance: float, width: float) -> tuple[Array, Array, Array] | None:
+@lru_cache(maxsize=64)  # other lenses, other wrists, more rounds: often the same positions and spots begin again
+def _ransac(places: bytes, spots: bytes, tolerance: float, width: float) -> tuple[Array, Array, Array] | None:
     """Return the best pinhole camera over random samples, refitted to the agreeing points."""
+    points, pixels = np.frombuffer(places).reshape(-1, 3), np.frombuffer(spots).reshape(-1, 2)
     order = np.lexsort((*pixels.T, *points.T))
     points, pixels = points[order], pixels[order]
     keys = np.random.default_rng(_SEED).random((_SAMPLES, len(points)))
@@ -333,7 +337,7 @@ def fisheye_start(
         ideal = focal * off * (np.tan(np.minimum(angle, _PINHOLE_ANGLE)) / np.maximum(radius, 1e-9))[:, None]
         if near.sum() < _SAMPLE_SIZE:
             continue
-        camera = _ransac(points[near], ideal[near] + middle, tolerance, focal)
+        camera = _ransac(points[near].tobytes(), (ideal[near] + middle).tobytes(), tolerance, focal)
         if camera is None:
             continue
         _, rotation, translation = camera

@@ -147,7 +147,7 @@ ACTS = st.sampled_from(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(1, 3), st.lists(st.tuples(ACTS, st.integers(1, 180)), max_size=12), st.integers(0, 10**6))
 def test_whatever_comes_the_setpoint_never_leaps(make_rig, way, divisor, acts, seed):
     rig, random = make_rig(divisor), np.random.default_rng(seed)

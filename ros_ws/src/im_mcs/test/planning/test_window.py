@@ -94,7 +94,7 @@ def led(rig, course, rate_hz, seconds, compose, random):
     return goals
 
 
-@pytest.mark.parametrize("rate_hz", [30, 100, 250])
+@pytest.mark.parametrize("rate_hz", [30, 100])
 def test_windows_of_moveit_servo_are_followed(rig, way, rate_hz):
     course = sine(rig, way / way.max())
     goals = led(rig, course, rate_hz, 8.0, ServoNode().message, np.random.default_rng(rate_hz))
@@ -116,8 +116,9 @@ def single(ahead_s, stamped, velocities):
     return message
 
 
-@pytest.mark.parametrize("stamped", [False, True])
-@pytest.mark.parametrize(("rate_hz", "ahead_s"), [(30, 0.1), (30, 0.0333), (30, 0.0), (100, 0.01), (250, 0.004)])
+@pytest.mark.parametrize(
+    ("rate_hz", "ahead_s", "stamped"), [(30, 0.1, True), (30, 0.0333, False), (30, 0.0, True), (250, 0.004, False)]
+)
 def test_single_points_are_followed_whatever_their_stamp(rig, way, rate_hz, ahead_s, stamped):
     course = sine(rig, way / way.max())
     compose = single(ahead_s, stamped, velocities=True)
@@ -130,7 +131,7 @@ def test_single_points_are_followed_whatever_their_stamp(rig, way, rate_hz, ahea
     rig.check_motion(jerk=1.1)
 
 
-@pytest.mark.parametrize("late_s", [0.02, 0.05])
+@pytest.mark.parametrize("late_s", [0.05])
 def test_windows_and_points_that_come_late_are_followed_in_their_own_time(rig, way, late_s):
     course = sine(rig, way / way.max())
 
@@ -224,7 +225,7 @@ def test_a_stream_along_a_ramp_is_caught_up_with_and_followed(rig, way, late_s):
     assert {rig.code(goal) for goal in rig.results} == {"replaced", None}
 
 
-@pytest.mark.parametrize(("size", "pace"), [(0.2, 1.0), (0.1, 2.0)])
+@pytest.mark.parametrize(("size", "pace"), [(0.1, 2.0)])
 def test_a_stream_along_a_sine_is_followed(rig, way, size, pace):
     off = stream(rig, swing(rig, way, size, pace), 6.0, late_s=0.001)
     assert np.abs(off / way).max() < 0.05 * size
