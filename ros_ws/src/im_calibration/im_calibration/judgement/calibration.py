@@ -230,7 +230,7 @@ class Calibration:
         """The outcome in a few sentences."""
         misfit = any(verdict.kind == "MISFIT" for verdict in self.verdicts)
         if self.cause:  # then it is not the noise
-            return self._outcome
+            return self.outcome
         condition = "If nothing else is wrong: " if misfit and self.noise.remark else ""
         pattern = self.neighbours.remark if misfit or self.noise.estimated else ""
         arm = _ARM.format(1e3 * self.arm_error_m) if self.arm_error_m else ""
@@ -239,11 +239,12 @@ class Calibration:
         missing = " ".join(f"Left out: {each.reason} {each.advice}" for each in self.left_out)
         known = zip(self.cameras, self.images, strict=True)
         rims = " ".join(f"{camera.name}: {image.told}." for camera, image in known if image.told and self.usable)
-        parts = (self._outcome, rims, missing, f"{condition}{self.noise.remark}", arm, pattern)
+        parts = (self.outcome, rims, missing, f"{condition}{self.noise.remark}", arm, pattern)
         return " ".join(text for text in parts if text)
 
     @property
-    def _outcome(self) -> str:
+    def outcome(self) -> str:
+        """The outcome in a sentence or two, a verdict with its advice."""
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)

@@ -1,6 +1,7 @@
-"""Plots of a calibration: residuals with the expected noise, coverage, geometry."""
+"""Plots of a calibration: residuals in the image and with the expected noise, coverage, geometry."""
 
 import io
+import textwrap
 from itertools import combinations
 
 import numpy as np
@@ -27,10 +28,11 @@ _COLOURS = ("#e07b39", "#4c956c", "#7b5ea7", "#b08900", "#3a7ca5")
 _FRUSTUM_DEPTH = 0.45
 _WRIST_LENGTH = 0.10
 _SIGMAS_95 = float(np.sqrt(5.991))
+_ARROW_SHARE, _NAMED = 0.05, 10
 
 
 def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Plot residuals of each camera with 95 % ellipses of the stated noise, and residual lengths against chi-square.
+    """Plot residuals of each camera as arrows in the image and with the noise, poses left out, and chi-square.
 
     Args:
         calibration: The result.
@@ -38,10 +40,11 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         target: Where the PNG goes.
     """
     count = len(calibration.cameras)
-    figure = _figure(4.2 * (count + 1), 4.3)
-    _keep_room(figure, wspace=0.25)
+    figure = _figure(4.2 * (count + 1), 8.2)
+    _keep_room(figure, wspace=0.25, hspace=0.3)
     for c, camera in enumerate(calibration.cameras):
-        axes = figure.add_subplot(1, count + 1, c + 1)
+        _draw_arrows(figure.add_subplot(2, count + 1, c + 1), calibration, problem, c)
+        axes = figure.add_subplot(2, count + 1, count + 2 + c)
         used = calibration.used[c]
         residuals, spread = calibration.residuals[c][used], calibration.residual_covariances[c][used]
         limit = 1.15 * max(_SIGMAS_95 * np.sqrt(np.linalg.eigvalsh(spread).max()), np.abs(residuals).max())
@@ -60,11 +63,49 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         axes.set(xlim=(-limit, limit), ylim=(limit, -limit), aspect="equal", xlabel="du [px]", ylabel="dv [px]")
         axes.locator_params(nbins=5)
         note = f", {outside} rejected beyond the frame" if outside else ""
-        _title(axes, f"{camera.name}\n{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}")
+        _title(axes, f"{camera.spots_used} spots, {camera.rms_px:.3f} px RMS{note}\nellipses: 95 % of the noise")
         _grid(axes)
-    _plot_chi2(figure.add_subplot(1, count + 1, count + 1), calibration)
-    figure.suptitle("Residuals and the 95 % ellipses of the stated image and position noise", fontsize=11)
+    _list_left_out(figure.add_subplot(2, count + 1, count + 1), calibration)
+    _plot_chi2(figure.add_subplot(2, count + 1, 2 * count + 2), calibration)
+    _headline(figure, calibration)
     _save(figure, target)
+
+
+def _draw_arrows(axes: Axes, calibration: Calibration, problem: CalibrationProblem, c: int) -> None:
+    """Draw the residuals of a camera at their places in its image, magnified, and the pattern that was found."""
+    spots, residuals, used = problem.spots[c], calibration.residuals[c], calibration.used[c]
+    width, height = problem.image_sizes[c]
+    lengths = np.linalg.norm(residuals[used], axis=1)
+    scale = float(f"{_ARROW_SHARE * width / max(float(np.median(lengths)) if len(lengths) else 1.0, 1e-9):.1g}")
+    axes.quiver(*spots[used].T, *residuals[used].T, angles="xy", scale_units="xy", scale=1.0 / scale, color=USED)
+    left_out = np.flatnonzero(_left_out(calibration, problem, c))
+    axes.plot(*spots[left_out].T, "x", color=REJECTED, markersize=6)
+    for i in left_out[:_NAMED]:
+        axes.annotate(problem.pose_names[i], spots[i], (4, 4), textcoords="offset points", fontsize=7, color=REJECTED)
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    neighbours = calibration.neighbours
+    pattern = neighbours.clause or "no pattern: neighbouring spots are off as noise is"
+    if np.isnan(neighbours.correlation):
+        pattern = "too few spots to look for a pattern"
+    name = f"{calibration.cameras[c].name}: measured less predicted, {scale:,.0f} times as long"
+    _title(axes, "\n".join(textwrap.wrap(name, 52) + textwrap.wrap(pattern, 52)))
+    _grid(axes)
+
+
+def _list_left_out(axes: Axes, calibration: Calibration) -> None:
+    """List the first poses that were left out, and why."""
+    axes.set_axis_off()
+    found = calibration.rejections
+    lines = [line for each in found[:_NAMED] for line in textwrap.wrap(f"{each.pose}: {each.reason}", 58)]
+    more = [f"and {len(found) - _NAMED} more, see summary.txt"] if len(found) > _NAMED else []
+    axes.text(0.0, 1.0, "\n".join(lines + more), va="top", fontsize=7.5, transform=axes.transAxes)
+    _title(axes, "Left out, and why" if found else "Nothing was left out")
+
+
+def _headline(figure: Figure, calibration: Calibration) -> None:
+    """Say the outcome at the top of a figure."""
+    width = int(11.5 * figure.get_figwidth())
+    figure.suptitle("\n".join(textwrap.wrap(calibration.outcome, width, max_lines=2, placeholder=" ...")), fontsize=10)
 
 
 def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
@@ -91,8 +132,18 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
         if len(levels) == 5:
             lines = axes.contour(image.u, image.v, image.expected_px, levels=levels, colors=NOISE, linewidths=0.8)
             axes.clabel(lines, fmt="%.2g px", fontsize=7)
+        if image.told:
+            left, right, top, bottom = np.nan_to_num(image.region)
+            for low, size in (
+                ((-0.5, -0.5), (left, height)),
+                ((right, -0.5), (width - right, height)),
+                ((left, -0.5), (right - left, top)),
+                ((left, bottom), (right - left, height - bottom)),
+            ):
+                axes.add_patch(Rectangle(low, *size, facecolor=REJECTED, alpha=0.12, linewidth=0.0))
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-        _title(axes, f"{camera.name}: {camera.spots_used} spots in the image, and errors to expect")
+        rim = "\nshaded: the rim, where the camera is known far less well" if image.told else ""
+        _title(axes, f"{camera.name}: {camera.spots_used} spots in the image, and errors to expect{rim}")
         _grid(axes)
         if c == 0:
             axes.legend(fontsize=8, loc="upper right", framealpha=0.9)
@@ -109,7 +160,7 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
         seen_from = "from above" if j == 1 else "from the side"
         _title(axes, f"LED positions {seen_from}, and the workspace (frame)")
         _grid(axes)
-    figure.suptitle("Coverage of the images and of the workspace", fontsize=11)
+    _headline(figure, calibration)
     _save(figure, target)
 
 
@@ -127,7 +178,7 @@ def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target:
     scene.subplots_adjust(left=0.0, right=1.0, bottom=0.02, top=0.9)
     draw_scene(scene.add_subplot(projection="3d"), calibration, problem)
     draw_expected(maps, calibration.expected)
-    figure.suptitle("Geometry, and the errors to expect (one standard deviation)", fontsize=11)
+    _headline(figure, calibration)
     _save(figure, target)
 
 
@@ -171,7 +222,7 @@ def _keep_room(figure: Figure, wspace: float, hspace: float = 0.0) -> None:
     """
     width, height = figure.get_size_inches()
     figure.subplots_adjust(
-        left=0.7 / width, right=1.0 - 0.1 / width, bottom=0.5 / height, top=1.0 - 0.65 / height, wspace=wspace,
+        left=0.7 / width, right=1.0 - 0.1 / width, bottom=0.5 / height, top=1.0 - 0.85 / height, wspace=wspace,
         hspace=hspace,
     )  # fmt: skip
 
