@@ -274,5 +274,4 @@ def test_a_word_that_names_no_command_goes_to_the_former_version_first(arm, disp
     for number in given:
         in_loop(dispatcher, dispatcher.commands.write, "confirm", {})
         wait_until(lambda number=number: number in dispatcher.commands.ended, "the end of the oldest")
-    assert not formers(dispatcher)
-    assert not dispatcher.commands.open()
+    wait_until(lambda: not formers(dispatcher) and not dispatcher.commands.open(), "the ends of all")

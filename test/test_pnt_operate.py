@@ -349,11 +349,12 @@ def test_what_makes_no_sense_is_refused_by_name(machine, request_, net, reason):
 
 def test_a_net_is_replaced_when_it_comes_to_rest_and_else_it_is_said_what_keeps_it(machine):
     operator, walker = machine
-    changed = WALKER.replace("go_done", "[go_done, walked]")
+    changed = WALKER.replace("go_done", "[go_done, walked]").replace("in: lost,", "in: lost, inhibitors: {idle: 1},")
     walker.hold = True
     outcomes = walker.go()
     operator.until(lambda: operator.markings["walker"].in_doubt, "the doubt")
     refusal = walker.load(changed)
+    assert "its commands cannot go on in a former version: its transition give_up looks for the absence" in refusal
     assert "net walker is not at rest and cannot be replaced now" in refusal
     assert "function walk of transition walk is in doubt" in refusal
     assert "command go (number 1) is open" in refusal
