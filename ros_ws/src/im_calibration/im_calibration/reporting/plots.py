@@ -134,13 +134,13 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
             axes.clabel(lines, fmt="%.2g px", fontsize=7)
         if image.told:
             left, right, top, bottom = np.nan_to_num(image.region)
-            for low, size in (
+            for corner, sides in (
                 ((-0.5, -0.5), (left, height)),
                 ((right, -0.5), (width - right, height)),
                 ((left, -0.5), (right - left, top)),
                 ((left, bottom), (right - left, height - bottom)),
             ):
-                axes.add_patch(Rectangle(low, *size, facecolor=REJECTED, alpha=0.12, linewidth=0.0))
+                axes.add_patch(Rectangle(corner, *sides, facecolor=REJECTED, alpha=0.12, linewidth=0.0))
         axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal", xlabel="u [px]", ylabel="v [px]")
         rim = "\nshaded: the rim, where the camera is known far less well" if image.told else ""
         _title(axes, f"{camera.name}: {camera.spots_used} spots in the image, and errors to expect{rim}")
