@@ -72,7 +72,7 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
 
 
 def _draw_arrows(axes: Axes, calibration: Calibration, problem: CalibrationProblem, c: int) -> None:
-    """Draw the residuals of a camera at their places in its image, magnified, and the pattern that was found."""
+    """Draw the residuals of a camera, magnified, at the spots of the image, and the pattern found."""
     spots, residuals, used = problem.spots[c], calibration.residuals[c], calibration.used[c]
     width, height = problem.image_sizes[c]
     lengths = np.linalg.norm(residuals[used], axis=1)
@@ -93,7 +93,7 @@ def _draw_arrows(axes: Axes, calibration: Calibration, problem: CalibrationProbl
 
 
 def _list_left_out(axes: Axes, calibration: Calibration) -> None:
-    """List the first poses that were left out, and why."""
+    """List the first rejected poses with the reasons."""
     axes.set_axis_off()
     found = calibration.rejections
     lines = [line for each in found[:_NAMED] for line in textwrap.wrap(f"{each.pose}: {each.reason}", 58)]
