@@ -95,8 +95,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     sorted_problem, layout, gated = explanation.problem, explanation.layout, explanation.gated
     if not np.isfinite(gated.fit.chi2):
         raise InconsistentDataError("No set of cameras explains the spots.")
-    as_stated = sorted_problem.with_noise(1.0, 1.0 / explanation.robot_scale)
-    factors = _factors(gated, as_stated, layout, cause) if found is None else found.factors
+    factors = _factors(gated, sorted_problem, layout, cause) if found is None else found.factors
     checks = check(gated, sorted_problem, layout)
     neighbours = compare_neighbours(gated.fit.linearisation, gated.used, sorted_problem.positions)
     agreements = camera_agreements(gated.fit.linearisation, gated.used, layout)
@@ -105,7 +104,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
     restore = np.argsort(order)
     problem = sorted_problem.taking(restore)
     gated = replace(gated, used=gated.used[:, restore], distances=gated.distances[:, restore])
-    noise = noise_of(stated, gated.used, factors, (1.0, explanation.robot_scale) if found is None else found.scale)
+    noise = noise_of(stated, gated.used, factors, (1.0, 1.0) if found is None else found.scale)
     return _describe(problem, layout, gated, checks, agreements, noise, neighbours, faults, cause)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration.score import deviations, errors
-from bench.calibration.synthetic import Design, bent, make_scene, random_rotations
+from bench.calibration.synthetic import Design, bent, make_scene
 from im_calibration import calibrate
 from im_calibration.estimation.arm import with_arm_error
 from im_calibration.estimation.search import first_explanation
@@ -29,20 +29,12 @@ def scored(kind, size_m, poses, seeds):
     return rms(np.array(found)) / rms(np.array(expected)), float(np.mean(within))
 
 
-@pytest.mark.parametrize("kind", ["links", "gears"])
+@pytest.mark.parametrize("kind", ["quadratic", "links"])
 @pytest.mark.parametrize(("size_m", "poses"), [(3e-4, 60), (1e-3, 40)])
 def test_errors_are_as_expected_where_the_arm_is_bent(kind, size_m, poses):
     ratio, within = scored(kind, size_m, poses, range(700, 703))
     assert 0.5 < ratio < 1.6  # three seeds
     assert within > 0.8
-
-
-def test_an_arm_stated_by_its_error_has_less_noise_than_that():
-    scene = bent(make_scene(Design(poses=60, sigma_m=1e-7), 2), "links", 1e-3, 2)
-    calibration = calibrate(scene.problem)
-    assert calibration.arm_error_m > 0.0
-    assert calibration.noise.scale[0] == 1.0 > calibration.noise.scale[1]
-    assert calibration.noise.factors.robot.value < 1.0
 
 
 def test_more_poses_of_a_bent_arm_do_not_make_it_straight():
@@ -81,7 +73,7 @@ def test_a_half_of_the_space_that_contradicts_the_other_is_seen_unless_it_is_the
 
 def test_no_part_of_the_error_shifts_or_turns_all_positions_alike():
     positions = np.random.default_rng(3).uniform(1.0, 3.0, (30, 3))
-    error = ArmError.largest(positions, random_rotations(np.random.default_rng(6), 30), 0.8)
+    error = ArmError.largest(positions)
     away = positions - positions.mean(axis=0)
     np.testing.assert_allclose(error.jacobians.sum(axis=0), 0.0, atol=1e-12)
     turned = np.cross(away[:, None, :], np.swapaxes(error.jacobians, 1, 2)).sum(axis=0)
@@ -92,12 +84,10 @@ def test_the_error_does_not_depend_on_axes_or_units():
     positions = np.random.default_rng(4).uniform(-1.0, 1.0, (12, 3))
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
 
-    wrists = random_rotations(np.random.default_rng(6), 12)
-
-    def spread(places, rotations):
-        jacobians = ArmError.largest(places, rotations, 0.8).jacobians.reshape(36, -1)
+    def spread(places):
+        jacobians = ArmError.largest(places).jacobians.reshape(-1, ArmError.largest(places).jacobians.shape[2])
         return jacobians @ jacobians.T
 
-    one, other = spread(positions, wrists), spread(1e3 * positions @ turn.T, turn @ wrists)
+    one, other = spread(positions), spread(1e3 * positions @ turn.T)
     whole = np.kron(np.eye(12), turn)
     np.testing.assert_allclose(other, 1e6 * whole @ one @ whole.T, atol=1e-9)

@@ -1,15 +1,14 @@
 """Size of the arm's smooth error, from the residuals of a fit, and the fit with it.
 
 The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. The error's
-standard deviation t, the share of the wrist in it, and a factor r on the variance of the robot's noise maximise the
-restricted likelihood: an arm that was stated by the size of its error has less noise than that. With the cameras
-eliminated, the information on the coefficients is diagonal in some axes, with information d and pull z along each;
-minus twice the logarithm of the likelihood is then, but for what depends on r alone,
+standard deviation t maximises the restricted likelihood. With the cameras eliminated, the information on the
+coefficients is diagonal in some axes, with information d and pull z along each; minus twice the logarithm of the
+likelihood is then
 
     sum log(1 + t^2 d / v) - sum t^2 z^2 / (v^2 (1 + t^2 d / v)) + R / v + N log v
 
-with R the squared residuals without it, N their degrees of freedom, and v a factor on the variance of all noise. It is
-free: noise that is larger than stated leaves large residuals everywhere, and must not pass for an arm.
+with R the squared residuals without it, N their degrees of freedom, and v the factor on the variance of the noise. The
+factor is free: noise that is larger than stated leaves large residuals everywhere, and must not pass for an arm.
 Source: Harville, "Maximum likelihood approaches to variance component estimation" (1977).
 """
 
@@ -19,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.estimation.gates import Gated, fit_with_gates
+from im_calibration.estimation.noise import NoiseLikelihood
 from im_calibration.estimation.residuals import linearise
 from im_calibration.estimation.unknowns import ParameterLayout
-from im_calibration.problem.arm_error import WRIST_SHARES, ArmError
+from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.problem import CalibrationProblem
 
 Array = NDArray[np.float64]
 
 _FACTORS = np.geomspace(1e-2, 1.0, 41)
-_ROBOT_FACTORS = (1.0, 0.01, 0.1, 0.3, 0.6, 4.0, 25.0)  # r, on variances
 _GAIN = 4.0
 _ROUNDS, _CONVERGED = 4, 0.1
 
@@ -40,13 +39,11 @@ class Explanation:
         problem: The observations, with the error of the arm and the noise as they were taken.
         layout: Places of the unknowns.
         gated: The fit.
-        robot_scale: Factor on the robot's standard deviations of `problem`, beside the smooth error.
     """
 
     problem: CalibrationProblem
     layout: ParameterLayout
     gated: Gated
-    robot_scale: float = 1.0
 
 
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
@@ -60,84 +57,76 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
-    straight = replace(problem, arm_error=None)
-    found = Explanation(problem, ParameterLayout.of(problem), gated)
     if problem.placements is not None:  # a target's own place takes up what is alike at neighbours
-        return found
+        return Explanation(problem, ParameterLayout.of(problem), gated)
+    whole = ArmError.largest(problem.positions)
+    factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
+    found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
-        try:
-            error, robot = _likeliest(found, straight, robot_known=robot_known)
-        except np.linalg.LinAlgError:  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
-            return Explanation(straight, ParameterLayout.of(straight), gated)
-        before, unknowns = found.problem.arm_error, found.gated.fit.unknowns
-        if error is None and before is None:
+        before, factor = factor, _factor(found, whole, robot_known=robot_known)
+        if abs(factor - before) <= _CONVERGED * before:
             break
-        old, new = (0.0 if each is None else each.standard_deviation for each in (before, error))
-        bent = replace(straight.with_noise(1.0, robot), arm_error=error)
+        bent = replace(problem, arm_error=whole.times(factor) if factor else None)
         layout = ParameterLayout.of(bent)
-        coefficients = np.zeros(layout.arm)
-        if old and len(unknowns.arm_error) == layout.arm:
-            coefficients = unknowns.arm_error * (old / new)
-        fit = fit_with_gates(replace(unknowns, arm_error=coefficients), bent, layout)
-        found = Explanation(bent, layout, fit, robot)
-        if error is None or abs(new - old) <= _CONVERGED * old:
+        unknowns = found.gated.fit.unknowns
+        scaled = unknowns.arm_error * (before / factor) if before and factor else np.zeros(layout.arm)
+        found = Explanation(bent, layout, fit_with_gates(replace(unknowns, arm_error=scaled), bent, layout))
+        if not factor:
             break
-    return found
+    try:
+        if found.problem.arm_error is None or not robot_known or _preferred(found):
+            return found
+    except np.linalg.LinAlgError:
+        pass  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
+    plain = replace(problem, arm_error=None)
+    return Explanation(plain, ParameterLayout.of(plain), gated)
 
 
-def _likeliest(found: Explanation, straight: CalibrationProblem, *, robot_known: bool) -> tuple[ArmError | None, float]:
-    """Find error and factor on the robot's standard deviations: of greatest likelihood, or the mean of all sizes."""
-    unknowns, used, present = found.gated.fit.unknowns, found.gated.used, found.problem.arm_error
-    line = linearise(unknowns, found.problem, found.layout, used)
-    residuals = line.residuals
-    if present is not None:
-        residuals = residuals + np.einsum("nui,nik,k->nu", line.by_point, present.jacobians, unknowns.arm_error)
-    rest = found.layout.size - found.layout.arm
-    prior, shared = found.layout.prior(unknowns), found.layout.shared_slice
-    free = max(1, 2 * int(used.sum()) - found.layout.free_size)
-    of_robot = line.by_point @ straight.own_covariances @ np.swapaxes(line.by_point, 1, 2)
-    of_image = line.covariances - line.by_point @ found.problem.own_covariances @ np.swapaxes(line.by_point, 1, 2)
-    whole = {
-        share: ArmError.largest(straight.positions, straight.wrist_rotations, share)
-        for share in (WRIST_SHARES if np.ptp(straight.wrist_rotations, axis=0).max() > 0.0 else WRIST_SHARES[:1])
-    }
+def _preferred(found: Explanation) -> bool:
+    """Check whether a smooth error explains the spots better than any noise of image and robot does."""
+    unknowns, used = found.gated.fit.unknowns, found.gated.used
+    plain = replace(found.problem, arm_error=None)
+    without = NoiseLikelihood(replace(unknowns, arm_error=np.zeros(0)), plain, ParameterLayout.of(plain), used)
+    smooth = NoiseLikelihood(unknowns, found.problem, found.layout, used)
+    return bool(without.least() - smooth.least() > _GAIN)
+
+
+def _factor(found: Explanation, whole: ArmError, *, robot_known: bool) -> float:
+    """Factor on the largest error: of greatest likelihood, 0 where none is needed; or the mean of what is possible."""
+    problem = replace(found.problem, arm_error=whole)
+    layout = ParameterLayout.of(problem)
+    unknowns, present = found.gated.fit.unknowns, found.problem.arm_error
+    size = 0.0 if present is None else present.standard_deviation / whole.standard_deviation
+    coefficients = size * unknowns.arm_error if present is not None else np.zeros(layout.arm)
+    unknowns = replace(unknowns, arm_error=coefficients)
+    line = linearise(unknowns, problem, layout, found.gated.used)
+    arm, rest = layout.arm_slice, slice(0, layout.size - layout.arm)
+    residuals = line.residuals + line.jacobians[:, :, arm] @ coefficients
+    weighted = np.linalg.inv(line.covariances) @ line.jacobians
+    rows = line.jacobians.reshape(-1, layout.size)
+    information = rows.T @ weighted.reshape(-1, layout.size)
+    pull = weighted.reshape(-1, layout.size).T @ residuals.ravel()
+    prior = layout.prior(unknowns)
+    own = information[rest, rest] + prior.information[rest, rest]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
+    own = own * scale[:, None] * scale + 1e-12 * np.eye(len(scale))
+    cross = information[rest, arm] * scale[:, None]
+    shift = np.linalg.solve(own, np.column_stack((cross, (pull[rest] + prior.gradient[rest]) * scale)))
+    d, axes = np.linalg.eigh(information[arm, arm] - cross.T @ shift[:, :-1])
+    z2 = (axes.T @ (pull[arm] - cross.T @ shift[:, -1])) ** 2
+    squared = float(np.einsum("ni,nij,nj->", residuals, np.linalg.inv(line.covariances), residuals))
+    squared -= float((pull[rest] + prior.gradient[rest]) * scale @ shift[:, -1])
+    freedom = max(1, 2 * int(found.gated.used.sum()) - layout.free_size)
+    d = np.maximum(d, 0.0)
     t2 = np.concatenate(([0.0], _FACTORS**2))[:, None]  # over the variance of the noise
-    best, straight_deviance = (np.inf, 0.0, 1.0, 1.0, np.zeros(0), np.zeros(0)), np.inf
-    noisy = robot_known and (bool(of_robot.any()) or shared.stop > shared.start)
-    for robot in _ROBOT_FACTORS if noisy else _ROBOT_FACTORS[:1]:
-        lower = np.linalg.cholesky(of_image + robot * of_robot)
-        by_rest, points, off = (
-            np.linalg.solve(lower, each).reshape(lower.shape[0] * lower.shape[1], -1)
-            for each in (line.jacobians[:, :, :rest], line.by_point, residuals[..., None])
-        )
-        information, gradient = prior.information[:rest, :rest].copy(), prior.gradient[:rest].copy()
-        information[shared, shared] /= robot
-        gradient[shared] /= robot
-        own = by_rest.T @ by_rest + information
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-300))
-        root = np.linalg.cholesky(own * scale[:, None] * scale + 1e-12 * np.eye(rest))
-        pull = np.linalg.solve(root, (by_rest.T @ off[:, 0] + gradient) * scale)
-        squared = float(off[:, 0] @ off[:, 0] - pull @ pull)
-        constant = 2.0 * float(
-            np.log(np.diagonal(lower, axis1=1, axis2=2)).sum() + np.log(np.diag(root)).sum() - np.log(scale).sum()
-        ) + (shared.stop - shared.start) * np.log(robot)
-        for share, error in whole.items():
-            by_arm = (points.reshape(*lower.shape[:2], 3) @ error.jacobians).reshape(len(points), -1)
-            cross = np.linalg.solve(root, (by_rest.T @ by_arm) * scale[:, None])
-            d, axes = np.linalg.eigh(by_arm.T @ by_arm - cross.T @ cross)
-            z2, d = (axes.T @ (by_arm.T @ off[:, 0] - cross.T @ pull)) ** 2, np.maximum(d, 0.0)
-            left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)
-            noise = np.maximum(left / free, 1e-12)
-            deviance = free * np.log(noise) + left / noise + np.log1p(t2 * d).sum(axis=1) + constant
-            straight_deviance = min(straight_deviance, float(deviance[0]))
-            if deviance.min() < best[0]:
-                at = int(np.argmin(deviance))
-                best = (float(deviance[at]), float(t2[at, 0] * noise[at]), share, robot * noise[at], deviance, noise)
-    least, variance, share, robot, deviance, noise = best
+    left = squared - (t2 * z2 / (1.0 + t2 * d)).sum(axis=1)
+    noise = np.maximum(left / freedom, 1e-12)
+    deviance = freedom * np.log(noise) + left / noise + np.log1p(t2 * d).sum(axis=1)
+    best = int(np.argmin(deviance))
     if not robot_known:
-        possible = _FACTORS * np.exp(-0.5 * (deviance - least))[1:]  # alike for each size, not each logarithm
-        variance = float((possible * np.minimum(t2[1:, 0] * noise[1:], 1.0)).sum() / possible.sum())
-        return whole[share].times(np.sqrt(variance)), 1.0
-    if straight_deviance - least < _GAIN:
-        return None, 1.0
-    return whole[share].times(min(np.sqrt(variance), 1.0)), min(float(np.sqrt(robot)), 1.0)
+        possible = _FACTORS * np.exp(-0.5 * (deviance - deviance[best]))[1:]  # alike for each size, not each logarithm
+        sizes = np.minimum(t2[1:, 0] * noise[1:], 1.0)
+        return float(np.sqrt((possible * sizes).sum() / possible.sum()))
+    if deviance[0] - deviance[best] < _GAIN:
+        return 0.0
+    return float(np.minimum(np.sqrt(t2[best, 0] * noise[best]), 1.0))

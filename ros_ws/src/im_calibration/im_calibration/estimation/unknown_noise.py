@@ -61,21 +61,17 @@ def find_noise(problem: CalibrationProblem, layout: ParameterLayout, free: tuple
     if gated.used.sum(axis=1).min() < REDUNDANT_SPOTS:
         searched = best_explanation(problem.with_noise(*scale), layout, gated)
         gated, scale = _settle(searched.fit.unknowns, problem, layout, free, scale)
-    stated, robot = problem, 1.0
     for _ in range(_ARM_ROUNDS):
-        stood = replace(stated, arm_error=problem.arm_error).with_noise(*scale)
-        bent = with_arm_error(gated, stood, robot_known="robot" not in free)
+        bent = with_arm_error(gated, problem.with_noise(*scale), robot_known="robot" not in free)
         if bent.problem.arm_error is None:
             break
-        robot = bent.robot_scale
-        problem = replace(stated.with_noise(1.0, robot), arm_error=bent.problem.arm_error)
-        layout, before = bent.layout, scale
+        problem, layout, before = replace(problem, arm_error=bent.problem.arm_error), bent.layout, scale
         gated, scale = _settle(bent.gated.fit.unknowns, problem, layout, free, scale)
         if np.abs(np.log(scale / before)).max() < _ARM_CONVERGED:
             break
-    factors = noise_factors(gated.fit.unknowns, replace(stated, arm_error=problem.arm_error), layout, gated.used, free)
+    factors = noise_factors(gated.fit.unknowns, problem, layout, gated.used, free)
     settled = problem.with_noise(*scale)
-    return NoiseFound(Explanation(settled, layout, gated), factors, (float(scale[0]), robot * float(scale[1])))
+    return NoiseFound(Explanation(settled, layout, gated), factors, (float(scale[0]), float(scale[1])))
 
 
 def _settle(

@@ -19,7 +19,7 @@ from im_calibration.judgement.calibration import Calibration, Verdict
 from im_calibration.judgement.causes import LARGEST_ARM_SHARE, LARGEST_SPOT_PX, MEDIAN_LENGTH, strange_units
 from im_calibration.judgement.lenses import LensFault
 from im_calibration.judgement.scale import Scale
-from im_calibration.problem.arm_error import LARGEST_SHARE
+from im_calibration.problem.arm_error import ArmError
 from im_calibration.problem.problem import CalibrationProblem
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB
@@ -289,7 +289,7 @@ def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
 
 def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
     """Report a smooth error as large as that of no arm; empty if it is smaller."""
-    largest = _NEAR_LARGEST * LARGEST_SHARE * float(np.sqrt(problem.positions.var(axis=0).sum()))
+    largest = _NEAR_LARGEST * ArmError.largest(problem.positions).standard_deviation
     if calibration.arm_error_m < min(largest, _LARGEST_ERROR_M):
         return ""
     return (

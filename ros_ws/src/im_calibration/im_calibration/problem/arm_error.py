@@ -1,8 +1,7 @@
 """Smooth error of an arm: constant in time, and alike at neighbouring places.
 
-An arm repeats a position far better than it knows it: its error is a function of its joints, thus of the place of the
-light and the turn of the wrist. Here that function is a polynomial of third order in the place, and of first order in
-the wrist's rotation, with random coefficients: a random field of few terms. Terms that shift or turn all positions
+An arm repeats a position far better than it knows it: its error is a function of the place. Here that function is a
+polynomial of third order with random coefficients, a random field of few terms. Terms that shift or turn all positions
 alike are left out: the frame of the cameras is the one that the arm's readings have as a whole. Source: Rasmussen and
 Williams, "Gaussian Processes for Machine Learning" (2006), sections 2.7 and 4.2.
 """
@@ -21,12 +20,8 @@ Array = NDArray[np.float64]
 LARGEST_SHARE = 4e-3
 """Largest standard deviation of each coordinate of an arm's error, as a share of the extent of its positions [-]."""
 
-WRIST_SHARES = (0.0, 0.25, 0.8)
-"""Sizes that the terms of the wrist may have, of the terms of second order."""
-
-_SHARES = {1: 1.4, 2: 1.0, 3: 0.45}
-"""Size of the terms of each order, of one another, as wrong links, zeros and gears of arms of six joints have them. No
-residual shows the first order, for a camera takes it up; so that it is known by the others alone."""
+_SHARES = {1: 0.6, 2: 1.0, 3: 0.5}
+"""Size of the terms of each order, of one another: most of what the first order has of an arm's error is rigid."""
 
 
 @dataclass(frozen=True)
@@ -40,31 +35,22 @@ class ArmError:
     jacobians: Array
 
     @staticmethod
-    def largest(positions: Array, wrists: Array, wrist_share: float) -> "ArmError":
-        """Return the largest error of an arm.
-
-        Args:
-            positions: Where it goes, shape (n, 3) [m].
-            wrists: Rotations wrist -> base there, shape (n, 3, 3).
-            wrist_share: Size of the terms of the wrist, see :data:`WRIST_SHARES`.
-        """
+    def largest(positions: Array) -> "ArmError":
+        """Return the largest error of an arm that goes to some positions, shape (n, 3) [m]."""
         away = positions - positions.mean(axis=0)
         extent = max(float(np.sqrt((away**2).sum(axis=1).mean())), 1e-300)
         away = away / extent
         turned = np.stack([cross_matrix(place) for place in away])
         rigid = np.concatenate((np.tile(np.eye(3), (len(away), 1, 1)), turned), axis=2).reshape(-1, 6)
         axes = np.linalg.svd(rigid, full_matrices=False)[0]
-        fields = [(wrist_share, wrists.reshape(-1, 9) - wrists.reshape(-1, 9).mean(axis=0))] * (wrist_share > 0.0)
+        blocks = []
         for order, share in _SHARES.items():
             powers = list(combinations_with_replacement(range(3), order))
             counts = [factorial(order) / np.prod([factorial(power.count(i)) for i in range(3)]) for power in powers]
-            terms = np.stack([np.prod(away[:, list(power)], axis=1) for power in powers], axis=1)
-            fields.append((share, terms * np.sqrt(counts)))
-        blocks = []
-        for share, terms in fields:
+            terms = np.stack([np.prod(away[:, list(power)], axis=1) for power in powers], axis=1) * np.sqrt(counts)
             block = np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1)
             block = block - axes @ (axes.T @ block)
-            blocks.append(share * block / max(float(np.linalg.norm(block)), 1e-9))
+            blocks.append(share * block / max(float(np.linalg.norm(block)), 1e-300))
         whole = np.concatenate(blocks, axis=1)
         whole = whole * (LARGEST_SHARE * extent * np.sqrt(len(rigid)) / max(float(np.linalg.norm(whole)), 1e-300))
         return ArmError(whole.reshape(len(away), 3, -1))
