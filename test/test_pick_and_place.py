@@ -75,13 +75,14 @@ def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
         assert why in answer.message
 
 
-def test_a_part_known_to_mcs_is_handed_from_one_arm_to_the_other(machine):
+def test_a_bottle_known_to_mcs_is_handed_from_one_arm_to_the_other(machine):
     for name, (x, y, z, *_) in truth(machine).items():
         answer = set_thing(machine, name=name, frame="world", pose=Pose(position=Point(x=x, y=y, z=z)))
         assert answer.success, answer.message
-    x, y, z = truth(machine)["part"][:3]
-    picked = machine.execute("pick", position=[x, y, z + 0.105], width=0.05, force=110.0, name="part")()
+    x, y, z = truth(machine)["bottle"][:3]
+    picked = machine.execute("pick", position=[x, y, z + 0.085], width=0.05, force=60.0, name="bottle")()
     assert picked.success, picked.status.message
-    handed = machine.execute("hand_over", name="part", width=0.05, force=110.0)()
+    handed = machine.execute("hand_over", name="bottle", width=0.05)()
     assert handed.success, handed.status.message
-    assert truth(machine)["part"][:3] == pytest.approx([0.0, 0.7, 1.1 - 0.105], abs=1e-2), "the right jaws hold it"
+    held = truth(machine)["bottle"]
+    assert held[:3] == pytest.approx([0.0, 0.7, 1.1 - 0.085], abs=1e-2), "the right jaws hold it in the air"

@@ -15,10 +15,9 @@ def test_prints_of_free_bodies_are_wanted_with_the_plates(monkeypatch):
     service = SvcFiducialPose.__new__(SvcFiducialPose)
     service.rig = SimpleNamespace(cell=load_cell())
     found = service._wanted(())
-    assert {7: "table_tag", 21: "tagged_block", 23: "part"}.items() <= {
-        n: each.name for n, each in found.items()
-    }.items()
-    assert found[23].size == 0.045
-    assert found[23].position[2] == pytest.approx(0.97), "its upper face"
+    names = {number: each.name for number, each in found.items()}
+    assert {7: "table_tag", 21: "tagged_block", 22: "tagged_plate"}.items() <= names.items()
+    assert found[22].size == 0.1
+    assert found[22].position[2] == pytest.approx(0.77), "its upper face"
     with pytest.raises(NotFoundError, match="'13'"):
         service._wanted((13,))
