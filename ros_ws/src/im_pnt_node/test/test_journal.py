@@ -350,8 +350,8 @@ def test_no_request_has_the_name_of_one_that_an_old_copy_of_the_journal_has_forg
         exchange.receive("back", late)
         pair.run()
         assert pair.marking("front") == {"ask.active": 1}
-        lives = {name: [activity.incarnation for activity in net.activities] for name, net in exchange.nets.items()}
-        assert lives == {"front": [""], "waiter": [first]}  # what had begun before keeps its name
+        lives = {name: [activity.begun_as for activity in net.activities] for name, net in exchange.nets.items()}
+        assert lives == {"front": [""], "waiter": [f"{first}/waiter"]}  # what had begun before keeps its name
         assert exchange.book.incarnation != first
         pair.kill("front")
         pair.start("front")

@@ -219,7 +219,8 @@ def _activity_of(rule: FiringRule, known: Mapping[object, Job], content: object)
             activity.doubt, activity.doubted = decode_error(doubt), activity.began
             if reply is not None:
                 activity.reply = REPLY.decode(reply)
-            activity.begun_as = str(renamed[0]) if renamed else ""
+            if renamed:  # older journals have no net there
+                activity.begun_as = str(renamed[0]) if "/" in str(renamed[0]) else f"{renamed[0]}/{activity.net}"
             return activity
     raise ValueError(f"{str(content)[:80]} is no action that runs")
 
