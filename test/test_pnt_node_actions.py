@@ -201,7 +201,7 @@ class Doubtful:
     """An action of which it is not known what became."""
 
     def __init__(self, action):
-        self.action, self.incarnation, self.net, self.number = action, "before", "worker", 1
+        self.action, self.begun_as, self.net, self.number = action, "before/worker", "worker", 1
 
 
 def path(ctx):
