@@ -42,15 +42,10 @@ class MotionProgress:
     Attributes:
         share: Of its time that has passed, 0 to 1.
         point: Point of the path that it is on its way to.
-        time_s: Since it began [s].
-        place_s: Time at which the motion that was asked for is where this one is now: less than ``time_s`` where it is
-            re-timed, paused or slowed down [s].
     """
 
     share: float
     point: int
-    time_s: float
-    place_s: float
 
 
 OnReply = Callable[[ServoReply], None]
@@ -216,8 +211,7 @@ class ServoClient:
                 self._waiting.pop(number, None)
         if message["event"] == "progress":
             if on_progress is not None:
-                share, point = float(message["progress"]), int(message["point"])
-                on_progress(MotionProgress(share, point, float(message["time"]), float(message["place"])))
+                on_progress(MotionProgress(float(message["progress"]), int(message["point"])))
         elif on_reply is not None:
             error = message.get("error")
             fault = ImError.restored(error["code"], error["message"], error["facts"]) if error else None

@@ -58,6 +58,8 @@ def snapshot_type(config: McsConfig) -> np.dtype[np.void]:
             ("setpoint", "<f8", joints),
             ("setpoint_v", "<f8", joints),
             ("setpoint_a", "<f8", joints),
+            ("place_s", "<f8", joints),
+            ("since_s", "<f8", joints),
             ("age", "<f8", joints),
             ("gripper", "<f8", grippers),
             ("gripper_force", "<f8", grippers),

@@ -470,25 +470,11 @@ class ControlledGroup:
         return np.asarray(self.setpoint.q - q[self.index])
 
     def progress(self) -> dict[str, Any] | None:
-        """Return for the goal under way the id, the passed share of time, point, desired and actual motion.
-
-        ``place`` is the time at which the motion that was asked for is where this one is now [s], ``retimed`` says why
-        that is not the time since it began.
-        """
-        current, setpoint = self._current, self.planner.setpoint
+        """Return for the goal under way the id, the passed share of time and the point; None: there is none."""
+        current = self._current
         if current is None:
             return None
-        place, since = self.times
-        return {
-            "id": current.goal.id,
-            "progress": self.planner.progress,
-            "point": self.planner.point,
-            "place": place,
-            "retimed": "" if current.retimed is None else current.retimed.report,
-            "time": since,
-            "desired": {"positions": setpoint.q.tolist(), "velocities": setpoint.v.tolist()},
-            "actual": {"positions": self.check.q.tolist()},
-        }
+        return {"id": current.goal.id, "progress": self.planner.progress, "point": self.planner.point}
 
     @property
     def times(self) -> tuple[float, float]:

@@ -92,6 +92,7 @@ class Reporter:
             i, monitor = group.place, group.monitor
             reservation = mcs.manager.reservations.of(name)
             fields["reserved"][i] = reservation is not None
+            fields["place_s"][i], fields["since_s"][i] = group.times
             fields["at_rest"][i] = monitor.at_rest
             fields["rest_since_tick"][i] = monitor.since_tick
             fields["rest_window"][i] = monitor.window

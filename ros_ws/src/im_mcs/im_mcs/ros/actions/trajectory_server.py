@@ -153,11 +153,14 @@ class TrajectoryServer:
             path[field] = [value or parameter(name) for value, name in zip(given, names, strict=True)]
         path["goal_time_tolerance"] = path["goal_time_tolerance"] or parameter(_GOAL_TIME)
 
-    def _feedback(self, group: str, handle: ServerGoalHandle, progress: MotionProgress) -> None:
-        """Publish desired and actual motion, with place on the requested motion and time since the begin."""
+    def _feedback(self, group: str, handle: ServerGoalHandle, _: MotionProgress) -> None:
+        """Publish desired and actual motion of a tick, with place on the requested motion and time since the begin."""
         snapshot = self._mcs.client().snapshot()
         description = self._mcs.group(group)
         index = self._mcs.index(description)
+        place_s, since_s = float(snapshot["place_s"][index[0]]), float(snapshot["since_s"][index[0]])
+        if since_s == 0.0:
+            return  # the motion has ended meanwhile
         message = FollowJointTrajectory.Feedback(joint_names=list(description.joints))
         message.header.stamp = to_stamp(int(snapshot["stamp_ns"]))
         wanted = [snapshot[name][index] for name in ("setpoint", "setpoint_v", "setpoint_a")]
@@ -165,7 +168,7 @@ class TrajectoryServer:
         message.desired = messages.trajectory_point(wanted)
         message.actual = messages.trajectory_point(actual)
         message.error = messages.trajectory_point([a - b for a, b in zip(wanted, actual, strict=False)])
-        message.desired.time_from_start = messages.duration(progress.place_s)
-        message.actual.time_from_start = messages.duration(progress.time_s)
-        message.error.time_from_start = messages.duration(progress.place_s - progress.time_s)
+        message.desired.time_from_start = messages.duration(place_s)
+        message.actual.time_from_start = messages.duration(since_s)
+        message.error.time_from_start = messages.duration(place_s - since_s)
         handle.publish_feedback(message)
