@@ -268,10 +268,10 @@ def test_nodes_are_listed_with_what_they_offer(im):
     assert code == 0
     assert "  Subscribers:\n    /oven/heat: std_msgs/msg/Float64\n" in out
     assert "  Action Servers:\n    /oven/door: control_msgs/action/GripperCommand\n" in out
-    for words in (["node", "info", "/stove"], ["lifecycle", "get", "/stove"], ["param", "set", "/stove", "degrees", "1"]):
-        code, _, err = im(*words, "--timeout", "1")
+    for words in ("node info /stove", "lifecycle get /stove", "param set /stove degrees 1"):
+        code, _, err = im(*words.split(), "--timeout", "1")
         assert code == 3
-        assert f"im {words[0]}: there is no node '/stove' (waited 1 s)" in err
+        assert f"im {words.split()[0]}: there is no node '/stove' (waited 1 s)" in err
 
 
 def test_states_of_lifecycle_nodes_are_told_and_changed(im):
