@@ -132,7 +132,8 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
             return DONE
     if options.attach is not None:
         return ended(machine, machine.attach(options.attach), "im run", options.json)
-    commands = list(machine.commands.values())
+    known = machine.commands
+    commands = list(known.values())
     with contextlib.suppress(StoreError):  # a shell then completes no names
         write_whole(run_dir() / "commands.txt", completions(commands))
         write_whole(run_dir() / _TOLD, json.dumps(commands))
@@ -140,7 +141,7 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
         print_list(commands, machine.under_way)
         return DONE
     try:
-        parser = CommandParser(command_told(commands, options.name, machine.left_out))
+        parser = CommandParser(command_told(commands, options.name, {} if options.name in known else machine.left_out))
         arguments, given = parser.read(texts)
         require_text(json.dumps(taken := handed_over(arguments), allow_nan=False), "the arguments")
     except (NotFoundError, StateError, FileError, StoreError) as error:

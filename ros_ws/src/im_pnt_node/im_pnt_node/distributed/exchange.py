@@ -137,13 +137,17 @@ class Exchange:
             net: The same as written, under the other name.
             record: Takes what happens to it from now on.
         """
-        for activity in executor.activities:
-            activity.begun_as = activity.begun_as or f"{self.book.incarnation}/{activity.net}"
+        self._keep_names(executor)
         executor.rename(net, record)
         for job in executor.jobs():
             if job.request is not None and job.request.id in self.inboxes.in_work:
                 self.inboxes.in_work[job.request.id] = replace(self.inboxes.in_work[job.request.id], net=net.name)
         self.nets[net.name] = executor
+
+    def _keep_names(self, executor: Executor) -> None:
+        """Let running actions keep the names that their goals have."""
+        for activity in executor.activities:
+            activity.begun_as = activity.begun_as or f"{self.book.incarnation}/{activity.net}"
 
     # What the nets of this process send.
 
@@ -494,8 +498,7 @@ class Exchange:
                 del self.inboxes.in_work[request_id]
             case RequestsRenamed(incarnation):
                 for executor in self.nets.values():
-                    for activity in executor.activities:
-                        activity.begun_as = activity.begun_as or f"{self.book.incarnation}/{activity.net}"
+                    self._keep_names(executor)
                 self.book.incarnation = incarnation
             case TokenKept(net, place):
                 self.undeliverable[RemotePlace(net, place)] += 1

@@ -143,6 +143,8 @@ class GraphParser:
         options = self._parser.parse_args(texts)
         try:
             with spun(GraphClient) as node:
+                if getattr(options, "node_name", None):
+                    node.find("node", options.node_name, options.timeout)
                 code: int = options.do(node, options)
                 return code
         except KeyboardInterrupt:

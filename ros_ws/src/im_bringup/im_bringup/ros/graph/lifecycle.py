@@ -34,8 +34,6 @@ def _nodes(node: GraphClient, _: argparse.Namespace) -> int:
 
 
 def _get(node: GraphClient, options: argparse.Namespace) -> int:
-    if options.node_name:
-        node.find("node", options.node_name, options.timeout)
     for name in [options.node_name] if options.node_name else _found(node):
         state = node.ask(node.create_client(GetState, f"{name}{_STATE}"), GetState.Request(), options.timeout)
         prefix = "" if options.node_name else f"{name}: "
@@ -45,7 +43,6 @@ def _get(node: GraphClient, options: argparse.Namespace) -> int:
 
 def _transitions(node: GraphClient, options: argparse.Namespace) -> dict[str, int]:
     """Return label and number of each transition of a node that is possible now."""
-    node.find("node", options.node_name, options.timeout)
     client = node.create_client(GetAvailableTransitions, f"{options.node_name}/get_available_transitions")
     answer = node.ask(client, GetAvailableTransitions.Request(), options.timeout)
     return {each.transition.label: each.transition.id for each in answer.available_transitions}

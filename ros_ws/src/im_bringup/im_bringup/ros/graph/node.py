@@ -30,7 +30,6 @@ _ENDS = {
 
 
 def _info(node: GraphClient, options: argparse.Namespace) -> int:
-    node.find("node", options.node_name, options.timeout)
     node.listed("node")  # what it offers comes after its name
     print(options.node_name)
     space, _, name = options.node_name.rpartition("/")

@@ -40,7 +40,6 @@ def _names(node: GraphClient, owner: str, timeout_s: float) -> list[str]:
 
 def _list(node: GraphClient, options: argparse.Namespace) -> int:
     if options.node_name:
-        node.find("node", options.node_name, options.timeout)
         return print_all(_names(node, options.node_name, options.timeout))
     for service in node.listed("service"):
         if service.endswith(LISTING):
@@ -52,7 +51,6 @@ def _list(node: GraphClient, options: argparse.Namespace) -> int:
 
 def _get(node: GraphClient, options: argparse.Namespace) -> int:
     owner, name = options.node_name, options.parameter_name
-    node.find("node", owner, options.timeout)
     client = node.create_client(GetParameters, f"{owner}/get_parameters")
     (value,) = node.ask(client, GetParameters.Request(names=[name]), options.timeout).values or (None,)
     if value is None or value.type == 0:
@@ -62,7 +60,6 @@ def _get(node: GraphClient, options: argparse.Namespace) -> int:
 
 
 def _set(node: GraphClient, options: argparse.Namespace) -> int:
-    node.find("node", options.node_name, options.timeout)
     client = node.create_client(SetParameters, f"{options.node_name}/set_parameters")
     value = get_parameter_value(string_value=options.value)
     request = SetParameters.Request(parameters=[Parameter(name=options.parameter_name, value=value)])
