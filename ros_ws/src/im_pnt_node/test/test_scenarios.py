@@ -1,5 +1,6 @@
 """Scenarios: what comes when, what is answered, what is expected; the shipped ones, and the ones that must fail."""
 
+import gc
 import re
 import subprocess
 import sys
@@ -24,7 +25,7 @@ from im_pnt_node.scenario.file import (
     StepFile,
     load_scenarios,
 )
-from im_pnt_node.scenario.run import Coverage
+from im_pnt_node.scenario.run import Coverage, ScenarioRunner
 from im_pnt_node.scenario.verdict import judge, message_types, unreached
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -453,3 +454,18 @@ def test_any_of_several_diagnostics_interrupts(tmp_path, capsys):
     (tmp_path / "diagnosed.yaml").write_text(DIAGNOSED)
     (tmp_path / "diagnosed.test.yml").write_text(DIAGNOSES)
     assert run(tmp_path / "diagnosed.yaml") == command.PASSED, capsys.readouterr().out
+
+
+def test_a_garbage_collection_at_any_moment_changes_nothing(monkeypatch):
+    """An action without an answer waits in a cycle of objects: broken early, it would end as a failure of its own."""
+    pump = ScenarioRunner._pump
+
+    def collecting(self, executors):
+        pump(self, executors)
+        gc.collect()
+
+    monkeypatch.setattr(ScenarioRunner, "_pump", collecting)
+    scenarios = load_scenarios(ROOT / "docs/nets/tasks/confirm.test.yml")
+    scenario = next(each for each in scenarios.scenarios if each.name == "the_press_is_silent")
+    verdict = judge(scenarios, scenario, Coverage(), message_types())
+    assert not verdict.complaints, verdict.told("confirm.test.yml")

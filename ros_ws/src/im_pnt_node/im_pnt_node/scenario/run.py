@@ -146,6 +146,7 @@ class ScenarioRunner(Observer):
         self._file, self._coverage, self._draws, self._values = scenario.content, coverage, draws, values
         self._now, self._timers, self._used = 0.0, Timers(), Counter[str]()
         self._guards = dict(self._file.guards)
+        self._paused: set[Coroutine[object, object, None]] = set()
         self._asked: dict[tuple[str, str], tuple[int, bool]] = {}
         self._objects = _MockedObjects(self._file.objects)
         self._waiting: dict[tuple[str, str], list[tuple[int, StepFile]]] = defaultdict(list)
@@ -199,6 +200,8 @@ class ScenarioRunner(Observer):
         out.time = self._now
         out.marking = {name: executor.marking() for name, executor in self._exchange.nets.items()}
         out.unrest = [f"net {executor.net.name}: {rest}" for executor in executors if not (rest := executor.at_rest())]
+        for work in self._paused:
+            work.close()
         return out
 
     def _pump(self, executors: Sequence[Executor]) -> None:
@@ -446,12 +449,14 @@ class ScenarioRunner(Observer):
 
     def _go_on(self, work: Coroutine[object, object, None]) -> None:
         """Run a coroutine until it pauses; it goes on when the pause is over."""
+        self._paused.discard(work)
         try:
             pause = work.send(None)
         except StopIteration:
             return
         assert isinstance(pause, _Pause)
         pause.then = partial(self._go_on, work)
+        self._paused.add(work)  # else only a cycle holds it, for garbage collection to break
 
     # Guards.
 
