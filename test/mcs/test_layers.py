@@ -3,11 +3,16 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Point, Pose, Quaternion, WrenchStamped
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from im_cell.robot import load_cell
 from im_core import clock
+from im_mcs.model import CellModel
+from im_msgs.action import Move
 from im_msgs.msg import GroupSetpoints, GroupTorques, SetpointCommand, SlotStates, TorqueCommand
 from im_msgs.srv import RenewLease, ReserveGroup, SetPartition
 
@@ -155,6 +160,56 @@ def test_partition_without_a_restart(client):
         answer = client.call(SetPartition, "set_partition", preset="2x9")
         assert not answer.success
         assert "release first" in answer.message
+    finally:
+        client.to_cold()
+        assert client.call(SetPartition, "set_partition", preset="2x9").success
+
+
+def test_both_arms_move_as_one(client):
+    """Over ROS: the first arm by its joints alone, an arc, and the second wrist in the frame of the first."""
+    model = CellModel(load_cell())
+
+    def apart():
+        q = np.array(client.group_state("testbed").q)
+        return model.pose(q, "left_wrist").actInv(model.pose(q, "right_wrist"))
+
+    def act(**fields):
+        return client.act(Move, "/testbed/move", Move.Goal(**fields))[1]().result
+
+    def pose(se3):
+        x, y, z, *turn = pin.SE3ToXYZQUAT(se3).tolist()
+        return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(**dict(zip("xyzw", turn, strict=True))))
+
+    try:
+        answer = client.call(SetPartition, "set_partition", preset="1x18")
+        assert answer.success, answer.message
+        client.until(lambda: client.states[-1].preset == "1x18")
+        client.to_motion(group="testbed")
+        q = np.array(client.group_state("testbed").q_rest)
+        q[7] = q[16] = 0.8
+        assert client.move(q.tolist(), group="testbed").success
+        begin = apart()
+        points = [JointTrajectoryPoint(positions=(q[:9] + np.array([0, 0, 0, 0.05, 0.05, 0, 0.1, 0, 0.1])).tolist())]
+        result = act(path=JointTrajectory(joint_names=client.joints, points=points))
+        assert result.success, result.status.message
+        np.testing.assert_allclose(apart().homogeneous, begin.homogeneous, atol=5e-4)
+        wrist = model.pose(np.array(client.group_state("testbed").q_rest), "left_wrist")
+        steps = [pin.SE3(wrist.rotation, wrist.translation + step) for step in ([0.02, 0.02, 0.0], [0.02, 0.05, 0.01])]
+        beside = begin * pin.SE3(np.eye(3), np.array([0.02, 0.0, 0.03]))
+        result = act(line=[pose(each) for each in steps], arc=True, relative=[pose(beside)], line_speed=0.1)
+        assert result.success, result.status.message
+        np.testing.assert_allclose(apart().homogeneous, beside.homogeneous, atol=5e-4)
+        result = act(relative=[pose(begin)])
+        assert result.success, result.status.message
+        np.testing.assert_allclose(apart().homogeneous, begin.homogeneous, atol=5e-4)
+        for fields, words in (
+            ({"arc": True, "relative": [pose(begin)]}, "arc is for a line"),
+            ({"arc": True, "line": [pose(wrist)]}, "arcs need two poses each"),
+            ({"relative": [Pose(orientation=Quaternion(w=0.5))]}, "relative pose 1"),
+            ({"line": [pose(wrist)], "relative": [pose(begin)] * 2}, "2 relative poses are given for 1"),
+            ({"path": JointTrajectory(joint_names=client.joints, points=points), "line_speed": 0.1}, "line_speed"),
+        ):
+            assert words in act(**fields).status.message
     finally:
         client.to_cold()
         assert client.call(SetPartition, "set_partition", preset="2x9").success

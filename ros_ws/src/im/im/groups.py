@@ -106,7 +106,14 @@ class Arm(Group):
         """Gripper of the arm."""
         return Gripper(self._connection, f"{self.name}_gripper")
 
-    def move_to(self, pose: Pose, straight: bool = False, speed_scale: float = 1.0, until_force: float = 0.0) -> None:
+    def move_to(
+        self,
+        pose: Pose,
+        straight: bool = False,
+        speed_scale: float = 1.0,
+        until_force: float = 0.0,
+        via: Pose | None = None,
+    ) -> None:
         """Move the wrist frame to a pose, and wait for rest; Ctrl-C stops the motion.
 
         Args:
@@ -114,14 +121,16 @@ class Arm(Group):
             straight: Along a straight line of the wrist; else interpolated in the joints.
             speed_scale: 0.01 to 1 of the configured limits.
             until_force: Change of the force at the wrist that ends the motion on its way [N]; 0: none.
+            via: Place on the way: along the arc that passes it. Its orientation does not count.
 
         Raises:
             MachineError: The pose is out of reach, or the motion failed or was refused, or met no such force.
         """
         wrist = pose.message(self.tool_pose)
         goal = Move.Goal(speed_scale=float(speed_scale), until_force=float(until_force))
-        if straight:
-            goal.line = [wrist]
+        if straight or via is not None:
+            goal.arc = via is not None
+            goal.line = [wrist] if via is None else [via.message(self.tool_pose), wrist]
             self._move(goal)
             return
         answer = self._connection.call(

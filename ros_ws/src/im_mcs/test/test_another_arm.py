@@ -10,6 +10,7 @@ from im_core.errors import ImError
 from im_mcs.inverse import Arm, ArmTracker, InverseKinematics
 from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.model import CellModel
+from im_mcs.planning.checks.context import PlanContext
 from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove
@@ -37,7 +38,7 @@ class AnotherModel(CellModel):
             place = link(a, d, alpha)
         self.pin.addFrame(pin.Frame(FRAME, joint, 0, place, pin.FrameType.OP_FRAME))
         self.names, self.n = NAMES, len(NAMES)
-        self.cell = SimpleNamespace(home=HOME)
+        self.cell = SimpleNamespace(home=HOME, joints=[SimpleNamespace(kind="revolute")] * len(NAMES))
         self._data = self.pin.createData()
 
 
@@ -79,9 +80,7 @@ def line(other, ranges, config, q, way):
     """Prepare a line of the tool from positions along a way [m]; the pose that is asked for, and where it ends."""
     begin = other.pose(q, FRAME)
     target = pin.SE3(begin.rotation, begin.translation + way)
-    context = SimpleNamespace(
-        model=other, limits=ranges, index=np.arange(6), frames=(FRAME,), q_all=lambda: q, period_s=0.009, config=config
-    )
+    context = PlanContext(other, ranges, np.arange(6), (FRAME,), lambda: q, 0.009, config)
     preparation = LinePreparation(
         context, LineMove(poses=[pin.SE3ToXYZQUAT(target).tolist()]), lambda: Setpoint.at_rest(q)
     )

@@ -1,4 +1,4 @@
-"""Straight lines of two wrists that keep their relative pose, as if both held one part."""
+"""Motions of two wrists as one: with their relative pose kept, as if both held one part, or given on the way."""
 
 import numpy as np
 import pinocchio as pin
@@ -9,7 +9,7 @@ from im_mcs.client.kinematics import Kinematics
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.checks.context import PlanContext
-from im_mcs.planning.line.geometry import CarriedPath
+from im_mcs.planning.line.geometry import CarriedPath, LinePath
 from im_mcs.planning.line.line import LinePreparation
 from im_mcs.planning.trajectories.trajectory import Setpoint
 from im_mcs.protocol.requests import LineMove
@@ -78,10 +78,106 @@ def test_both_wrists_keep_their_relative_pose(config, model, bent, index):
         np.testing.assert_allclose(now.homogeneous, then.homogeneous, atol=1e-5)
 
 
+def wrists_on_way(model, bent, index, trajectory):
+    for row in trajectory.span(np.linspace(0.0, trajectory.duration, 200)).q:
+        q = bent.copy()
+        q[index] = row
+        yield q, *both(model, q)
+
+
+def test_on_an_arc_both_wrists_keep_their_relative_pose(config, model, bent):
+    first, _ = both(model, bent)
+    via, end = [0.06, 0.02, -0.02], [0.08, 0.1, -0.04]
+    poses = [pose(first, via, [1.0, 0.0, 0.0]), pose(first, end, [0.0, 0.0, 0.1])]  # the turn on the way does not count
+    trajectory = prepared(config, model, bent, ALL, LineMove(poses=poses, arc=True, speed=0.2))
+    places = []
+    for q, now, _ in wrists_on_way(model, bent, ALL, trajectory):
+        worst = apart(model, q, bent)
+        assert worst[0] < 5e-5
+        assert worst[1] < 1e-4
+        places.append(now.translation)
+    centre, radius = circle(first.translation, first.translation + via, first.translation + end)
+    np.testing.assert_allclose(np.linalg.norm(np.array(places) - centre, axis=1), radius, atol=2e-5)
+    assert min(np.linalg.norm(place - first.translation - via) for place in places) < 2e-3
+    np.testing.assert_allclose(now.homogeneous, pin.XYZQUATToSE3(np.array(poses[1])).homogeneous, atol=1e-5)
+
+
+def circle(a, b, c):
+    """Centre and radius, by the formula of barycentric coordinates."""
+    sides = np.array([np.sum((b - c) ** 2), np.sum((c - a) ** 2), np.sum((a - b) ** 2)])
+    weights = sides * (sides.sum() - 2.0 * sides)
+    centre = weights @ np.array([a, b, c]) / weights.sum()
+    return centre, np.linalg.norm(a - centre)
+
+
+def test_while_the_first_arm_moves_in_joint_space_the_second_wrist_goes_along(config, model, bent):
+    points = np.array([bent[:9], bent[:9]])
+    points[:, 3:9] += [[0.1, -0.05, 0.05, 0.0, 0.1, 0.2], [0.0, 0.05, 0.1, 0.1, 0.0, 0.0]]
+    move = LineMove(points=points.tolist(), blend=0.02)
+    trajectory = prepared(config, model, bent, ALL, move)
+    ways = []
+    for q, _, _ in wrists_on_way(model, bent, ALL, trajectory):
+        worst = apart(model, q, bent)
+        assert worst[0] < 5e-5
+        assert worst[1] < 1e-4
+        ways.append(q[:9])
+    np.testing.assert_allclose(ways[-1], points[1], atol=1e-9)
+    early = np.array(ways[1:60]) - bent[:9]
+    steps = early[:, 3:4] * (points[0] - bent[:9]) / 0.1  # before the rounded corner all is in proportion
+    np.testing.assert_allclose(early[early[:, 3] < 0.05], steps[early[:, 3] < 0.05], atol=1e-6)
+
+
+@pytest.mark.parametrize("moves", [False, True], ids=["first stands", "first moves"])
+def test_the_second_wrist_goes_through_poses_in_the_first(config, model, bent, moves):
+    first, second = both(model, bent)
+    begin = first.actInv(second)
+    end = begin * pin.SE3(pin.exp3(np.array([0.0, 0.1, 0.05])), np.array([0.04, -0.03, 0.05]))
+    poses = [pose(first, [0.03, 0.06, -0.05], [0.0, 0.0, 0.08])] if moves else None
+    move = LineMove(poses=poses, relative=[pin.SE3ToXYZQUAT(end).tolist()], speed=0.1)
+    trajectory = prepared(config, model, bent, ALL, move)
+    way = end.translation - begin.translation
+    for _, now, other in wrists_on_way(model, bent, ALL, trajectory):
+        gone = now.actInv(other).translation - begin.translation
+        np.testing.assert_allclose(gone, way * (gone @ way) / (way @ way), atol=3e-5)
+        if not moves:
+            np.testing.assert_allclose(now.homogeneous, first.homogeneous, atol=1e-5)
+    np.testing.assert_allclose(now.actInv(other).homogeneous, end.homogeneous, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({}, "has poses, points or relative poses"),
+        ({"poses": [[0, 0, 0, 0, 0, 0, 1]], "points": [[0.0]]}, "poses or points, not both"),
+        ({"poses": [[0, 0, 0, 0, 0, 0, 1]], "arc": True}, "arcs need two poses each"),
+        (
+            {"poses": [[0, 0, 0, 0, 0, 0, 1]], "relative": [[0, 0, 0, 0, 0, 0, 1]] * 2},
+            "2 relative poses are given for 1",
+        ),
+        ({"relative": []}, "a motion through 0 relative poses"),
+    ],
+)
+def test_a_motion_of_two_wrists_that_makes_no_sense_is_refused(fields, words):
+    floats = {
+        name: value if name == "arc" else [[float(x) for x in row] for row in value] for name, value in fields.items()
+    }
+    with pytest.raises(ValueError, match=words):
+        LineMove(**floats)
+
+
+def test_an_arc_needs_three_places_that_are_not_on_a_line(config, model, bent):
+    first, _ = both(model, bent)
+    straight = [pose(first, [0.0, 0.02, 0.0]), pose(first, [0.0, 0.05, 0.0])]
+    with pytest.raises(ImError, match=r"no arc passes .* on a straight line"):
+        prepared(config, model, bent, ALL, LineMove(poses=straight, arc=True))
+
+
 def test_derivatives_of_a_carried_path():
     rng = np.random.default_rng(5)
-    poses = [pin.SE3.Random() for _ in range(4)]
-    path = CarriedPath(poses, rng.normal(size=(4, 3)), 0.1, 0.25, pin.SE3.Random())
+    poses, rows = [pin.SE3.Random() for _ in range(4)], rng.normal(size=(4, 3))
+    vias = [None, rng.normal(size=3), None]
+    lead = LinePath(poses, rows, 0.1, 0.25, vias)
+    path = CarriedPath(lead, LinePath([pin.SE3.Random() for _ in range(4)], rows, 0.1, 0.25, sizes=lead.sizes), 0.1)
     h = 1e-5
     for s in (*rng.uniform(h, path.size - h, 20), path.corners[1] + 0.03, path.corners[2] - 0.05):
         before, place, after = (path.at(s + step) for step in (-h, 0.0, h))
@@ -96,6 +192,14 @@ def test_what_the_second_arm_cannot_do_is_refused_with_its_name(config, model, b
     with pytest.raises(ImError, match="right_") as refused:
         prepared(config, model, bent, ALL, LineMove(poses=[pose(first, [0.0, 0.0, 0.0], [0.0, 0.0, 2.5])], speed=0.25))
     assert refused.value.code in ("unreachable", "singular", "limit")
+
+
+def test_one_wrist_has_no_second(plant_bench, config):
+    bench = plant_bench(config, 3)
+    bench.to_motion("left")
+    path = {"kind": "line", "relative": [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]}
+    reply = bench.ask("move", group="left", path=path, policy="refuse", speed_scale=0.0)
+    assert "are for a group of two" in reply["error"]["message"]
 
 
 @pytest.mark.parametrize("seed", [3])
@@ -117,11 +221,19 @@ def test_measured_at_a_quarter_of_a_metre_a_second(config, plant_bench, model, b
         pose(first, [0.1, 0.15, -0.1], [0.0, 0.0, 0.1]),
         pose(first, [0.0, 0.0, 0.0]),
     ]
-    path = {"kind": "line", "poses": poses, "speed": 0.25, "blend": 0.02}
-    reply = bench.ask("move", on_tick=look, group="testbed", path=path, policy="refuse", speed_scale=0.0)
-    assert reply["success"], reply["error"]
-    assert worst[0] < 3e-4
-    assert worst[1] < 3e-4
+    arc = [pose(first, [0.05, 0.03, -0.02]), pose(first, [0.08, 0.12, -0.05], [0.0, 0.0, 0.1])]
+    joints = np.array([start[:9]])
+    joints[:, 3:9] += [0.1, -0.05, 0.1, 0.1, 0.1, 0.2]
+    for path in (
+        {"kind": "line", "poses": poses, "speed": 0.25, "blend": 0.02},
+        {"kind": "line", "poses": arc, "arc": True, "speed": 0.25},
+        {"kind": "line", "points": joints.tolist()},
+    ):
+        worst = np.zeros(2)
+        reply = bench.ask("move", on_tick=look, group="testbed", path=path, policy="refuse", speed_scale=0.0)
+        assert reply["success"], reply["error"]
+        assert worst[0] < 3e-4
+        assert worst[1] < 3e-4
 
 
 def test_a_group_has_a_wrist_or_a_pair(config, model):

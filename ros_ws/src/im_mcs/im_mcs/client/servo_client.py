@@ -1,5 +1,6 @@
 """The owner's end of the servo process: sends requests, hands out answers. No ROS, no waiting."""
 
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core import clock
-from im_core.errors import ImError, LinkError
+from im_core.errors import FOREIGN, ImError, LinkError
 from im_core.rate_groups import RateStatistics
 from im_mcs.client.time_source import TimeSource
 from im_mcs.protocol.channel import ServoChannel
@@ -192,7 +193,10 @@ class ServoClient:
                 self._heard = clock.monotonic()
             rung = self._channel.bell.wait(_BELL_S if self._channel.requests.empty() else _UNHEARD_S)
             for message in self._channel.events.receive_all():
-                self._hand_out(message)
+                try:
+                    self._hand_out(message)
+                except FOREIGN:  # what takes a message is foreign code: the others still get theirs
+                    threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), self._thread)))
             if not rung and not self._channel.requests.empty() and self._time.tick == tick:
                 self._time.ask_until(tick + 1)  # it stood still before the servo could hear the request
 

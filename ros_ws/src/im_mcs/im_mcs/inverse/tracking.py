@@ -57,6 +57,25 @@ class ArmTracker:
         pin.forwardKinematics(self._pin, self._data, q)
         return pin.updateFramePlacement(self._pin, self._data, self._frame).copy()
 
+    def moved(
+        self, q: NDArray[np.float64], dq: NDArray[np.float64], ddq: NDArray[np.float64]
+    ) -> tuple[pin.SE3, NDArray[np.float64], NDArray[np.float64]]:
+        """Return pose, twist and derivative of the twist of the wrist for a motion of the joints.
+
+        Args:
+            q: Positions of all joints, shape (n,) [rad or m].
+            dq: Derivatives by the path parameter, shape (n,).
+            ddq: Second derivatives, shape (n,).
+
+        Returns:
+            The pose in ``world``, and shape (6,) twice, along its axes: linear, angular.
+        """
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        pin.forwardKinematics(self._pin, self._data, q, dq, ddq)
+        pose = pin.updateFramePlacement(self._pin, self._data, self._frame).copy()
+        twist = pin.getFrameVelocity(self._pin, self._data, self._frame, axes).vector
+        return pose, twist, pin.getFrameClassicalAcceleration(self._pin, self._data, self._frame, axes).vector
+
     def error(self, target: pin.SE3, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Way from the wrist at ``q`` to a pose, shape (6,): linear [m], angular [rad], without turns given up."""
         pin.forwardKinematics(self._pin, self._data, q)

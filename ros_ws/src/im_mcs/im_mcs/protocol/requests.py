@@ -9,7 +9,7 @@ import math
 import reprlib
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from pydantic import (
     ValidationError,
     ValidationInfo,
     field_validator,
+    model_validator,
 )
 from pydantic_core import core_schema
 
@@ -109,13 +110,14 @@ def unit_pose(numbers: list[float]) -> list[float]:
 class _Path(ServoRequest):
     """Common part of paths without times: a bound on the number of points, checked during the validation."""
 
-    @field_validator("points", "poses", mode="before", check_fields=False)
+    @field_validator("points", "poses", "relative", mode="before", check_fields=False)
     @classmethod
     def _count(cls, given: object, info: ValidationInfo) -> object:
         most = (info.context or {}).get("max_points")
         if isinstance(given, list) and (not given or (most is not None and len(given) > most)):
-            what = "path of" if info.field_name == "points" else "line through"
-            raise ValueError(f"a {what} {len(given)} {info.field_name} is not one of 1 to {most}")
+            what = {"points": "path of", "poses": "line through"}.get(info.field_name or "", "motion through")
+            kind = "relative poses" if info.field_name == "relative" else info.field_name
+            raise ValueError(f"a {what} {len(given)} {kind} is not one of 1 to {most}")
         return given
 
 
@@ -127,19 +129,51 @@ class JointMove(_Path):
     blend: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [rad or m]{_BOUND}")] = 0.0
 
 
+Poses = list[Annotated[list[float], AfterValidator(unit_pose)]]
+"""x, y, z, qx, qy, qz, qw of each, with quaternions of length 1."""
+
+
 class LineMove(_Path):
-    """Straight lines of the wrist.
+    """Straight lines or arcs of a wrist; of two wrists the first, and the second beside it.
 
     Attributes:
-        poses: x, y, z, qx, qy, qz, qw of each, with quaternions of length 1.
-        speed: Of the wrist [m/s]; 0: as fast as limits allow.
+        poses: Of the wrist in ``world``; of an arc two each, of which the first gives its place alone.
+        points: In place of the poses: positions of the joints that move the first of two wrists, straight from each to
+            the next, shape (m, n) [rad or m].
+        relative: Poses of the second wrist in the first, at each end of a leg; None: it keeps the one it has. With
+            neither poses nor points the first wrist stands still.
+        arc: Whether the poses are those of arcs.
+        speed: Of the wrist [m/s], and of the second in the first; 0: as fast as limits allow.
         blend: [m]; 0: at rest in every pose.
     """
 
     kind: Literal["line"] = "line"
-    poses: list[Annotated[list[float], AfterValidator(unit_pose)]]
+    poses: Poses | None = None
+    points: Annotated[NDArray[np.float64], _rows(list[list[float]])] | None = None
+    relative: Poses | None = None
+    arc: bool = False
     speed: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [m/s]{_BOUND}")] = 0.0
     blend: Metres = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.poses is None and self.points is None and self.relative is None:
+            raise ValueError("a line has poses, points or relative poses")
+        if self.poses is not None and self.points is not None:
+            raise ValueError("a line has poses or points, not both")
+        if self.arc and (self.poses is None or len(self.poses) % 2):
+            given = 0 if self.poses is None else len(self.poses)
+            raise ValueError(f"arcs need two poses each, one on the way and one at the end; {given} are given")
+        if self.relative is not None and self.ends not in (0, len(self.relative)):
+            raise ValueError(f"{len(self.relative)} relative poses are given for {self.ends} ends of the first wrist")
+        return self
+
+    @property
+    def ends(self) -> int:
+        """How many ends the motion of the first wrist has; 0: it stands still."""
+        if self.points is not None:
+            return len(self.points)
+        return 0 if self.poses is None else len(self.poses) // (2 if self.arc else 1)
 
 
 def _points(given: object, info: ValidationInfo) -> TimedPoints:

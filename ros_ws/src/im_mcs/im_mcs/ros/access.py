@@ -184,6 +184,14 @@ class McsAccess:
         """Return ranks of a group's joints among all, shape (n,)."""
         return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
 
+    def lead_joints(self, group: str) -> list[str]:
+        """Return the joints that move the first wrist of a pair, in the order of the group; [] of any other group."""
+        described = self.group(group)
+        if not described.pair:
+            return []
+        below = self.model.joints_below(described.pair[0])
+        return [joint for joint in described.joints if self.model.index(joint) in below]
+
     async def sender(self, client: str, *names: str) -> dict[str, Any]:
         """Return the sender, in the form of the arguments of a request.
 

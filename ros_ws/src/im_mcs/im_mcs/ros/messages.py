@@ -8,7 +8,7 @@ import pinocchio as pin
 from builtin_interfaces.msg import Duration
 from control_msgs.msg import DynamicJointState, InterfaceValue
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Pose
+from geometry_msgs.msg import Point, Pose, Quaternion
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
@@ -108,15 +108,13 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
     """Return the ``path`` of a MOVE request as ``im_msgs/GroupPath``, a long trajectory at equal distances."""
     message = GroupPath(stamp=to_stamp(stamp_ns), kind=path["kind"], blend=float(path.get("blend", 0.0)))
     if path["kind"] == "line":
-        for values in path["poses"]:
-            passed = Pose()
-            passed.position.x, passed.position.y, passed.position.z = values[:3]
-            o = passed.orientation
-            o.x, o.y, o.z, o.w = values[3:]
-            message.line.append(passed)
-        return message
+        message.arc = bool(path.get("arc"))
+        message.line = [_pose(values) for values in path.get("poses") or ()]
+        message.relative = [_pose(values) for values in path.get("relative") or ()]
+        if "points" not in path:
+            return message
     message.path.joint_names = list(joints)
-    if path["kind"] == "joint":
+    if path["kind"] != "trajectory":
         message.path.points = [JointTrajectoryPoint(positions=positions) for positions in path["points"]]
         return message
     points = unpack_points(path["points"])
@@ -126,6 +124,11 @@ def group_path(joints: Sequence[str], path: dict[str, Any], stamp_ns: int) -> Gr
         item.time_from_start = duration(float(points.times[k]))
         message.path.points.append(item)
     return message
+
+
+def _pose(values: Sequence[float]) -> Pose:
+    x, y, z, *turn = values
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(**dict(zip("xyzw", turn, strict=True))))
 
 
 def trajectory_point(values: Iterable[NDArray[np.float64]]) -> JointTrajectoryPoint:

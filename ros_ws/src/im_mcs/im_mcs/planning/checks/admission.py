@@ -10,7 +10,7 @@ from im_core.errors import DataError, LimitError
 from im_mcs.limits.motion_limits import BeyondLimits
 from im_mcs.planning.checks.context import PlanContext
 from im_mcs.protocol.points import TimedPoints
-from im_mcs.protocol.requests import LARGEST, JointMove, Move, StreamRequest, TrajectoryMove
+from im_mcs.protocol.requests import LARGEST, JointMove, LineMove, Move, StreamRequest, TrajectoryMove
 
 POINTS_AT_ONCE = 2000
 """Points of a trajectory that are looked at when it is asked for; the others are when it is prepared."""
@@ -21,11 +21,13 @@ def check_move(context: PlanContext, move: Move) -> None:
     """Check a path against the joints of a group.
 
     Raises:
-        DataError: A wrong size, a value that is not finite.
+        DataError: A wrong size, a value that is not finite, or a motion of two wrists for one.
         LimitError: A position, velocity or acceleration is beyond its limit; names joint, value, limit and unit.
     """
     if isinstance(move, JointMove):
         _check_points(context, move.points)
+    elif isinstance(move, LineMove):
+        _check_pair(context, move)
     elif isinstance(move, TrajectoryMove):
         check_timed_points(context, move.points, 0)
 
@@ -119,6 +121,15 @@ def per_joint(context: PlanContext, values: Sequence[float], what: str) -> NDArr
         if not math.isfinite(value):
             raise DataError(f"{what}: {name}: {value} is not a finite number", joint=name)
     return np.array(values, dtype=np.float64)
+
+
+def _check_pair(context: PlanContext, move: LineMove) -> None:
+    """Check a line of two wrists."""
+    if (move.relative is not None or move.points is not None) and len(context.frames) < 2:
+        has = f"one wrist, {context.frames[0]}" if context.frames else "no wrist"
+        raise DataError(f"the group has {has}; relative poses, and points of a first wrist, are for a group of two")
+    for number, point in enumerate(() if move.points is None else move.points.tolist(), start=1):
+        context.limits.check_positions(context.lead, point, f"point {number}")
 
 
 def _check_points(context: PlanContext, q: NDArray[np.float64], begin: int = 0) -> None:

@@ -28,7 +28,7 @@ class PlanContext:
         model: Kinematics and dynamics.
         limits: Limits of all joints.
         index: Joints of the group among all, shape (n,).
-        frames: Wrists that straight lines move: the second one keeps its pose to the first.
+        frames: Wrists that straight lines move: the second one beside the first.
         q_all: Gives the positions of all joints now, shape (n,) [rad or m].
         period_s: Time between two evaluations of a trajectory: a multiple of the servo period [s].
         config: Configuration.
@@ -41,6 +41,11 @@ class PlanContext:
     q_all: Callable[[], NDArray[np.float64]]
     period_s: float
     config: McsConfig
+
+    @cached_property
+    def lead(self) -> NDArray[np.intp]:
+        """Return the joints of the group that move the first of its wrists, among all, shape (k,)."""
+        return self.index[np.isin(self.index, self.model.joints_below(self.frames[0]))]
 
     @cached_property
     def force_sensors(self) -> dict[str, int]:

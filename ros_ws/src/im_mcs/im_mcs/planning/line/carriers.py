@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from im_mcs.inverse import Arm, ArmTracker, IkAttempt, InverseKinematics
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.line.geometry import LinePath
+from im_mcs.planning.line.geometry import LinePath, Via, parameter_length
 
 _PLACES = 8
 _ITERATIONS_A_STEP = 4
@@ -21,6 +21,7 @@ _SINGULAR_VALUE = 0.12
 _EFFORT = 0.05
 # Any line that is passed to its end is better than one that is not.
 _FAILURE = 100.0
+_SAME_M = 1e-9
 
 
 class CarrierChoice:
@@ -54,7 +55,9 @@ class CarrierChoice:
         self._arm, self._tracker, self._frame, self._lever = arm, tracker, frame, lever
         self._moved = np.isin(arm.carriers, index)
 
-    def choose(self, q_all: NDArray[np.float64], target: pin.SE3) -> Generator[None, None, NDArray[np.float64]]:
+    def choose(
+        self, q_all: NDArray[np.float64], target: pin.SE3, via: Via
+    ) -> Generator[None, None, NDArray[np.float64]]:
         """Positions of all joints at the end of a line, a bounded piece of work a step.
 
         The arm's joints in it are where the arm gets to, if it gets to the end of the line at all.
@@ -62,8 +65,9 @@ class CarrierChoice:
         Args:
             q_all: Positions of all joints at the beginning of the line, shape (n,) [rad or m].
             target: Pose of the wrist at its end.
+            via: Place on the arc to it.
         """
-        if not self._moved.any():
+        if not self._moved.any() or parameter_length(self._tracker.pose(q_all), target, self._lever, via) < _SAME_M:
             return q_all
         ends = [q_all[self._arm.carriers], *self._followed(q_all, target)]
         whole = yield from self._whole_group(q_all, target)
@@ -71,7 +75,7 @@ class CarrierChoice:
             ends.append(whole[self._arm.carriers])
         best, chosen = -np.inf, q_all
         for end in ends:
-            score, reached = yield from self._trial(q_all, target, end)
+            score, reached = yield from self._trial(q_all, target, via, end)
             if score > best:
                 best, chosen = score, reached
         return chosen
@@ -106,11 +110,12 @@ class CarrierChoice:
         return whole
 
     def _trial(
-        self, q_all: NDArray[np.float64], target: pin.SE3, end: NDArray[np.float64]
+        self, q_all: NDArray[np.float64], target: pin.SE3, via: Via, end: NDArray[np.float64]
     ) -> Generator[None, None, tuple[float, NDArray[np.float64]]]:
         """Score of one end of the carriers, and positions of all joints there."""
         carriers, joints = self._arm.carriers, self._arm.joints
-        path = LinePath([self._tracker.pose(q_all), target], np.array([q_all[carriers], end]), 0.0, self._lever)
+        poses, rows = [self._tracker.pose(q_all), target], np.array([q_all[carriers], end])
+        path = LinePath(poses, rows, 0.0, self._lever, [via])
         effort = float((np.abs(end - q_all[carriers]) / self._limits.motion.velocity[carriers]).max())
         q, step, worst = q_all, np.zeros(len(q_all)), 1.0
         for k in range(1, _PLACES + 1):

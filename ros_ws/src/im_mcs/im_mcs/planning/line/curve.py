@@ -10,7 +10,7 @@ from im_core.errors import DataError, ImError, LimitError
 from im_mcs.inverse import ArmTracker, Tracked
 from im_mcs.inverse.arm import Arm
 from im_mcs.limits.limits import JointLimits
-from im_mcs.planning.line.geometry import LinePath, PathPlace
+from im_mcs.planning.line.geometry import PathPlace, WristPath
 from im_mcs.planning.trajectories.polynomial import quintic
 
 _FIRST_STEP_M = 0.04
@@ -92,7 +92,7 @@ class LineCurve:
         arm: Arm,
         limits: JointLimits,
         index: NDArray[np.intp],
-        path: LinePath,
+        path: WristPath,
         frame: str,
         singular_value: float,
         deviation: float,
@@ -259,12 +259,12 @@ class LineCurve:
         x, y, z = facts["position_m"]
         way = f"{facts['along_mm']:.1f} mm of {facts['length_mm']:.1f} mm, " if facts["length_mm"] > 0.05 else ""
         return (
-            f"on the line to pose {facts['pose']} ({way}{facts['percent']:.1f} %), "
+            f"on the {self._path.named(self._path.leg(s))} {facts['pose']} ({way}{facts['percent']:.1f} %), "
             f"{self._frame} at ({x:.3f}, {y:.3f}, {z:.3f}) m"
         )
 
     def _facts(self, s: float) -> dict[str, Any]:
-        k = self._path.line(s)
+        k = self._path.leg(s)
         begin, end = self._path.corners[k], self._path.corners[k + 1]
         share = (s - begin) / (end - begin)
         length = self._path.lengths[k] * 1e3

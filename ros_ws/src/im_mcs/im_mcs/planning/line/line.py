@@ -1,10 +1,9 @@
-"""Straight lines of the wrist in SE(3) (paper, section 4), prepared in bounded slices."""
+"""Straight lines and arcs of the wrist in SE(3) (paper, section 4), and motions of two, prepared in bounded slices."""
 
 from collections.abc import Generator
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_core.errors import DataError, StateError
@@ -13,8 +12,9 @@ from im_mcs.limits.motion_limits import MotionLimits
 from im_mcs.planning.checks.context import PlanContext, Start
 from im_mcs.planning.checks.envelope import excess
 from im_mcs.planning.line.carriers import CarrierChoice
-from im_mcs.planning.line.curve import JointCurves, LineCurve
-from im_mcs.planning.line.geometry import CarriedPath, LinePath, parameter_length
+from im_mcs.planning.line.curve import JointCurve, JointCurves, LineCurve
+from im_mcs.planning.line.geometry import WristPath
+from im_mcs.planning.line.route import Route, Stop
 from im_mcs.planning.line.speed import Profile, fit
 from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial, quintic
 from im_mcs.protocol.requests import LineMove
@@ -23,9 +23,6 @@ from im_mcs.protocol.requests import LineMove
 _KNOT_S, _KNOT_M = 0.02, 2e-3
 # Longest motion between two rests [s].
 _LONGEST_S = 1e4
-_SAME_M = 1e-9
-# A corner that can only be rounded less than this is rested in: that is quicker, and third derivatives are sound.
-_TIGHTEST_M = 1e-3
 _PIECES_A_STEP = 100
 # rounding must not bring a limit back that a slower motion just keeps
 _SLOWER = 1.0 + 1e-9
@@ -48,7 +45,10 @@ class _LineArm:
 
 
 class LinePreparation:
-    """Maker of the motion of a wrist along straight lines through poses, or of two that keep their relative pose.
+    """Maker of the motion of a wrist along straight lines and arcs through poses, and of a second wrist beside it.
+
+    The second wrist keeps its pose in the first, or goes through poses in it while the first moves or stands still. The
+    first may move straight from point to point in joint space instead.
 
     Joints are found by inverse kinematics along the line, at places as close as it takes to keep the line, and joined
     by quintics. A one-dimensional profile of the path parameter sets the speed, with one bound of velocity,
@@ -69,6 +69,7 @@ class LinePreparation:
 
     Raises:
         StateError: The group has no wrist, or not all joints of its arm.
+        DataError: Three places of an arc are on a straight line.
     """
 
     def __init__(self, context: PlanContext, move: LineMove, start: Start) -> None:
@@ -76,12 +77,14 @@ class LinePreparation:
             raise StateError("the group has no wrist; a straight line needs one")
         self._context = context
         self._settings = context.config.planning.line
+        self._lever = self._settings.rotation_lever_m
         self._start = context.q_all().copy()
         self._start[context.index] = start().q
         self._arms = [_LineArm(context, frame, self._start) for frame in context.frames]
         self._tracker = self._arms[0].tracker
-        self._poses = [pin.XYZQUATToSE3(np.array(values)) for values in move.poses]
-        self._speed, self._blend = move.speed or np.inf, move.blend
+        trackers = [arm.tracker for arm in self._arms]
+        self._route = Route(move, self._start, context.lead, trackers, context.model.cell, self._lever)
+        self._speed = move.speed or np.inf
         self._work = self._prepare()
 
     def step(self) -> PiecewisePolynomial | None:
@@ -103,19 +106,15 @@ class LinePreparation:
     def _prepare(self) -> Generator[None, None, PiecewisePolynomial]:
         q, parts = self._start, list[PiecewisePolynomial]()
         limits = self._context.limits.motion.of(self._context.index)
-        for numbers in self._runs():
-            corners = [self._tracker.pose(q), *(self._poses[number - 1] for number in numbers)]
-            curves, begin = [], q
+        for run in self._route.runs():
+            stops = [self._route.stops[number] for number in run]
+            stops[0] = replace(stops[0], pose=self._tracker.pose(q))  # an arm of five joints may be turned there
+            numbers = [self._route.number(end) for end in run[1:]]
+            curves, begin, path = [], q, None
             for arm in self._arms:
-                relative = self._relative(arm)
-                carriers, there = [q[arm.arm.carriers]], q
-                for pose in corners[1:]:
-                    there = yield from arm.choice.choose(there, pose if relative is None else pose * relative)
-                    carriers.append(there[arm.arm.carriers])
-                settings = corners, np.array(carriers), self._blend, self._settings.rotation_lever_m
-                path = LinePath(*settings) if relative is None else CarriedPath(*settings, relative)
-                curve, q = yield from self._line_curve(arm, path, numbers).walk(q)
+                path, curve, q = yield from self._arm_moved(arm, stops, numbers, q)
                 curves.append((np.flatnonzero(np.isin(self._context.index, arm.index)), curve))
+            assert path is not None, "a group with a wrist has an arm"
             self._require_end(path)
             whole = JointCurves(begin[self._context.index], curves)
             profile = yield from fit(whole, path.size, limits, self._fastest(path), path.rounded)
@@ -124,41 +123,29 @@ class LinePreparation:
             return PiecewisePolynomial.standing(q[self._context.index])
         return parts[0].followed_by(parts[1:])
 
-    def _runs(self) -> list[list[int]]:
-        """Return numbers of the poses passed without rest in between.
+    def _arm_moved(
+        self, arm: "_LineArm", stops: list[Stop], numbers: list[int], q: NDArray[np.float64]
+    ) -> Generator[None, None, tuple[WristPath, JointCurve, NDArray[np.float64]]]:
+        """Return the path of the wrist of an arm, the curve of its joints, and all joints at the end."""
+        is_second, own, there = arm is not self._arms[0], arm.arm.carriers, q
+        if not is_second and stops[0].q is not None:
+            straight = self._route.joint_path(stops, own)
+            s = np.array(straight.edges)
+            places = np.array([straight.joints(each) for each in s])[:, :, arm.index]
+            curve = JointCurve(s, quintic(np.diff(s), *(places[:, k] for k in range(3))))
+            end = q.copy()
+            end[self._context.lead] = straight.joints(straight.size)[0, self._context.lead]
+            return straight, curve, end
+        carriers = [q[own]]
+        for stop in stops[1:]:
+            pose = stop.pose * stop.relative if is_second else stop.pose
+            there = yield from arm.choice.choose(there, pose, None if is_second else stop.via)
+            carriers.append(there[own])
+        path = self._route.path(stops, np.array(carriers), second=is_second)
+        curve, there = yield from self._line_curve(arm, path, numbers).walk(q)
+        return path, curve, there
 
-        Of poses within half the blend and a tight corner of each other one is passed; the last is reached.
-        """
-        poses = [self._tracker.pose(self._start), *self._poses]
-
-        def length(a: int, b: int) -> float:
-            return parameter_length(poses[a], poses[b], self._settings.rotation_lever_m)
-
-        same, last = max(_SAME_M, min(self._blend / 2.0, _TIGHTEST_M)), len(self._poses)
-        passed = [0]
-        for number in range(1, last):
-            if length(passed[-1], number) > same:
-                passed.append(number)
-        while passed[-1] > 0 and length(passed[-1], last) <= same:
-            passed.pop()
-        if length(passed[-1], last) > _SAME_M:
-            passed.append(last)
-        runs, before = list[list[int]](), 0.0
-        for start, end in pairwise(passed):
-            after = length(start, end)
-            if min(self._blend, before / 2.0, after / 2.0) < _TIGHTEST_M:
-                runs.append([])
-            runs[-1].append(end)
-            before = after
-        return runs
-
-    def _relative(self, arm: "_LineArm") -> pin.SE3 | None:
-        """Pose in the first wrist at the begin, which is kept; None of the first itself."""
-        if arm is self._arms[0]:
-            return None
-        return self._tracker.pose(self._start).actInv(arm.tracker.pose(self._start))
-
-    def _line_curve(self, arm: "_LineArm", path: LinePath, numbers: list[int]) -> LineCurve:
+    def _line_curve(self, arm: "_LineArm", path: WristPath, numbers: list[int]) -> LineCurve:
         return LineCurve(
             arm.tracker,
             arm.arm,
@@ -168,16 +155,16 @@ class LinePreparation:
             arm.frame,
             self._settings.singular_value,
             self._settings.deviation_m,
-            self._settings.rotation_lever_m,
+            self._lever,
             numbers,
         )
 
-    def _fastest(self, path: LinePath) -> float:
+    def _fastest(self, path: WristPath) -> float:
         """Return the velocity of the path parameter for the wanted speed of the wrist on the fastest line [m/s]."""
-        share = max(way / (b - a) for way, (a, b) in zip(path.lengths, pairwise(path.corners), strict=True))
+        share = max(way / size for way, size in zip(path.lengths, path.sizes, strict=True))
         return self._speed / share if share > 0.0 else np.inf
 
-    def _require_end(self, path: LinePath) -> None:
+    def _require_end(self, path: WristPath) -> None:
         """Refuse a motion slow enough to seem endless."""
         shortest_s = path.size / self._fastest(path)
         if shortest_s > _LONGEST_S:
@@ -190,7 +177,7 @@ class LinePreparation:
             )
 
     def _timed(
-        self, path: LinePath, curve: JointCurves, profile: Profile, numbers: list[int], limits: MotionLimits
+        self, path: WristPath, curve: JointCurves, profile: Profile, numbers: list[int], limits: MotionLimits
     ) -> Generator[None, None, PiecewisePolynomial]:
         """Return the motion between two rests, slowed down as a whole for excesses of the quintics between knots."""
         motion = profile.sampled(_KNOT_S, path.edges[1:-1], _KNOT_M)
@@ -209,5 +196,5 @@ class LinePreparation:
         for part in parts:
             part *= scale
             yield
-        points = np.array(numbers)[path.lines((motion.s[1:] + motion.s[:-1]) / 2.0)] - 1
+        points = np.array(numbers)[path.legs((motion.s[1:] + motion.s[:-1]) / 2.0)] - 1
         return PiecewisePolynomial(lengths * factor, np.concatenate(parts), points.tolist())

@@ -145,7 +145,8 @@ class Motions:
 
     def _show(self, group: str, path: dict[str, Any]) -> None:
         stamp_ns = int(self._mcs.client().snapshot()["stamp_ns"])
-        self._paths[group].publish(messages.group_path(self._mcs.config.groups[group].joints, path, stamp_ns))
+        joints = self._mcs.lead_joints(group) if path["kind"] == "line" else self._mcs.config.groups[group].joints
+        self._paths[group].publish(messages.group_path(joints, path, stamp_ns))
         self._markers.begin(group, path)
 
 

@@ -1,5 +1,6 @@
-"""``/<group>/move``: joint-interpolated and straight-line motion."""
+"""``/<group>/move``: joint-interpolated motion, and lines and arcs of the wrist."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -60,27 +61,34 @@ class MoveServer:
     def _arguments(self, group: str, goal: Move.Goal) -> dict[str, Any]:
         """Return the arguments of the request; too large or infinite values are refused before the servo."""
         self._mcs.check(goal)
-        joints = self._mcs.group(group).joints
         if goal.policy not in _POLICIES:
             raise DataError(f"policy {goal.policy} is not one of 0 (refuse), 1 (append), 2 (replace)")
         if goal.line and goal.path.points:
             raise DataError("a move has a path or a line, not both")
+        if goal.arc and not goal.line:
+            raise DataError("arc is for a line, and this move has none")
+        lead = self._lead(group, goal)
+        path: dict[str, Any] = {"kind": "line" if goal.line or goal.relative or lead else "joint", "blend": goal.blend}
         if goal.line:
-            path: dict[str, Any] = {
-                "kind": "line",
-                "poses": [_pose(number, pose) for number, pose in enumerate(goal.line, start=1)],
-                "speed": goal.line_speed,
-                "blend": goal.blend,
-            }
-        else:
-            if goal.line_speed != 0.0:
-                raise DataError(f"line_speed {goal.line_speed:g} m/s is for a line, and this move has none")
+            path |= {"poses": _poses("line", goal.line), "arc": goal.arc}
+        elif path["kind"] == "joint" or goal.path.points:
             positions = [list(point.positions) for point in goal.path.points]
-            points = ordered_points(group, joints, list(goal.path.joint_names), positions)
-            path = {"kind": "joint", "points": points, "blend": goal.blend}
+            joints = lead or self._mcs.group(group).joints
+            path["points"] = ordered_points(group, joints, list(goal.path.joint_names), positions)
+        if goal.relative:
+            path["relative"] = _poses("relative", goal.relative)
+        if path["kind"] == "line" and not lead:
+            path["speed"] = goal.line_speed
+        elif goal.line_speed != 0.0:
+            raise DataError(f"line_speed {goal.line_speed:g} m/s is for a line, and this move has none")
         policy = _POLICIES[goal.policy]
         scale, force = goal.speed_scale, goal.until_force
         return {"group": group, "path": path, "policy": policy, "speed_scale": scale, "until_force": force}
+
+    def _lead(self, group: str, goal: Move.Goal) -> list[str]:
+        """Return the joints that move the first wrist of a pair, if a path is given for them alone."""
+        lead = self._mcs.lead_joints(group) if goal.path.points else []
+        return lead if goal.relative or set(goal.path.joint_names) == set(lead) else []
 
     def _add_state(self, group: str, result: Move.Result) -> None:
         mcs = self._mcs
@@ -98,11 +106,16 @@ class MoveServer:
         handle.publish_feedback(message)
 
 
-def _pose(number: int, pose: Pose) -> list[float]:
+def _poses(field: str, poses: Sequence[Pose]) -> list[list[float]]:
+    return [_pose(field, number, pose) for number, pose in enumerate(poses, start=1)]
+
+
+def _pose(field: str, number: int, pose: Pose) -> list[float]:
     p, o = pose.position, pose.orientation
     position, orientation = [p.x, p.y, p.z], [o.x, o.y, o.z, o.w]
     try:
         wrist_pose(position, orientation)
     except DataError as error:
-        raise DataError(f"pose {number} of the line: {error.message}", pose=number) from None
+        name = f"pose {number} of the line" if field == "line" else f"relative pose {number}"
+        raise DataError(f"{name}: {error.message}", pose=number) from None
     return position + orientation

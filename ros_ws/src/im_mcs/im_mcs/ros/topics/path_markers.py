@@ -1,6 +1,7 @@
 """Markers of the planned paths of the wrists, for RViz and Foxglove."""
 
 import threading
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -11,8 +12,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from im_core.ros import qos
 from im_mcs.client.groups import best_positions
+from im_mcs.inverse import Arm, ArmTracker
 from im_mcs.model.part import part_of
+from im_mcs.planning.line.route import Route
 from im_mcs.protocol.points import unpack_points
+from im_mcs.protocol.requests import LineMove
 from im_mcs.ros.access import McsAccess
 
 _STEPS = 20
@@ -65,8 +69,7 @@ class PathMarkers:
         """Return the places that each wrist of a group passes, shape (m, 3) [m]."""
         model, part = self._mcs.model, part_of(group, self._mcs.config, self._mcs.cell)
         if path["kind"] == "line":
-            (wrist,) = part.wrists
-            return {wrist: np.array([model.pose(start, wrist).translation, *(pose[:3] for pose in path["poses"])])}
+            return self._routes(group, start, LineMove.model_validate(path), part.wrists)
         index = [model.index(joint) for joint in part.joints]
         if path["kind"] == "joint":
             ends = np.array([start[index], *path["points"]])
@@ -79,6 +82,24 @@ class PathMarkers:
         q = np.tile(start, (len(passed), 1))
         q[:, index] = passed
         return {wrist: np.array([model.pose(row, wrist).translation for row in q]) for wrist in part.wrists}
+
+    def _routes(
+        self, group: str, start: NDArray[np.float64], move: LineMove, wrists: Sequence[str]
+    ) -> dict[str, NDArray[np.float64]]:
+        """Return the places that one or two wrists pass on lines or arcs, shape (m, 3) [m]."""
+        model = self._mcs.model
+        trackers = [ArmTracker(model, Arm(model, wrist), wrist) for wrist in wrists]
+        lead = np.array([model.index(joint) for joint in self._mcs.lead_joints(group)], dtype=np.intp)
+        lever = self._mcs.config.planning.line.rotation_lever_m
+        route = Route(move, start, lead, trackers, model.cell, lever)
+        places: dict[str, list[NDArray[np.float64]]] = {wrist: [] for wrist in wrists}
+        for run in route.runs():
+            stops = [route.stops[number] for number in run]
+            for wrist, second in zip(wrists, (False, True), strict=False):
+                drawn = route.path(stops, np.zeros((len(stops), 0)), second=second)
+                s = np.linspace(0.0, drawn.size, _STEPS * (len(stops) - 1) + 1)
+                places[wrist] += [drawn.at(float(each)).pose.translation for each in s]
+        return {wrist: np.array(passed) for wrist, passed in places.items() if passed}
 
 
 def _line(rank: int, points: NDArray[np.float64] | None) -> Marker:
