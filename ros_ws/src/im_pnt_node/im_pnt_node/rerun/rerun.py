@@ -144,7 +144,7 @@ class NodeRerun:
     # Nets.
 
     def _load(self, items: Sequence[Item]) -> None:
-        """Take in nets that were told together; where a recorder has come, running nets only repeat their states."""
+        """Take in the nets of consecutive states; for a later recorder, running nets only repeat their states."""
         progress = self._progress
         again = bool(progress.executors) and any(item[:1] == ["node"] for item in progress.turn.items)
         found: list[tuple[Net, Net, dict[str, object]]] = []
@@ -172,7 +172,7 @@ class NodeRerun:
         self._script.step()
 
     def _leave(self, name: str) -> None:
-        """Finish a net that another version replaces, or whose tokens another version has got.
+        """Finish the turn of a net before another version, or before tokens of another version.
 
         Raises:
             Difference: It has not fired all that is recorded until then.

@@ -61,7 +61,7 @@ MessageT = TypeVar("MessageT")
 
 
 class _ChangedMessage(BaseException):
-    """Signal of a recorded message of a type that has changed since; no failure of the action that asks for it."""
+    """Signal of a recorded message whose type has changed since; no failure of an action."""
 
 
 class RosMessages:
@@ -217,7 +217,7 @@ def installed_nets() -> dict[str, Net]:
 
 
 def _changed_message(bag: Path) -> str:
-    """Return a sentence about a message that a bag defines otherwise, for what is told in it; empty: there is none."""
+    """Return a sentence about a recorded message with another definition in the bag than here; empty without one."""
     told = set(_TYPE.findall("".join(_texts(bag))))
     with closing(open_bag(bag)) as reader:
         for each in reader.connections:
