@@ -61,7 +61,7 @@ MessageT = TypeVar("MessageT")
 
 
 class _ChangedMessage(BaseException):
-    """Signal of a recorded message whose type has changed since; no failure of an action."""
+    """Signal of a recorded message of another type than here; no failure of an action."""
 
 
 class RosMessages:
