@@ -24,7 +24,7 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     """Read a net file.
 
     Args:
-        path: File with one net: PNML if it ends in ``.pnml``, ``.xml``, ``.tapn``; else YAML. ``FILE#net`` is one of many.
+        path: File with one net: PNML as ``.pnml``, ``.xml``, ``.tapn``, else YAML; ``FILE#net`` is one of several.
         within: Folders that this file and those that it includes must lie in; empty: they may lie anywhere.
 
     Returns:
