@@ -536,6 +536,19 @@ def test_a_net_that_had_got_a_token_before_it_is_recorded_has_it_again():
         run_again(texts, joined=parse_net(JOINED.replace("ready: 1", "ready: 2")))
 
 
+def test_a_net_that_is_replaced_in_a_turn_in_which_it_has_fired_fires_before():
+    functions = Functions()
+    net = Executor(
+        parse_net(JOINED), functions, FunctionRunner(functions, None, None), Nowhere(), record=lambda _: None
+    )
+    net.post(TokenArrived("given", 1))
+    net.take()
+    begun = told(1, BEGIN, ("state", "joined", net_state(net), JOINED))
+    net.pump()
+    fired, then = ("net", "joined", ["fire", "join", None]), ("state", "joined", net_state(net), JOINED)
+    assert run_again([begun, told(2, fired, then)]).firings == 1
+
+
 INTERRUPTED = """
 net: walker
 places: {ready: {tokens: 1, resource: true}, wanted: , there: , tired: }
