@@ -8,7 +8,9 @@ import pytest
 import rclpy
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.parameter import Parameter
+from std_msgs.msg import String
 
+from im_core.ros import qos
 from im_core.ros.calls import call_blocking, pause
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.node import ManagedNode
@@ -17,6 +19,12 @@ from im_dispatcher.ros.node import Dispatcher
 from im_msgs.action import ExecuteCommand, Move
 from im_msgs.srv import ListCommands, LoadNet
 from im_pnt.errors import JournalError
+from im_pnt.netfile import parse_net
+from im_pnt_node.rerun.difference import Difference
+from im_pnt_node.rerun.rerun import NodeRerun
+from im_pnt_node.rerun.stream import streams_of
+from im_pnt_node.ros.reporting.mission import TOPIC
+from im_pnt_node.ros.rerun import RosMessages, RosWorld
 from support.loop import in_loop
 from support.warm import Warm
 
@@ -137,6 +145,9 @@ def result(arm, goal, wait_until):
 
 
 def test_commands_end_in_the_version_in_which_they_began(arm, dispatcher, tmp_path, wait_until):
+    texts: list[str] = []
+    arm.create_subscription(String, TOPIC, lambda message: texts.append(message.data), qos.EVENTS)
+    wait_until(lambda: any('["node"' in text for text in texts), "the recording to begin")
     assert arm.load(OLD).success
     left = arm.run("left")
     wait_until(lambda: arm.versions() == [1], "the goal of the old version")
@@ -158,6 +169,12 @@ def test_commands_end_in_the_version_in_which_they_began(arm, dispatcher, tmp_pa
     assert result(arm, right, wait_until) == {"version": 2}
     wait_until(lambda: free(dispatcher) == 2, "the tokens to be back")
     assert len(set(arm.goals)) == 2
+
+    wait_until(lambda: any('"carry_right.end"' in text for text in texts), "the last events")
+    (stream,) = streams_of(texts)
+    assert {"carry", former} < NodeRerun(stream, RosWorld(), RosMessages(), {}).run().nets
+    with pytest.raises(Difference, match=r"net carry, transition reach, command 2 .*\n.*line_speed: 2.0\n.*1.0"):
+        NodeRerun(stream, RosWorld(), RosMessages(), {"carry": parse_net(OLD)}).run()
 
 
 def test_a_former_version_hears_of_a_cancelled_and_an_abandoned_command(arm, dispatcher, wait_until):

@@ -4,15 +4,19 @@ import itertools
 import json
 import re
 import threading
+from base64 import b64decode, b64encode
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Bool, String
 
 import im_coordinators.ros.vision as vision
 from im_bag import BagWriter, Delivery
+from im_bag.definitions import Definition
+from im_bag.reading import messages_of
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
@@ -34,6 +38,7 @@ from im_pnt_node.rerun.entries import Entries
 from im_pnt_node.rerun.rerun import NodeRerun
 from im_pnt_node.rerun.stream import Turn, streams_of
 from im_pnt_node.ros.node import PntNode
+from im_pnt_node.ros.reporting.mission import TOPIC
 from im_pnt_node.ros.rerun import BAD_INPUT, DIFFERS, EQUAL, RosMessages, RosWorld, main
 from support.loop import in_loop
 
@@ -164,8 +169,6 @@ def test_a_function_that_judges_otherwise_is_the_first_difference(capsys, monkey
 
 def events(folder: Path, *texts: str, topic: str = "/pnt/events") -> Path:
     """A bag with messages of one topic."""
-    from rclpy.serialization import serialize_message
-
     bag = BagWriter(folder)
     bag.add_topic(topic, "std_msgs/msg/String", Delivery(reliable=True, latched=False, depth=1))
     for number, text in enumerate(texts, 1):
@@ -233,6 +236,28 @@ def test_what_makes_a_message_may_be_done_earlier_than_it_was_and_counts_once():
     assert entries.next() == then[2], "the message was made"
     assert entries.advance(then[2])
     assert entries.next() is None
+
+
+def test_messages_of_before_a_type_changed_are_named_and_not_taken_for_other_requests(
+    capsys, changed, tmp_path, monkeypatch
+):
+    texts = [str(each.content.data) for each in messages_of(BAGS / "undisturbed", {TOPIC: ("std_msgs/msg/String",)})]
+    goal = re.compile('(im_msgs/action/Move_Goal", ?")([^"]*)')
+    shorter = [goal.sub(lambda found: found[1] + b64encode(b64decode(found[2])[:-8]).decode(), text) for text in texts]
+    assert shorter != texts
+    told = refused(capsys, events(tmp_path / "shorter", *shorter))
+    assert "im_msgs/action/Move_Goal is another message here than in" in told
+
+    net = changed("    guard: goes_on\n", "    guard: cancelled\n")
+    monkeypatch.setattr("im_bag.writer.full_definition", lambda _: Definition("ros2msg", "int64 data\n"))
+    as_long = BagWriter(tmp_path / "as_long")
+    as_long.add_topic("/count", "std_msgs/msg/UInt64", Delivery(reliable=True, latched=False, depth=1))
+    monkeypatch.undo()
+    as_long.add_topic(TOPIC, "std_msgs/msg/String", Delivery(reliable=True, latched=False, depth=1))
+    for number, text in enumerate(texts, 1):
+        as_long.write(TOPIC, number, serialize_message(String(data=text)))
+    as_long.close()
+    assert "std_msgs/msg/UInt64 is another message" in refused(capsys, tmp_path / "as_long", "--nets", net)
 
 
 # What a node tells is enough.
@@ -509,6 +534,19 @@ def test_a_net_that_had_got_a_token_before_it_is_recorded_has_it_again():
     assert run_again(texts).firings == 1
     with pytest.raises(Difference, match=r"begins with ready: 1\n.*now: +2\n.*another initial marking"):
         run_again(texts, joined=parse_net(JOINED.replace("ready: 1", "ready: 2")))
+
+
+def test_a_net_that_is_replaced_in_a_turn_in_which_it_has_fired_fires_before():
+    functions = Functions()
+    net = Executor(
+        parse_net(JOINED), functions, FunctionRunner(functions, None, None), Nowhere(), record=lambda _: None
+    )
+    net.post(TokenArrived("given", 1))
+    net.take()
+    begun = told(1, BEGIN, ("state", "joined", net_state(net), JOINED))
+    net.pump()
+    fired, then = ("net", "joined", ["fire", "join", None]), ("state", "joined", net_state(net), JOINED)
+    assert run_again([begun, told(2, fired, then)]).firings == 1
 
 
 INTERRUPTED = """

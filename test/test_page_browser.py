@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 from im_core import clock, names
-from im_pnt.netfile import load_net
+from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.recorded.timeline import recording_of
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_display import DisplayServer
@@ -36,6 +36,7 @@ pytestmark = [pytest.mark.timeout(600), pytest.mark.flaky(reruns=1, only_rerun=[
 BAGS = Path(__file__).parent / "data" / "bags"
 FIRED = "[...document.querySelectorAll('#firings b')].map((each) => each.textContent).join(' ')"
 ENDED = "document.getElementById('ended').textContent"
+NETS = "[...document.querySelectorAll('#nets a')].map((each) => each.textContent)"
 STATE = "document.getElementById('line').textContent"
 LETTERS = """[...document.querySelectorAll('#scene text')].map((text) => ({ box: text.getBoundingClientRect(),
     size: parseFloat(getComputedStyle(text).fontSize) * text.getScreenCTM().a }))"""
@@ -271,6 +272,40 @@ def test_a_command_waits_before_a_breakpoint_and_shows_its_values(small, tab):
     operates.until("document.getElementById('part-break').textContent.startsWith('clear')", "the other breakpoint")
     operates.page.click("#part-break")
     looks.until("document.querySelectorAll('.node.stops').length === 0", "the end of the breakpoint")
+
+
+def test_a_former_version_is_beside_the_new_one_until_its_commands_have_ended(small, tab, wait_until):
+    url, node = small
+    looks, operates = tab(url.partition("?")[0]), tab(url)
+    operates.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.page.click("#part-break")
+    operates.until("document.querySelector('#command option[value=go]') !== null", "the command")
+    operates.page.fill("#arguments [name=goal]", "the door")
+    operates.page.click("#start button")
+    operates.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token before the transition")
+    changed = parse_net(STEPS.replace("  end: {in: near", "  close: {in: near"))
+    loaded = []
+
+    async def load():
+        loaded.append(await node.loader.load(changed, 0.0))
+
+    node.spawn(load())
+    wait_until(lambda: loaded, "the new version")
+    (former,) = (name for name, each in node.exchange.nets.items() if each.written.former)
+    for each in (looks, operates):
+        each.until(f"{NETS}.join() === 'steps,{former}'", "both versions")
+    for name, own, others in ((former, "end", "close"), ("steps", "close", "end")):
+        looks.page.click(f"#nets a:text-is('{name}')")
+        looks.until(f"document.querySelector('[aria-label^=\"transition, {own}\"]') !== null", "its net")
+        assert looks.page.query_selector(f"[aria-label^='transition, {others}']") is None
+    operates.page.click(f"#nets a:text-is('{former}')")
+    operates.until("document.querySelectorAll('.node.stops.waits').length === 1", "the token in the former version")
+    operates.page.click("[aria-label^='transition, walk']")
+    operates.page.click("#part-go")
+    for each in (looks, operates):
+        each.until(f"{NETS}.join() === 'steps'", "the former version to go")
+        each.until(f"{ENDED}.includes('1 go done')", "the end of the command")
 
 
 def test_what_ended_before_the_page_was_opened_and_the_log_are_shown(small, tab, wait_until):

@@ -66,8 +66,8 @@ def full_definition(name: str) -> Definition:
     return Definition("ros2msg", found[first] + contained)
 
 
-def is_defined_so(name: str, recorded: MessageDefinition) -> bool:
-    """Check whether a type and all contained types have the same fields in a bag and here; True if unknown.
+def changed_types(name: str, recorded: MessageDefinition) -> list[str]:
+    """Return the types with other fields here than in a bag, of a type and all contained types; empty if unknown.
 
     Args:
         name: E.g. ``im_msgs/msg/Firing``.
@@ -77,14 +77,14 @@ def is_defined_so(name: str, recorded: MessageDefinition) -> bool:
         DataError: No sourced workspace defines it, or one that it contains.
     """
     if not recorded.data.strip():
-        return True
+        return []
     encoding, text = full_definition(name)
     form = MessageDefinitionFormat.MSG if encoding == "ros2msg" else MessageDefinitionFormat.IDL
     try:
         there, here = (defined_types(name, each) for each in (recorded, MessageDefinition(form, text)))
     except TypesysError:  # others define the events of services in a way that is not read
-        return True
-    return all(_fields(there[each]) == _fields(here[each]) for each in there.keys() & here.keys())
+        return []
+    return sorted(each for each in there.keys() & here.keys() if _fields(there[each]) != _fields(here[each]))
 
 
 def _fields(definition: tuple[Any, Any]) -> list[tuple[str, Any]]:

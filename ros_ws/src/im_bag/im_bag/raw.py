@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from im_bag.definitions import is_defined_so
+from im_bag.definitions import changed_types
 from im_bag.delivery import Delivery
 from im_bag.files import METADATA
 from im_bag.reading import open_bag, unreadable_bag
@@ -99,7 +99,7 @@ class BagReader:
             DataError: It has.
         """
         for connection in self._reader.connections:
-            if connection.topic == topic and not is_defined_so(connection.msgtype, connection.msgdef):
+            if connection.topic == topic and changed_types(connection.msgtype, connection.msgdef):
                 raise changed_type(topic, connection.msgtype)
 
     def messages(

@@ -54,6 +54,13 @@ transitions:
   T0: {title: go, in: {P0: 2}, out: {P1: 2}}
   T1: {in: {P1: 2}, inhibitors: P0, out: {P0: 2}}
 """,
+    "tapaal_dots.tapn": """
+net: Belt
+places: {P0: 2, P1: }
+transitions:
+  T0: {in: {P0: 2}, out: P1}
+  T1: {in: P1, inhibitors: P0, out: {P0: 2}}
+""",
     "pipe_gspn.xml": """
 net: Net_One
 places: {P0: {title: free, tokens: 1}, P1: {capacity: 2}}
@@ -112,6 +119,7 @@ REFUSALS = {
     "tapaal_invariant.pnml": r"place 'P0': invariant '<= 7' bounds the age of its tokens; .*'< inf' is allowed",
     "tapaal_game.pnml": r"transition 'T0': belongs to the environment of a game \(player\); allowed is 0",
     "tapaal_constant.pnml": r"weight: 'n' is not a whole number from 1 to \d+ \(in arc 'A2'\)",
+    "tapaal_stochastic.tapn": r"transition 'T0': attribute 'distribution' is not understood; allowed are delay",
     "tapaal_shared.pnml": r"shared-place: is not understood in pnml; allowed are finalmarkings, net",
     "pipe_classes.xml": r"place 'P1': the net has tokens of several classes \(Default and Red\): it is coloured",
     "pipe_marking_rate.xml": r"rate: '2\*#\(P0\)' is not a number > 0 \(in transition 'T0'\)",
@@ -174,6 +182,8 @@ def test_names_of_people_survive_a_way_through_each_format(file, tmp_path):
 
 NET = '<pnml {pnml}><net id="n" {net}>{in_net}<place id="p" {place}>{in_place}</place><transition id="t" {transition}>\
 {in_transition}</transition><arc source="p" target="t" id="a" {arc}>{in_arc}</arc></net></pnml>'
+DOTS = '<hlinitialMarking><structure><numberof><numberconstant value="2"/><useroperator declaration="{}"/></numberof>\
+</structure></hlinitialMarking>'
 SLOTS = ("pnml", "net", "in_net", "place", "in_place", "transition", "in_transition", "arc", "in_arc")
 
 
@@ -214,6 +224,12 @@ def test_no_unknown_part_passes(tmp_path_factory, slot, name):
         ({"in_transition": "<rate>1</rate><delay>[2,2]</delay>"}, r"has both the rate 1 and the interval \[2,2\]"),
         ({"transition": 'urgent="perhaps"'}, r"urgent: 'perhaps' is neither true nor false \(in transition 't'\)"),
         ({"arc": 'weight="2"', "in_arc": "<inscription>3</inscription>"}, "says the weights 2 and 3; one is allowed"),
+        (
+            {"place": 'initialMarking="1"', "in_place": DOTS.format("dot")},
+            "says 2 dots, and initialMarking 1; one number",
+        ),
+        ({"place": 'initialMarking="2"', "in_place": DOTS.format("red")}, "hlinitialMarking: is of a coloured net"),
+        ({"in_place": "<type><structure><usersort declaration='red'/></structure></type>"}, "is of a coloured net"),
         ({"arc": 'type="test"', "in_arc": '<type value="inhibitor"/>'}, "type: is there twice"),
         ({"arc": 'type="test"', "in_arc": "<arctype>inhibitor</arctype>"}, "says the types test and inhibitor"),
         ({"net": 'type="http://x/elementaryNet"'}, "type 'http://x/elementaryNet' is not understood; place/transition"),

@@ -64,7 +64,7 @@ def test_a_value_that_is_not_there_keeps_no_action_from_its_work():
     ("says", "sentence"),
     [
         ("reach ${arguments.point}", "go, served here, has no such argument (did you mean 'points'?)"),
-        ("reach ${answers.reach.x}", "'answers' is not known as the action begins; say arguments"),
+        ("reach ${answers.reach.x}", "names more than arguments; answers and data are not known"),
     ],
 )
 def test_what_it_cannot_say_is_refused_where_it_stands(says, sentence):

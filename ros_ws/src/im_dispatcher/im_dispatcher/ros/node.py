@@ -323,7 +323,7 @@ def note_firing(times: Iterable[StepTimes], message: Firing) -> None:
 def dispatcher_functions(host: Host) -> Functions:
     """Return the functions of commands and cell, for a re-run of the nets of a mission."""
     made = joined(command.functions(host, StepTimes()) for command in installed())
-    needs = Needs([net for net in host.nets() if net.name != cell.NAME], resources_of(load_cell()))
+    needs = Needs([net for net in host.nets() if not net.former and net.name != cell.NAME], resources_of(load_cell()))
     made.guards.update(WaitingLine(needs, lambda: host.executor(cell.NAME)).guards())
     return made
 

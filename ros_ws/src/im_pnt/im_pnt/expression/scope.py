@@ -100,7 +100,9 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
     for where, text in ((("says",), transition.says), (("strategy", "context"), context)):
         for path in (path for node in nodes(text) for path in references(node)):
             if path[0] != "arguments":
-                raise PlacedError(where, f"'{path[0]}' is not known as the action begins; say arguments")
+                raise PlacedError(
+                    where, "names more than arguments; answers and data are not known as the action begins"
+                )
         yield where, text, ANY
     for name, value in transition.result.items():
         yield ("result", name), value, ANY

@@ -15,16 +15,16 @@ from im_pnt.netfile.templates import assemble
 from im_pnt.netfile.text import read_text, read_values
 from im_pnt.netfile.writer import describe, yaml_text
 
-__all__ = ["PNML_SUFFIXES", "describe", "load_net", "parse_net", "schema_text", "yaml_text"]
+__all__ = ["describe", "load_net", "parse_net", "schema_text", "yaml_text"]
 
-PNML_SUFFIXES = (".pnml", ".xml")
+_PNML_SUFFIXES = (".pnml", ".xml", ".tapn")
 
 
 def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     """Read a net file.
 
     Args:
-        path: File with one net: PNML where it ends in ``.pnml`` or ``.xml``, else YAML. ``FILE#net`` is one of several.
+        path: File with one net: PNML as ``.pnml``, ``.xml``, ``.tapn``, else YAML; ``FILE#net`` is one of several.
         within: Folders that this file and those that it includes must lie in; empty: they may lie anywhere.
 
     Returns:
@@ -39,7 +39,7 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     """
     file = Path(path)
     named = file if file.exists() else Path(file.name.partition("#")[0])  # FILE.pnml#net
-    if named.suffix.lower() in PNML_SUFFIXES:
+    if named.suffix.lower() in _PNML_SUFFIXES:
         from im_pnt.pnml import load_pnml
 
         return load_pnml(file, within)

@@ -46,7 +46,8 @@ _TIMES = "name timed rate priority weight infiniteServer delay urgent player"
 _WEIGHTS = "inscription weight type arctype name"
 _PLACE = Known(
     frozenset(f"{_LABELS} type".split()),
-    attributes=frozenset(f"id {_LABELS}".split()),
+    frozenset({"initialMarkingAge"}),
+    frozenset(f"id {_LABELS}".split()),
     silent_attributes=_DRAWN | {"markingOffsetX", "markingOffsetY"},
 )
 _TRANSITION = Known(

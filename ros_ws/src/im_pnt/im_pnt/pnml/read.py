@@ -21,6 +21,7 @@ from im_pnt.pnml.element import Element, parse_xml
 from im_pnt.pnml.extras import plain_value, read_extras
 from im_pnt.pnml.graph import PnmlGraph, read_graph
 from im_pnt.pnml.label import label_text
+from im_pnt.pnml.silent import drop_silent_parts
 from im_pnt.pnml.timing import timing_keys
 
 MAX_SIZE = 32 * 2**20
@@ -48,6 +49,7 @@ def load_pnml(path: Path, within: Sequence[Path] = ()) -> Net:
     root = parse_xml(read_bytes(file, MAX_SIZE, within), str(file))
     if root.tag != "pnml":
         raise root.error("is not the root of a PNML file; 'pnml' is")
+    drop_silent_parts(root)
     nets = list(root.all("net"))
     if not nets:
         raise root.error("holds no 'net'")

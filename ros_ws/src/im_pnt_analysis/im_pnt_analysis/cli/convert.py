@@ -10,12 +10,13 @@ from im_core.clock import thread_cpu
 from im_core.errors import ImError
 from im_pnt.model.expand import INPUT_SEMAPHORE, OUTPUT_SEMAPHORE
 from im_pnt.model.net import Net
-from im_pnt.netfile import PNML_SUFFIXES, load_net, parse_net, yaml_text
+from im_pnt.netfile import load_net, parse_net, yaml_text
 from im_pnt.netfile.schema.names import as_name, is_qualified
 from im_pnt.pnml import pnml_text
 from im_pnt_analysis.cli.terminal import OK, write_output
 
 _BOUNDS_S = 60.0
+_PNML_SUFFIXES = (".pnml", ".xml")
 _YAML_SUFFIXES = (".yaml", ".yml")
 _DESCRIPTION = """Writes a net file in the other format: YAML (.yaml, .yml) or PNML (.pnml, .xml).
 
@@ -43,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
     """Convert a net file."""
     output = Path(options.output)
     suffix = output.suffix.lower()
-    if suffix not in (*_YAML_SUFFIXES, *PNML_SUFFIXES):
+    if suffix not in (*_YAML_SUFFIXES, *_PNML_SUFFIXES):
         raise ImError(f"cannot convert to '{output}': the name must end in .yaml, .yml, .pnml or .xml", code="input")
     if options.plain and suffix in _YAML_SUFFIXES:
         raise ImError(f"--plain is for PNML; '{output}' is YAML, which can say everything", code="input")

@@ -5,8 +5,9 @@ fires is a function of that, of its guards and of its functions, which are asked
 contending transitions that only weights tell apart are those of the recording; time strikes where it did.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 from im_core import plugins
 from im_core.errors import DataError, ImError
@@ -28,7 +29,7 @@ from im_pnt_node.rerun.engine import ENDED, ActionsAgain, Labelled, NotDoneAgain
 from im_pnt_node.rerun.entries import Entries, Input, error_of, reply_difference, told_of, transition_of
 from im_pnt_node.rerun.progress import RerunProgress, in_doubt
 from im_pnt_node.rerun.script import Messages, Script, ScriptHost
-from im_pnt_node.rerun.stream import Item, NodeStream, Turn
+from im_pnt_node.rerun.stream import Item, NodeStream
 
 #: What functions ask of data objects and services, beside what the engine sends for actions.
 STORED = ("put", "append", "invalidate", "ask")
@@ -111,14 +112,15 @@ class NodeRerun:
         for number, turn in enumerate(self._stream.turns):
             self._progress.turn = turn
             self._time = max(self._time, turn.at - SLACK_S)
-            self._load(turn)
             self._script.step()
-            for rank, item in enumerate(turn.items):
-                self._script.at = number, rank
-                self._take(item)
+            for loaded, items in groupby(enumerate(turn.items), lambda each: each[1][:1] == ["state"]):
+                if loaded:
+                    self._load([item for _, item in items])
+                for rank, item in () if loaded else items:
+                    self._script.at = number, rank
+                    self._take(item)
             for executor in self._progress.executors.values():
-                while executor.due and self._progress.pump(executor):
-                    pass
+                self._pump_out(executor)
         self._script.step()
         for name, entries in self._progress.entries.items():
             if entries.next() is not None:
@@ -130,6 +132,10 @@ class NodeRerun:
             )
         return self._compared
 
+    def _pump_out(self, executor: Executor) -> None:
+        while executor.due and self._progress.pump(executor):
+            pass
+
     @property
     def _all_again(self) -> bool:
         """Whether every action is repeated: none was under way before, and none may move something."""
@@ -137,28 +143,44 @@ class NodeRerun:
 
     # Nets.
 
-    def _load(self, turn: Turn) -> None:
-        """Take in the nets of a turn; for running nets the turn only repeats the state."""
-        again = bool(self._progress.executors) and any(item[:1] == ["node"] for item in turn.items)
-        states = [
-            item for item in turn.items if item[:1] == ["state"] and not (again and item[1] in self._progress.executors)
-        ]
+    def _load(self, items: Sequence[Item]) -> None:
+        """Take in the nets of consecutive states; for a later recorder, running nets only repeat their states."""
+        progress = self._progress
+        again = bool(progress.executors) and any(item[:1] == ["node"] for item in progress.turn.items)
         found: list[tuple[Net, Net, dict[str, object]]] = []
-        for item in states:
+        for item in items:
             match item:
+                case ["state", str(name), *_] if again and name in progress.executors:
+                    continue
                 case ["state", str(name), dict(state), str(text)]:
                     recorded = parse_net(text, f"net {name} of the bag")
                     net = self._given.get(name, recorded)
                     if fingerprint(net) != fingerprint(recorded):
                         self._compared.changed.add(name)
-                    self._progress.nets[name] = net
+                    self._leave(name)
+                    progress.nets[name] = net
                     found.append((net, recorded, state))
                 case _:
                     raise DataError(f"{str(item)[:100]} is no state of a net")
+        told = {net.name for net, _, _ in found}
+        for name in [name for name, net in progress.nets.items() if net.former in told and name not in told]:
+            del progress.nets[name], progress.executors[name]  # a former version that has ended its commands
         if found:
             self._functions = self._made()
         for net, recorded, state in found:
             self._enter(net, recorded, state)
+        self._script.step()
+
+    def _leave(self, name: str) -> None:
+        """Finish the turn of a net before another version, or before tokens of another version.
+
+        Raises:
+            Difference: It has not fired all that is recorded until then.
+        """
+        if (executor := self._progress.executors.get(name)) is not None:
+            self._pump_out(executor)
+            if self._progress.entries[name].reached < self._progress.entries[name].seen:
+                raise self._progress.missing(name)
 
     def _made(self) -> Functions:
         imported = self._not_again.functions(others_made=bool(self._stream.functions))

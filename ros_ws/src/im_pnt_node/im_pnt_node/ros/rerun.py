@@ -2,19 +2,24 @@
 
 import argparse
 import math
+import re
 import sys
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 
+from rclpy.serialization import serialize_message
+
 from im_bag.command_line import parsed
-from im_bag.reading import messages_of, topics_of
+from im_bag.definitions import changed_types
+from im_bag.reading import messages_of, open_bag, topics_of
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
 from im_core.options import seconds
-from im_core.ros.messages.interfaces import decoded, interface_class
+from im_core.ros.messages.interfaces import decoded, interface_class, type_name
 from im_core.ros.messages.message_fields import filled
 from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
@@ -48,9 +53,15 @@ a firing whose delay is over later than in the bag, by more than --tolerance, is
 Exit code: 0 equal, 1 it differs, 2 the bag cannot be run again, or an option is wrong."""
 
 EQUAL, DIFFERS, BAD_INPUT = 0, 1, 2
+_CHANGED = "{} is another message here than in the bag, which was recorded before it changed: record it anew"
+_TYPE = re.compile(r'"(\w+/(?:msg|srv|action)/\w+)"')
 INSTALLED = ("im_dispatcher", "im_coordinators")
 TOLD_S = 2.0
 MessageT = TypeVar("MessageT")
+
+
+class _ChangedMessage(BaseException):
+    """Signal of a recorded message of another type than here; no failure of an action."""
 
 
 class RosMessages:
@@ -62,7 +73,7 @@ class RosMessages:
 
     def unpacked(self, data: str, kind: type[MessageT]) -> MessageT:
         """Return a message."""
-        message: MessageT = decoded(b64decode(data), kind)
+        message: MessageT = _unpacked(data, kind)
         return message
 
     def difference(self, recorded: object, now: object) -> str:
@@ -70,9 +81,24 @@ class RosMessages:
         match recorded, now:
             case [str(then_type), str(then)], [str(now_type), str(again)] if then_type == now_type and "/" in now_type:
                 kind = interface_of(then_type)
-                before, after = (_tree(decoded(b64decode(data), kind)) for data in (then, again))
+                before, after = (_tree(_unpacked(data, kind)) for data in (then, again))
                 return first_difference(before, after)
         return first_difference(recorded, now)
+
+
+def _unpacked(data: str, kind: Any) -> Any:
+    """Return the message of CDR in base64.
+
+    Raises:
+        _ChangedMessage: It has not the length of such a message: its type has changed since it was recorded.
+    """
+    there, here = b64decode(data), b""
+    with suppress(DataError):
+        message = decoded(there, kind)
+        here = serialize_message(message)
+    if len(here) != len(there):
+        raise _ChangedMessage(_CHANGED.format(type_name(kind)))
+    return message
 
 
 def _tree(value: Any) -> object:
@@ -113,7 +139,7 @@ class RosWorld:
             interface = interface_class(action.type)
             await sent(activity, action, context, interface.Request())
             _, data = await script.wait(answer_key(activity))
-            response = decoded(b64decode(data), interface.Response)
+            response = _unpacked(data, interface.Response)
             require_success(response, str(action))
             return await handled(functions, action, context, response)
 
@@ -122,7 +148,7 @@ class RosWorld:
             interface = interface_class(action.type)
             await sent(activity, action, context, interface.Goal())
             status, _, data = await script.wait(answer_key(activity))
-            result = result_of(action, int(status), decoded(b64decode(data), interface.Result))
+            result = result_of(action, int(status), _unpacked(data, interface.Result))
             return await handled(functions, action, context, result)
 
         async def topic(activity: Activity, context: ActionContext) -> dict[str, object]:
@@ -135,7 +161,7 @@ class RosWorld:
             action = activity.action
             assert isinstance(action, AwaitAction)
             _, data = await script.wait(answer_key(activity))
-            return await handled(functions, action, context, decoded(b64decode(data), interface_class(action.type)))
+            return await handled(functions, action, context, _unpacked(data, interface_class(action.type)))
 
         async def asked(activity: Activity, _: ActionContext) -> Answer:
             return ANSWER.decode(await script.wait(["asked", activity.net, activity.number]))
@@ -152,7 +178,7 @@ class RosWorld:
 
     def heard(self, kind: str, data: str) -> object:
         """Return a recorded message."""
-        return decoded(b64decode(data), interface_of(kind))
+        return _unpacked(data, interface_of(kind))
 
 
 def told_in(bag: Path) -> list[NodeStream]:
@@ -190,6 +216,17 @@ def installed_nets() -> dict[str, Net]:
     return nets
 
 
+def _changed_message(bag: Path) -> str:
+    """Return a sentence about a recorded message with another definition in the bag than here; empty without one."""
+    told = set(_TYPE.findall("".join(_texts(bag))))
+    with closing(open_bag(bag)) as reader:
+        for each in reader.connections:
+            with suppress(DataError):  # a type of others, which is not known here
+                for name in told.intersection(changed_types(each.msgtype, each.msgdef)):
+                    return _CHANGED.format(name)
+    return ""
+
+
 def rerun(
     bag: Path,
     nets: Mapping[str, Net],
@@ -216,7 +253,10 @@ def rerun(
     for rank, stream in enumerate(streams, 1):
         if monotonic() - began > TOLD_S:
             told(f"{rank} of {len(streams)} nodes: {stream.node}")
-        part = NodeRerun(stream, RosWorld(), RosMessages(), nets, tolerance).run()
+        try:
+            part = NodeRerun(stream, RosWorld(), RosMessages(), nets, tolerance).run()
+        except _ChangedMessage as changed:
+            raise DataError(f"{bag}: {changed}") from changed
         whole.nets |= part.nets
         whole.changed |= part.changed
         whole.firings += part.firings
@@ -256,8 +296,11 @@ def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
         if unknown := sorted(given.keys() - found.nets):
             raise DataError(f"net {unknown[0]} is not in the bag; it has {', '.join(sorted(found.nets))}")
     except Difference as difference:
-        print(f"{program}: {difference}")
-        return DIFFERS
+        if not (changed := _changed_message(options.bag)):
+            print(f"{program}: {difference}")
+            return DIFFERS
+        print(f"{program}: {changed}", file=sys.stderr)
+        return BAD_INPUT
     except ImError as error:
         print(f"{program}: {error.message}", file=sys.stderr)
         return BAD_INPUT

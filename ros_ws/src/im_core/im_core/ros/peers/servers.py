@@ -5,12 +5,13 @@ import os
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from im_core.errors import ImError
+from im_core.errors import ImError, nearest
 from im_core.processes.procfs import ProcessId, has_loaded, processes_ending_in
 from im_core.ros.failures import few
 
 #: How DDS names the topic of requests; of an action it is that of its goals.
-_REQUESTS = ("rq{}Request", "rq{}/_action/send_goalRequest")
+_GOALS = "/_action/send_goal"
+_REQUESTS = ("rq{}Request", f"rq{{}}{_GOALS}Request")
 
 _PARTICIPANT_BYTES, _HOST_BYTES, _PID_BYTES = 12, 4, 2
 _FAST_DDS = bytes((0x01, 0x0F))
@@ -30,6 +31,19 @@ def servers_of(node: Node, name: str) -> list[str]:
         Full names of nodes, sorted; a name is there twice where two nodes have it, or one node serves twice.
     """
     return sorted(map(node_of, server_ends(node, name)))
+
+
+def offered_alike(node: Node, name: str) -> str:
+    """Return a hint at the names of the same type that are offered, for a name without a server; empty without any.
+
+    Args:
+        node: Whose view of the graph is asked; it has a client of the name.
+        name: Full name of a service or of an action.
+    """
+    known = dict(node.get_service_names_and_types())
+    end = _GOALS if name + _GOALS in known else ""
+    same = (each.removesuffix(end) for each, types in known.items() if types == known.get(name + end))
+    return nearest(name, (each for each in same if each != name and servers_of(node, each)))
 
 
 def server_ends(node: Node, name: str) -> list[TopicEndpointInfo]:

@@ -19,7 +19,7 @@ from im_core.ros.messages.interfaces import interface_class
 from im_core.ros.messages.message_fields import filled
 from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.peers.servers import doubted, server_ends, servers_of
+from im_core.ros.peers.servers import doubted, offered_alike, server_ends, servers_of
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
@@ -178,7 +178,8 @@ class Surroundings:
                 if nodes != (nodes := self._nodes()):
                     changed = monotonic()
                 if monotonic() > changed + SETTLING_S and not servers_of(self.node, name):
-                    raise StateError(f"nobody offers {what} in ROS domain {self.node.context.get_domain_id()}")
+                    where = f"in ROS domain {self.node.context.get_domain_id()}"
+                    raise StateError(f"nobody offers {what} {where}{offered_alike(self.node, name)}")
             await pause(self.node, 0.05)
         if task is None:
             await self._until_alone(name, what, unwanted)
