@@ -60,7 +60,6 @@ class AgentNode(GuardedNode):
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
-        run_state.prepare(run_dir, True, self.log.info)  # a new machine is a new mission
         commands(deployment, host, run_dir)  # what is missing is said now, and not when all others start
         self._deployment, self._host, self._run_dir = deployment, host, run_dir
         self._agent = Agent((), os.environ)
@@ -100,8 +99,12 @@ class AgentNode(GuardedNode):
             return
         if not self._started:
             deployment = with_options_text(self._deployment, told.options)
-            given = {START_TIMEOUT: repr(told.start_timeout_s)}
+            given = {START_TIMEOUT: repr(told.start_timeout_s), names.RUN: told.run}
             given = {**environment(os.environ, self._run_dir, deployment), **given}
+            # a new machine is a new mission; an agent of the run that comes back goes on with its own
+            fresh = not told.run or run_state.run_of(self._run_dir) != told.run
+            run_state.prepare(self._run_dir, fresh, self.log.info)
+            run_state.begin(self._run_dir, told.run)
             self._started = True
             self._agent = Agent(commands(deployment, self._host, self._run_dir), given)
             for event in self._agent.start():
