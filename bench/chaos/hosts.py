@@ -12,7 +12,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO
 
 from bench.chaos.switch import Weather
 from im_bringup.tasks.middleware import PROFILE
@@ -89,14 +88,14 @@ class Host:
             timeout=PROGRAM_S,
         )
 
-    def start(self, *argv: object, output: int | IO[str] = subprocess.DEVNULL, **more: str) -> subprocess.Popen[str]:
+    def start(self, *argv: object, **more: str) -> subprocess.Popen[str]:
         """Start a program, which ends with the host at the latest."""
         return subprocess.Popen(
             self.argv(*argv),
             env=self.environment(more),
             stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=output,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             text=True,
         )
 

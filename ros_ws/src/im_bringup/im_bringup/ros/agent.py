@@ -32,6 +32,7 @@ from im_bringup.tasks.signed_link import (
 )
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
+from im_core.message_paths import MORE_FOLDERS, handed_over
 from im_core.processes.agent_socket import TaskReport
 from im_core.processes.startup import START_TIMEOUT, StartupPhase
 from im_core.ros import qos, run
@@ -99,7 +100,9 @@ class AgentNode(GuardedNode):
             return
         if not self._started:
             deployment = with_options_text(self._deployment, told.options)
-            given = {START_TIMEOUT: repr(told.start_timeout_s), names.RUN: told.run}
+            # clients of this host hand files over in its run folder, and not in that of its tasks
+            folders = os.pathsep.join(filter(None, (os.environ.get(MORE_FOLDERS), str(handed_over().resolve()))))
+            given = {START_TIMEOUT: repr(told.start_timeout_s), names.RUN: told.run, MORE_FOLDERS: folders}
             given = {**environment(os.environ, self._run_dir, deployment), **given}
             # a new machine is a new mission; an agent of the run that comes back goes on with its own
             fresh = not told.run or run_state.run_of(self._run_dir) != told.run
