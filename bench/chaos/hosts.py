@@ -22,7 +22,7 @@ from im_core.errors import StateError, WaitTimeoutError
 _BOOT_S = 60.0
 #: Longest run of a program on a host [s].
 PROGRAM_S = 900.0
-_CABLE = "eth7"
+CABLE = "eth7"
 _INIT = "mount -t tmpfs tmpfs /dev/shm && ip link set lo up && echo up && while sleep 3600; do :; done"
 #: Ask a driver to compute no check sums of frames later (``linux/ethtool.h``): the switch passes on what it gets.
 _SIOCETHTOOL, _SET_TX_CHECKSUM = 0x8946, 0x17
@@ -101,7 +101,7 @@ class Host:
 
     def cable(self, up: bool) -> None:
         """Plug the cable in, or pull it out."""
-        self.run("ip", "link", "set", _CABLE, "up" if up else "down")
+        self.run("ip", "link", "set", CABLE, "up" if up else "down")
 
     def await_cable(self) -> None:
         """Wait for the cable to be up: DDS takes the interfaces that are up when it begins.
@@ -110,7 +110,7 @@ class Host:
             WaitTimeoutError: It is not.
         """
         deadline = clock.monotonic() + _BOOT_S
-        while "state UP" not in self.run("ip", "link", "show", _CABLE).stdout:
+        while "state UP" not in self.run("ip", "link", "show", CABLE).stdout:
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what=f"the cable of {self.address}", seconds=_BOOT_S)
             clock.sleep(0.05)
@@ -152,13 +152,13 @@ class Network:
 
     def _plug(self, host: Host) -> None:
         port = f"port{self.hosts.index(host)}"
-        words = f"ip link add {_CABLE} netns {host.pid} type veth peer name {port} netns {self._middle.pid}"
+        words = f"ip link add {CABLE} netns {host.pid} type veth peer name {port} netns {self._middle.pid}"
         done = subprocess.run(words.split(), capture_output=True, text=True, check=False)
         if done.returncode:
             raise StateError(f"no network between namespaces here: {done.stderr.strip()}")
         self._middle.run("ip", "link", "set", port, "promisc", "on", "up")
         host.run(sys.executable, "-m", "bench.chaos.hosts")
-        host.run("ip", "addr", "add", f"{host.address}/24", "dev", _CABLE)
+        host.run("ip", "addr", "add", f"{host.address}/24", "dev", CABLE)
         host.cable(up=True)
         host.await_cable()
 
@@ -191,7 +191,7 @@ def send_check_sums() -> None:
     """Have the cable of this host carry whole frames: what comes through a switch of programs is checked."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         data = array.array("B", struct.pack("II", _SET_TX_CHECKSUM, 0))
-        request = struct.pack("16sQ16x", _CABLE.encode(), data.buffer_info()[0])
+        request = struct.pack("16sQ16x", CABLE.encode(), data.buffer_info()[0])
         fcntl.ioctl(any_socket.fileno(), _SIOCETHTOOL, request)
 
 

@@ -23,6 +23,7 @@ from im_core.message_paths import MORE_FOLDERS
 
 #: Deployments by the number of their hosts, and the names of these; the first has the cell and gets the commands.
 DEPLOYMENTS: Mapping[int, tuple[str, tuple[str, ...]]] = {
+    1: ("default.yaml", ("localhost",)),
     2: ("two_hosts.yaml", ("localhost", "coordination")),
     3: ("three_hosts.yaml", ("localhost", "coordination", "display")),
 }
@@ -47,6 +48,7 @@ class Machine:
         deployment: Its file.
         events: File with what servers of the first host did.
         agents: Of the other hosts.
+        told: What the start has said.
     """
 
     network: Network
@@ -54,6 +56,7 @@ class Machine:
     deployment: Path
     events: Path
     agents: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
+    told: str = ""
 
     @property
     def first(self) -> Host:
@@ -69,6 +72,11 @@ class Machine:
         # the hosts have one disk here: what a client hands over on one is there on each
         shared = {MORE_FOLDERS: str(names.run_dir())}
         self.agents[name] = self.host(name).start(*_START, self.deployment, "--host", name, **shared)
+
+    def record(self) -> None:
+        """Begin to note what servers of the first host do."""
+        self.events.touch()
+        self.first.start(sys.executable, "-m", "bench.chaos.history", self.events)
 
     def objects(self) -> dict[str, int]:
         """Versions of the data objects by name."""
@@ -88,15 +96,15 @@ def running(count: int, factor: float, folder: Path) -> Iterator[Machine]:
     with connected(count) as network:
         addresses = ", ".join(f"{name}: {host.address}" for name, host in zip(hosts, network.hosts, strict=True))
         deployment = folder / file
-        deployment.write_text(f"addresses: {{{addresses}}}\n{shipped}", encoding="utf-8")
+        discovery = f"addresses: {{{addresses}}}\n" if count > 1 else ""
+        deployment.write_text(f"{discovery}{shipped}", encoding="utf-8")
         machine = Machine(network, hosts, deployment, folder / "events.jsonl")
         for name in hosts[1:]:
             machine.start_agent(name)
         done = machine.first.run(*_START, deployment, "--factor", factor, "--timeout", START_S)
         if done.returncode != 0:
             raise StateError(f"the machine did not start: {done.stderr.strip()[-500:]}")
-        machine.events.touch()
-        machine.first.start(sys.executable, "-m", "bench.chaos.history", machine.events, ROS_STATIC_PEERS="")
+        machine.told = done.stdout
         try:
             yield machine
         finally:
