@@ -89,9 +89,8 @@ def main() -> int:
     known = tuple(over_hosts.KINDS if arguments.hosts else KINDS)
     arguments.kinds = arguments.kinds or known
     if wrong := [kind for kind in arguments.kinds if kind not in known]:
-        parser.error(
-            f"{wrong[0]} is a fault {'of' if arguments.hosts else 'between'} hosts; here are {', '.join(known)}"
-        )
+        here = "between hosts" if arguments.hosts else "on one host"
+        parser.error(f"{wrong[0]} is no fault {here}; those are {', '.join(known)}")
     if arguments.power is not None and not arguments.everything:
         parser.error("--power takes everything down: --everything")
     if arguments.docs is not None and arguments.out is None:

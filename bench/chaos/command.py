@@ -49,11 +49,14 @@ class Command:
         given = ("calibrate_camera", "--poses-file", str(poses)) if poses else ("--attach", str(number))
         argv = [sys.executable, "-m", "im_bringup.ros.run_command", *given, "--json"]
         self.began = clock.monotonic()
-        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        if host is None:
-            self._process = subprocess.Popen(argv, text=True, **pipes)
-        else:
-            self._process = subprocess.Popen(host.argv(*argv), env=host.environment({}), text=True, **pipes)
+        self._process = subprocess.Popen(
+            argv if host is None else host.argv(*argv),
+            env=None if host is None else host.environment({}),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         self._lines: list[str] = []
         self._printed: list[str] = []
         self._readers = [

@@ -7,19 +7,20 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 from rclpy.parameter import Parameter
 from service_msgs.msg import ServiceEventInfo
 
-from im_core.errors import ImError
 from im_core.files import read_text
 from im_core.ros import qos
 from im_core.ros.messages.interfaces import message_class
 from im_core.ros.node import ManagedNode
 from im_core.ros.run import main
-from im_core.text.jsontext import decode_json
+from im_core.text.jsontext import JsonError, decode_json
 
 _GOALS, _RESULTS = "/_action/send_goal/_service_event", "/_action/get_result/_service_event"
 _PUTS = ("/dom/put/_service_event", "/dom/append/_service_event")
@@ -48,9 +49,7 @@ class HistoryNode(ManagedNode):
             if known or not topic.endswith((_GOALS, _RESULTS, *_PUTS)):
                 continue
             self._heard.add(topic)
-            self.create_subscription(
-                message_class(kind), topic, lambda event, topic=topic: self._note(topic, event), qos.SERVICE_EVENTS
-            )
+            self.create_subscription(message_class(kind), topic, partial(self._note, topic), qos.SERVICE_EVENTS)
 
     def _note(self, topic: str, event: Any) -> None:
         told = event.info.event_type
@@ -98,11 +97,10 @@ def read(file: Path) -> Iterator[tuple[str, str, object]]:
         FileError: It cannot be read.
     """
     for line in read_text(file).splitlines():
-        try:
-            what, name, told = decode_json(line)
-        except (ImError, ValueError, TypeError):
-            continue
-        yield what, name, told
+        with suppress(JsonError):
+            match decode_json(line):
+                case [str(what), str(name), told]:
+                    yield what, name, told
 
 
 if __name__ == "__main__":
