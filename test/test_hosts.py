@@ -178,14 +178,21 @@ def test_a_deployment_over_two_hosts_opens_itself_and_survives_a_cut_cable_and_t
     assert agent.wait(WAIT_S) == 0
 
 
-def test_a_host_without_an_agent_is_named_with_the_line_that_is_missing_there(two):
-    here, _, deployment = two
+def test_an_agent_without_a_link_is_missed_with_the_line_for_its_host_and_comes_with_the_link(two):
+    here, there, deployment = two
+    there.cable(up=False)
+    agent = there.start(*START, deployment, "--host", "far")
     done = here.run(*START, deployment, "--timeout", 8)
     assert done.returncode == 1
     assert done.stderr.splitlines() == [
         "start: not every task was ready after 8 s:",
         "  host far: no agent was heard; on it: start.sh FILE --host far",
     ]
+    there.cable(up=True)
+    done = here.run(*START, deployment, "--timeout", 3 * WAIT_S)
+    assert done.returncode == 0, done.stderr
+    assert here.run(*STOP).returncode == 0
+    assert agent.wait(WAIT_S) == 0
 
 
 def test_a_host_with_another_cell_or_other_tasks_is_named_and_gets_no_orders(two, tmp_path):

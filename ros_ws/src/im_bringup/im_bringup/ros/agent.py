@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import socket
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +20,7 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
 from im_bringup.tasks.host_digest import digests
 from im_bringup.tasks.memory_limit import limit_memory
-from im_bringup.tasks.middleware import middleware
+from im_bringup.tasks.middleware import has_link, middleware
 from im_bringup.tasks.registry import Progress
 from im_bringup.tasks.signed_link import (
     HostOrder,
@@ -45,6 +46,8 @@ from im_msgs.msg import TaskStatus
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 #: How often the bootstrap hears of this host at least [s].
 REPORT_PERIOD_S = 0.5
+#: How often an agent without a link to others looks whether there is one [s].
+_LINK_PERIOD_S = 0.2
 
 
 class AgentNode(GuardedNode):
@@ -152,6 +155,7 @@ def main() -> int:
 
     def make_node() -> AgentNode:
         deployment, secret = deployments.load(arguments.deployment), read_secret(os.environ)
+        _await_link(deployment.addresses.get(arguments.host, ""))
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         return AgentNode(deployment, arguments.host, secret)
@@ -159,6 +163,18 @@ def main() -> int:
     os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients
     enclave = enclave_arguments(arguments.host, AGENT)
     return run.main(make_node, args=enclave, at_end=AgentNode.shut_down)
+
+
+def _await_link(address: str) -> None:
+    """Wait for the link to other hosts, as long as need be: the agent waits for its bootstrap anyway."""
+    try:
+        known = socket.gethostbyname(address) if address else ""
+    except OSError:  # its name is not known without the link, perhaps
+        known = ""
+    if not has_link(known):
+        print(f"agent: no link to other hosts is up{f' at {address}' if address else ''}; waiting for it", flush=True)
+        while not has_link(known):
+            clock.sleep(_LINK_PERIOD_S)
 
 
 if __name__ == "__main__":
