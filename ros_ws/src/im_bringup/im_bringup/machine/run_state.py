@@ -80,7 +80,7 @@ def begin(run_dir: Path, run: str) -> None:
 
 
 def run_of(run_dir: Path) -> str | None:
-    """Return the name of the run that has begun in a run folder and was not stopped; None: there is none.
+    """Return the name of the last run of a run folder; None: none has begun, or the last one was stopped.
 
     Raises:
         FileError: It cannot be read.

@@ -1,4 +1,4 @@
-"""``supervisor``: parent of a bootstrap or an agent; if it is killed or hangs, it is started again with its tasks.
+"""``supervisor``: parent of a bootstrap or an agent; after a death or a hang another one is started with all tasks.
 
 The tasks of a host end with the bootstrap that started them. A new bootstrap starts them all anew; their journals are
 kept, so that the nets go on where they were. What ends with an exit code has ended on purpose, or would end so again;
@@ -245,7 +245,7 @@ class Hang:
 
 
 def main() -> int:
-    """Run the command: ``--agent`` where it is one, a program and its arguments."""
+    """Run the command: ``--agent`` for an agent, a program and arguments."""
     agent = sys.argv[1:2] == ["--agent"]
     supervisor = BootstrapKeeper(sys.argv[1 + agent :], agent)
     heed_end_signals(supervisor.stop)

@@ -166,7 +166,7 @@ def main() -> int:
 
 
 def _await_link(address: str) -> None:
-    """Wait for the link to other hosts, as long as need be: the agent waits for its bootstrap anyway."""
+    """Wait for the link to other hosts, as long as need be, as for the bootstrap."""
     try:
         known = socket.gethostbyname(address) if address else ""
     except OSError:  # its name is not known without the link, perhaps

@@ -65,7 +65,7 @@ def reach(base: Mapping[str, str], deployment: Deployment) -> str:
 
 
 def has_link(address: str) -> bool:
-    """Return whether an interface to other hosts is up: DDS takes those that are up when the first node is made.
+    """Return whether an interface to other hosts is up: DDS finds none later than the first node of a process.
 
     Args:
         address: Of the interface; any counts where none has this one.
