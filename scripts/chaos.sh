@@ -13,13 +13,16 @@
 #   scripts/chaos.sh --everything --power disk --injections 20    the power goes, too: what was not synchronised is
 #                                            there by chance only; with journal_sync: disk, or os
 #   scripts/chaos.sh --demo --injections 20  signals to scripts/demo.sh instead, and the end of its terminal
+#   scripts/chaos.sh --hosts 2 --injections 20    a machine over two (or 3) hosts, which are namespaces of this
+#                                            computer: links, frames, hosts and agents fail
 #   scripts/chaos.sh --port 8081             another port for the display of the machine
 #   scripts/chaos.sh --minutes 30 --out results/chaos.jsonl    in pieces: adds to the file, goes on with its next seed
 #   scripts/chaos.sh --out results/chaos.jsonl --docs docs/evidence/reliability.md    writes the table there, no injection
 #
 # Kinds: kill, kill-two, stop (1, 15 or 60 s), malformed, clock, second, load, disk, journal, lifecycle (shutdown of
 # /mcs). Roles: servo, physics, cameras, bootstrap, and the tasks: testbed, mcs, vss, dom, dispatcher, pnt_display,
-# <which>_coordinator.
+# <which>_coordinator. With --hosts the kinds are cut (a link, for 20 s), weather (frames lost, late and reordered for
+# 20 s), host (killed, and on again), late (likewise, with its link down when its agent begins) and agent (killed).
 #
 # Each injection must end with a true answer to the command (success, or a reason that names who failed), the next
 # command must succeed without a restart of the machine, and nothing may be left behind. Prints a table fault x outcome.

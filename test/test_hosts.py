@@ -5,13 +5,15 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from bench.chaos.hosts import connected
+from im_bringup.ros.security import enclaves_of
 from im_bringup.tasks.middleware import PROFILE, loopback_profile, open_profile
 from im_core.config import package_file
+from im_core.errors import StateError
 from support.whole_machine import write_few_poses
 
 WAIT_S = 60.0
@@ -40,102 +42,35 @@ NAMES = ("localhost", "coordination", "display")
 NOBODY = {"answered": False, "nodes": [], "topics": [], "services": []}
 
 
-class Host:
-    """A network of its own, and a shared memory of its own.
-
-    Args:
-        stack: Ends what runs here.
-        address: In the network that joins the hosts.
-    """
-
-    def __init__(self, stack, address):
-        self.address = address
-        argv = ["unshare", "--net", "--mount", "sh", "-c", "mount -t tmpfs tmpfs /dev/shm && echo && exec sleep 3600"]
-        try:
-            self._holder = subprocess.Popen(argv, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        except FileNotFoundError:
-            pytest.skip("there is no command unshare")
-        stack.callback(self._holder.communicate)
-        stack.callback(self._holder.kill)
-        if not self._holder.stdout.readline():
-            pytest.skip(f"no namespaces here: {self._holder.stderr.readline().decode().strip()}")
-        self.pid = self._holder.pid
-        self._stack = stack
-
-    def argv(self, *argv):
-        return ["nsenter", "--target", str(self.pid), "--net", "--mount", *map(str, argv)]
-
-    def run(self, *argv, **environment):
-        """Run a command to its end."""
-        settings = {"capture_output": True, "text": True, "check": False, "timeout": 10 * WAIT_S}
-        return subprocess.run(self.argv(*argv), env=environment_with(environment), **settings)
-
-    def start(self, *argv, **environment):
-        """Start a process, which ends with the test."""
-        process = subprocess.Popen(self.argv(*argv), env=environment_with(environment), stdout=subprocess.DEVNULL)
-        self._stack.callback(process.wait)
-        self._stack.callback(process.kill)
-        return process
-
-    def look(self, seconds, *settings):
-        """What clients find here that were not told anything by our scripts: one for each environment, all at once."""
-        with ThreadPoolExecutor() as pool:
-            looks = [pool.submit(self.run, sys.executable, "-c", CLIENT, seconds, **each) for each in settings]
-        for done in (look.result() for look in looks):
-            assert done.returncode == 0, done.stderr
-        return [json.loads(look.result().stdout) for look in looks]
-
-    def ports(self, protocol):
-        """Addresses and ports of the sockets of this host, and the state of each."""
-        for line in Path(f"/proc/{self.pid}/net/{protocol}").read_text().splitlines()[1:]:
-            _, local, _, state, *_ = line.split()
-            address, port = local.split(":")
-            yield address, int(port, 16), state
+def look(host, seconds, *settings):
+    """What clients find on a host that were not told anything by our scripts: one for each environment, all at once."""
+    with ThreadPoolExecutor() as pool:
+        looks = [pool.submit(host.run, sys.executable, "-c", CLIENT, seconds, **each) for each in settings]
+    for done in (each.result() for each in looks):
+        assert done.returncode == 0, done.stderr
+    return [json.loads(each.result().stdout) for each in looks]
 
 
-def environment_with(changes):
-    """The environment without what our scripts say of DDS."""
-    plain = {key: value for key, value in os.environ.items() if key not in (PROFILE, "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    return {**plain, **changes}
-
-
-def connected(stack, wait_until, count):
-    """Make hosts whose cables meet in a switch, which is in a network of its own."""
-    switch = Host(stack, "")
-    hosts = [Host(stack, f"10.99.7.{number}") for number in range(1, count + 1)]
-    commands = [switch.argv("ip", "link", "add", "switch", "type", "bridge")]
-    commands.append(switch.argv("ip", "link", "set", "switch", "up"))
-    for number, host in enumerate(hosts, start=1):
-        plug = f"port{number}"
-        commands.append(f"ip link add eth7 netns {host.pid} type veth peer name {plug} netns {switch.pid}".split())
-        commands.append(switch.argv("ip", "link", "set", plug, "master", "switch"))
-        commands.append(switch.argv("ip", "link", "set", plug, "up"))
-        up = (f"addr add {host.address}/24 dev eth7", "link set lo up", "link set eth7 up")
-        commands.extend(host.argv("ip", *rest.split()) for rest in up)
-    for command in commands:
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-        except FileNotFoundError:
-            pytest.skip(f"there is no command {command[0]}")
-        if done.returncode:
-            pytest.skip(f"no network between namespaces here: {done.stderr.strip()}")
-    for host in hosts:  # DDS takes the interfaces that are up when it begins
-        wait_until(lambda host=host: "state UP" in host.run("ip", "link", "show", "eth7").stdout, "the cable")
-    return hosts
+def ports(host, protocol):
+    """Addresses and ports of the sockets of a host, and the state of each."""
+    for line in Path(f"/proc/{host.pid}/net/{protocol}").read_text().splitlines()[1:]:
+        _, local, _, state, *_ = line.split()
+        address, port = local.split(":")
+        yield address, int(port, 16), state
 
 
 @pytest.fixture
-def hosts(wait_until):
+def hosts():
     """Two hosts that reach each other."""
-    with ExitStack() as stack:
-        yield connected(stack, wait_until, 2)
+    with connected(2) as network:
+        yield network.hosts
 
 
 @pytest.fixture
-def three(wait_until):
+def three():
     """Three hosts that reach each other."""
-    with ExitStack() as stack:
-        yield connected(stack, wait_until, 3)
+    with connected(3) as network:
+        yield network.hosts
 
 
 def neighbours(host):
@@ -148,11 +83,11 @@ def neighbours(host):
 def listens_on_loopback_alone(host, processes):
     """Whether the sockets that DDS receives with, and those that wait for connections, are on the loopback."""
     first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"])
-    receiving = [(address, port) for address, port, _ in host.ports("udp") if first <= port < first + 250]
+    receiving = [(address, port) for address, port, _ in ports(host, "udp") if first <= port < first + 250]
     assert len(receiving) >= 2 * processes, receiving
-    receiving += [(address, port) for address, port, state in host.ports("tcp") if state == "0A"]
+    receiving += [(address, port) for address, port, state in ports(host, "tcp") if state == "0A"]
     elsewhere = [entry for entry in receiving if entry[0] != "0100007F"]
-    return not elsewhere and not [entry for entry in host.ports("tcp6") if entry[2] == "0A"]
+    return not elsewhere and not [entry for entry in ports(host, "tcp6") if entry[2] == "0A"]
 
 
 @pytest.mark.parametrize("several", [False, True], ids=["one host", "several hosts"])
@@ -163,9 +98,9 @@ def test_a_node_is_reached_from_another_host_only_where_it_is_opened(hosts, seve
     here.start(sys.executable, "-m", "im_dom.ros.node", "--ros-args", "-p", "standalone:=true", **settings)
     # a client of this host needs nothing of ours
     plain = [{"ROS_AUTOMATIC_DISCOVERY_RANGE": reach} for reach in ("LOCALHOST", "SUBNET")]
-    assert all(found["answered"] for found in here.look(WAIT_S, *plain, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}))
+    assert all(found["answered"] for found in look(here, WAIT_S, *plain, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}))
     assert listens_on_loopback_alone(here, 1) is not several
-    for found in there.look(WAIT_S if several else LOOK_S, *neighbours(here)):
+    for found in look(there, WAIT_S if several else LOOK_S, *neighbours(here)):
         if several:
             assert found["answered"]
             assert "/dom/get" in found["services"]
@@ -198,41 +133,71 @@ def two(hosts, tmp_path):
 
 
 def tasks_of(host):
-    """Name, host, state and reason of each task, as ``im tasks`` tells on a host."""
+    """What ``im tasks`` tells on a host of each task, by name."""
     done = host.run(sys.executable, "-m", "im_bringup.ros.tasks", "--json")
     assert done.returncode == 0, done.stderr
-    return [(task["name"], task["host"], task["phase"], task["detail"]) for task in json.loads(done.stdout)]
+    return {task["name"]: task for task in json.loads(done.stdout)}
 
 
-def test_a_deployment_over_two_hosts_opens_itself_and_survives_a_cut_cable(two, wait_until):
+KILL_PARENT = """
+import os, pathlib, sys
+(parent,) = (line.split()[1] for line in pathlib.Path(f"/proc/{sys.argv[1]}/status").open() if line[:5] == "PPid:")
+assert f"agent\\0far\\0".encode() in pathlib.Path(f"/proc/{parent}/cmdline").read_bytes()
+os.kill(int(parent), 9)
+"""
+
+
+def test_a_deployment_over_two_hosts_opens_itself_and_survives_a_cut_cable_and_the_death_of_an_agent(two, wait_until):
     """The file alone decides: neither the terminal of the start nor that of the agent says anything of DDS."""
     here, there, deployment = two
+
+    def far():
+        return tasks_of(here)["gripper_coordinator"]
+
     agent = there.start(*START, deployment, "--host", "far")
     done = here.run(*START, deployment, "--timeout", 3 * WAIT_S)
     assert done.returncode == 0, done.stderr
     assert "DDS listens on all interfaces, for hosts localhost, far (docs/security.md)" in done.stdout
-    assert [task[:3] for task in tasks_of(here)] == [
-        ("dom", "localhost", "ready"),
-        ("gripper_coordinator", "far", "ready"),
-    ]
-    there.run("ip", "link", "set", "eth7", "down")
-    vanished = "nothing was heard of host far for "
-    wait_until(lambda: tasks_of(here)[1][2:] == ("dead", tasks_of(here)[1][3]), "the host to be missed", 6 * WAIT_S)
-    assert tasks_of(here)[1][3].startswith(vanished)
-    there.run("ip", "link", "set", "eth7", "up")
-    wait_until(lambda: tasks_of(here)[1][2] == "ready", "the host to come back", 6 * WAIT_S)
+    assert {name: (task["host"], task["phase"]) for name, task in tasks_of(here).items()} == {
+        "dom": ("localhost", "ready"),
+        "gripper_coordinator": ("far", "ready"),
+    }
+    there.cable(up=False)
+    wait_until(lambda: far()["phase"] == "dead", "the host to be missed", 6 * WAIT_S)
+    assert far()["detail"].startswith("nothing was heard of host far for ")
+    there.cable(up=True)
+    before = wait_until(lambda: (task := far())["phase"] == "ready" and task, "the host to come back", 6 * WAIT_S)
+
+    assert there.run(sys.executable, "-c", KILL_PARENT, before["pid"]).returncode == 0
+
+    def again():
+        return (task := far())["phase"] == "ready" and task["incarnation"] != before["incarnation"]
+
+    wait_until(again, "another agent to start the task again", 6 * WAIT_S)
     assert here.run(*STOP).returncode == 0
     assert agent.wait(WAIT_S) == 0
 
 
-def test_a_host_without_an_agent_is_named_with_the_line_that_is_missing_there(two):
-    here, _, deployment = two
-    done = here.run(*START, deployment, "--timeout", 8)
-    assert done.returncode == 1
-    assert done.stderr.splitlines() == [
-        "start: not every task was ready after 8 s:",
-        "  host far: no agent was heard; on it: start.sh FILE --host far",
-    ]
+MISSING = "from im_bringup.machine import machine_state; print(*machine_state.read().missing, sep='\\n')"
+
+
+def test_an_agent_without_a_link_is_missed_with_the_line_for_its_host_and_comes_with_the_link(two, wait_until):
+    here, there, deployment = two
+    there.cable(up=False)
+    agent = there.start(*START, deployment, "--host", "far")
+    with ThreadPoolExecutor() as pool:
+        start = pool.submit(here.run, *START, deployment, "--timeout", 5 * WAIT_S)
+
+        def missing():
+            return here.run(sys.executable, "-c", MISSING).stdout.splitlines()[:1]
+
+        named = ["host far: no agent was heard; on it: start.sh FILE --host far"]
+        wait_until(lambda: missing() == named, "the host to be named", 3 * WAIT_S)
+        there.cable(up=True)
+        done = start.result()
+    assert done.returncode == 0, done.stderr
+    assert here.run(*STOP).returncode == 0
+    assert agent.wait(WAIT_S) == 0
 
 
 def test_a_host_with_another_cell_or_other_tasks_is_named_and_gets_no_orders(two, tmp_path):
@@ -262,6 +227,20 @@ def test_a_task_that_dies_on_another_host_is_told_with_its_last_words(two):
     assert done.returncode == 1
     assert "  doctor died: it ended with exit code 2: " in done.stderr
     assert "unrecognized arguments: --ros-args" in done.stderr
+
+
+def test_enclaves_are_of_the_hosts_that_are_there():
+    tasks = [{"node": f"/{name}", "host": name, "process": f"{name}_process"} for name in ("b", "c", "a")]
+    assert enclaves_of(tasks, {"/agent_c", "/agent_a", "/bootstrap"}) == {
+        "/a": "/im/a/a_process",
+        "/b": "/im/b/b_process",
+        "/c": "/im/c/c_process",
+        "/bootstrap": "/im/b/bootstrap",
+        "/agent_a": "/im/a/agent",
+        "/agent_c": "/im/c/agent",
+    }
+    with pytest.raises(StateError, match="of the hosts a, b one runs the bootstrap; of the others no agent runs"):
+        enclaves_of(tasks, {"/agent_c", "/bootstrap"})
 
 
 @pytest.mark.end_to_end
@@ -301,8 +280,8 @@ def test_no_other_host_sees_or_calls_anything_of_a_whole_machine(hosts):
     done = here.run(sys.executable, *start, "--factor", 0, "--timeout", 5 * WAIT_S, **settings)
     try:
         assert done.returncode == 0, done.stderr
-        assert here.look(WAIT_S, {})[0]["answered"]
+        assert look(here, WAIT_S, {})[0]["answered"]
         assert listens_on_loopback_alone(here, 5)
-        assert there.look(2 * LOOK_S, *neighbours(here)) == [NOBODY, NOBODY]
+        assert look(there, 2 * LOOK_S, *neighbours(here)) == [NOBODY, NOBODY]
     finally:
         assert here.run(sys.executable, *stop, **settings).returncode == 0

@@ -237,6 +237,22 @@ def test_a_goal_is_asked_about_and_not_sent_again(machine):
     assert len(machine.arm.goals) == 1
 
 
+@pytest.mark.parametrize("upgraded", [NETS["back"].replace("thought", "considered"), None], ids=["changed", "gone"])
+def test_a_command_goes_on_in_its_nets_though_an_upgrade_has_other_files(machine, upgraded):
+    answer = machine.serve()
+    machine.until(machine.begun, "the action to begin")
+    machine.kill("back")
+    file = machine.folder / "back.yaml"
+    file.unlink() if upgraded is None else file.write_text(upgraded)
+    machine.processes["back"] = machine.start("back")
+    machine.allow("thought")
+    machine.until(lambda: machine.arm.goals, "the goal")
+    machine.allow("moved")
+    machine.until(answer.done, "the answer")
+    assert answer.result().success, answer.result().message
+    assert len(machine.arm.goals) == 1
+
+
 def test_everything_may_die_at_once(machine):
     machine.serve()
     machine.until(machine.begun, "the action to begin")

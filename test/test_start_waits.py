@@ -93,7 +93,7 @@ def test_the_agent_of_another_host_does_what_the_bootstrap_has_signed_and_nothin
     told = start.deployments.load(small_deployment).with_values(0.0, 7, None, unproved=True)
 
     def order(phase, options, by=link):
-        content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 240.0, options)))
+        content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 240.0, options, "run")))
         life = link.open(reports_topic("far"), asked[-1]).sender
         sent.append(by.sign(orders_topic("far"), content, life))
         orders.publish(String(data=sent[-1]))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from bench.chaos import demo, everything, machine, records, trial
+from bench.chaos import demo, everything, machine, over_hosts, records, trial
 from bench.chaos.command import Command
 from bench.chaos.faults import JOURNALS, KINDS, ROLES
 from bench.chaos.records import Result, Verdict
@@ -28,6 +28,8 @@ from im_pnt_node.journal.log import Sync
 
 #: The first poses of the cell, without those at which an arm that was interrupted elsewhere may hide the light.
 POSES, HIDING = 18, ("p09", "p10")
+#: Of a machine over hosts: a command there takes several times as long.
+POSES_OVER_HOSTS = 15
 DEFAULT_INJECTIONS = 20
 
 
@@ -47,8 +49,19 @@ def main() -> int:
     )
     parser.add_argument("--factor", type=float, default=0.0, help="clock factor of the machine (default: 0)")
     kinds, roles = ", ".join(KINDS), ", ".join(ROLES)
+    between = ", ".join(over_hosts.KINDS)
     parser.add_argument(
-        "--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), metavar="KIND", help=f"only of {kinds}"
+        "--kinds",
+        nargs="+",
+        choices=(*KINDS, *over_hosts.KINDS),
+        metavar="KIND",
+        help=f"only of {kinds}; with --hosts of {between}",
+    )
+    parser.add_argument(
+        "--hosts",
+        type=int,
+        choices=tuple(over_hosts.DEPLOYMENTS)[1:],
+        help="a machine over so many hosts, which are namespaces of this computer, and faults between these",
     )
     parser.add_argument(
         "--roles", nargs="+", choices=ROLES, default=ROLES, metavar="ROLE", help=f"done only to these: {roles}"
@@ -73,6 +86,11 @@ def main() -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="add a line for each injection; the table is of all")
     parser.add_argument("--docs", type=Path, metavar="PAGE", help="write the table of --out there, and inject nothing")
     arguments = parser.parse_args()
+    known = tuple(over_hosts.KINDS if arguments.hosts else KINDS)
+    arguments.kinds = arguments.kinds or known
+    if wrong := [kind for kind in arguments.kinds if kind not in known]:
+        here = "between hosts" if arguments.hosts else "on one host"
+        parser.error(f"{wrong[0]} is no fault {here}; those are {', '.join(known)}")
     if arguments.power is not None and not arguments.everything:
         parser.error("--power takes everything down: --everything")
     if arguments.docs is not None and arguments.out is None:
@@ -86,6 +104,8 @@ def main() -> int:
             results = records.read(arguments.out)
         if arguments.docs is not None:
             records.document(results, arguments.docs)
+        elif arguments.hosts:
+            _run_over_hosts(arguments, results)
         else:
             _run(arguments, results)
     except KeyboardInterrupt:
@@ -122,6 +142,28 @@ def _run(arguments: argparse.Namespace, results: list[Result]) -> None:
                     return
                 with Watch() as watch:
                     lost = _inject(seeds, setting, watch, results, arguments.out)
+
+
+def _run_over_hosts(arguments: argparse.Namespace, results: list[Result]) -> None:
+    """Inject faults between hosts as :func:`_run` does.
+
+    Raises:
+        ImError: The machine does not start, or fails undisturbed.
+    """
+    seeds = _seeds(arguments, results)
+    with tempfile.TemporaryDirectory() as folder:
+        poses = _few_poses(Path(folder), POSES_OVER_HOSTS)
+        lost = True
+        while lost:
+            with over_hosts.running(arguments.hosts, arguments.factor, Path(folder)) as several:
+                steps, duration_s, _ = _undisturbed(Command(poses, host=several.first))
+                lost = False
+                several.record()
+                for seed in seeds:
+                    result = over_hosts.run(seed, several, poses, steps, duration_s, tuple(arguments.kinds))
+                    _keep(result, results, arguments.out)
+                    if lost := result.verdict is Verdict.LOST:
+                        break
 
 
 def _demo(arguments: argparse.Namespace) -> int:
@@ -188,10 +230,10 @@ def _keep(result: Result, results: list[Result], out: Path | None) -> None:
         print(f"logs: {machine.keep_logs(result.seed)}", flush=True)
 
 
-def _few_poses(folder: Path) -> Path:
+def _few_poses(folder: Path, most: int = POSES) -> Path:
     """Some poses of the cell's own file, in a file of their own."""
     content = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text(encoding="utf-8"))
-    content["poses"] = [pose for pose in content["poses"][:POSES] if pose["name"] not in HIDING]
+    content["poses"] = [pose for pose in content["poses"][:most] if pose["name"] not in HIDING]
     path = folder / "few.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     return path
@@ -204,19 +246,29 @@ def _setting(poses: Path, arguments: argparse.Namespace) -> tuple[Setting, dict[
         StateError: It fails.
     """
     command = Command(poses)
-    outcome = command.outcome(trial.HANG_S)
-    if not outcome.success:
-        raise StateError(f"undisturbed, calibrate_camera failed: {outcome.said}")
+    steps, duration_s, report = _undisturbed(command)
     setting = Setting(
         poses,
-        command.steps,
-        outcome.ended - command.began,
+        steps,
+        duration_s,
         arguments.factor,
         tuple(arguments.kinds),
         tuple(arguments.roles),
         frozenset(machine.shared_files()),
     )
-    return setting, outcome.report
+    return setting, report
+
+
+def _undisturbed(command: Command) -> tuple[int, float, dict[str, object]]:
+    """Lines of progress of a command, how long it took [s], and what it found.
+
+    Raises:
+        StateError: It fails.
+    """
+    outcome = command.outcome(trial.HANG_S)
+    if not outcome.success:
+        raise StateError(f"undisturbed, calibrate_camera failed: {outcome.said}")
+    return command.steps, outcome.ended - command.began, outcome.report
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from bench.chaos.hosts import Host
 from im_core import clock
 
 _POLL_S = 0.02
@@ -41,14 +42,20 @@ class Command:
     Args:
         poses: File of the poses; None: it has been given already.
         number: Of the command that has been given.
+        host: Where it is given; None: on this computer.
     """
 
-    def __init__(self, poses: Path | None = None, number: int = 0) -> None:
+    def __init__(self, poses: Path | None = None, number: int = 0, host: Host | None = None) -> None:
         given = ("calibrate_camera", "--poses-file", str(poses)) if poses else ("--attach", str(number))
         argv = [sys.executable, "-m", "im_bringup.ros.run_command", *given, "--json"]
         self.began = clock.monotonic()
         self._process = subprocess.Popen(
-            argv, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            argv if host is None else host.argv(*argv),
+            env=None if host is None else host.environment({}),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         self._lines: list[str] = []
         self._printed: list[str] = []

@@ -129,8 +129,9 @@ def keep_logs(seed: int) -> Path:
     """Copy logs and journals of the machine, which do not stay as they are, into the results; where they are."""
     folder = names.results_dir() / f"chaos-{seed}-{clock.stamp_name()}"
     for part in ("log", "journal"):
-        with suppress(shutil.Error):  # a file that has gone meanwhile
-            shutil.copytree(names.run_dir() / part, folder / part)
+        for found in names.run_dir().glob(f"**/{part}"):
+            with suppress(shutil.Error):  # a file that has gone meanwhile
+                shutil.copytree(found, folder / found.relative_to(names.run_dir()), dirs_exist_ok=True)
     return folder
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from bench.machine.command import accuracy_lines, machine_lines
 from bench.machine.deadlines import deadline_lines
+from bench.machine.hosts import host_lines
 from bench.machine.pairs import pair_lines
 from bench.machine.rest import rest_lines
 from bench.machine.vision import vision_lines
@@ -18,6 +19,7 @@ GROUPS = {
     "accuracy": "true errors over expected ones, of one command for each of some seeds",
     "pairs": "two moves at once against the longer one alone, in simulated time",
     "deadlines": "missed deadlines of the servo in real time",
+    "hosts": "time to READY over one, two and three hosts, and what crosses between these at rest",
     "frames": "frames a second of /vss/snap, and where the time goes",
     "services": "answers a second of each vision Service, and where the time goes",
 }
@@ -49,6 +51,7 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
         "accuracy": lambda: accuracy_lines(options.seeds, port),
         "pairs": lambda: pair_lines(options.seeds, 0.0, port),
         "deadlines": lambda: deadline_lines(seed, port),
+        "hosts": lambda: list(host_lines()),
         "frames": lambda: vision_lines("frames", options.renderer, seed, port),
         "services": lambda: vision_lines("services", options.renderer, seed, port),
     }

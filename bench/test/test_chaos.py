@@ -5,6 +5,8 @@ from random import Random
 import numpy as np
 import pytest
 
+from bench.chaos import __main__ as chaos
+from bench.chaos import history, over_hosts
 from bench.chaos.command import Outcome
 from bench.chaos.faults import KINDS, ROLES, kill, stop
 from bench.chaos.records import BEGIN, END, Result, Verdict, append, document, read, table
@@ -175,3 +177,43 @@ def test_a_motor_that_drives_against_the_brakes_is_seen():
     assert rule.finding(control(1, power=False, braked=True), q, v) == ""
     q[5] += 0.01
     assert "left_j3 travelled 0.0100 with all brakes on" in rule.finding(control(2, power=False, braked=True), q, v)
+
+
+BEGUN, ENDED = [("begun", "g1", "/left/move"), ("begun", "g2", "/left/move")], [("ended", "g1", 4), ("ended", "g2", 6)]
+PUTS = [("put", "spots", 1), ("put", "spots", 3), ("put", "spots", 2)]
+
+
+@pytest.mark.parametrize(
+    ("entries", "objects", "faults"),
+    [
+        ([*BEGUN, *ENDED, *PUTS], {"spots": 3, "other": 1}, []),
+        ([*ENDED, *ENDED, *PUTS], {}, []),  # goals of before; and a command's objects go with it
+        ([*BEGUN, BEGUN[0]], {}, ["goal g1 was begun 2 times"]),
+        ([*BEGUN, *ENDED, ("ended", "g1", 6)], {}, ["goal g1 ended as 4, 6"]),
+        (PUTS, {"spots": 2}, ["version 3 of spots was acknowledged, and the store has version 2"]),
+    ],
+)
+def test_what_servers_told_is_judged_without_the_nets(entries, objects, faults):
+    assert list(history.faults(entries, objects)) == faults
+
+
+def test_a_history_whose_last_line_is_not_whole_is_read(tmp_path):
+    file = tmp_path / "events.jsonl"
+    file.write_text('["begun", "g1", "/left/move"]\n["ended", "g')
+    assert list(history.read(file)) == BEGUN[:1]
+
+
+@pytest.mark.parametrize("kind", over_hosts.KINDS)
+def test_a_seed_repeats_a_fault_between_hosts(kind, tmp_path):
+    machine = over_hosts.Machine(None, ("localhost", "a", "b"), tmp_path, tmp_path)
+    drawn = [str(over_hosts.KINDS[kind](machine, Random(seed))) for seed in range(20)]
+    assert [str(over_hosts.KINDS[kind](machine, Random(seed))) for seed in range(20)] == drawn
+    assert not any("localhost" in each for each in drawn)
+
+
+@pytest.mark.parametrize("given", [["--kinds", "cut"], ["--hosts", "2", "--kinds", "kill"]])
+def test_kinds_of_faults_between_hosts_and_of_one_host_are_told_apart(given, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["chaos", *given])
+    with pytest.raises(SystemExit):
+        chaos.main()
+    assert f"{given[-1]} is no fault" in capsys.readouterr().err

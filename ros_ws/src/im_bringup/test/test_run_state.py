@@ -94,16 +94,16 @@ def test_a_finished_mission_is_kept_where_it_is_said_and_only_the_newest_are(tmp
 def test_what_a_machine_knew_that_died_is_there_again_and_not_that_of_one_that_was_stopped(tmp_path):
     said = []
     leave(tmp_path, b"one")
-    run_state.begin(tmp_path)
+    run_state.begin(tmp_path, "run")
     assert run_state.prepare(tmp_path, False, said.append)
     assert run_state.prepare(tmp_path, False, said.append)  # that start was killed before the machine was ready
     assert (tmp_path / "dom.sqlite").read_bytes() == b"one"
     assert said[0].startswith("the machine before was not stopped but died: its loaded nets and data objects are there")
-    run_state.begin(tmp_path)
+    run_state.begin(tmp_path, "run")
     run_state.end(tmp_path)
     assert not run_state.prepare(tmp_path, False, said.append)
     leave(tmp_path, b"two")
-    run_state.begin(tmp_path)
+    run_state.begin(tmp_path, "run")
     assert not run_state.prepare(tmp_path, True, said.append)
     assert not run_state.prepare(tmp_path, False, said.append)
     run_state.end(tmp_path)  # there is nothing to end

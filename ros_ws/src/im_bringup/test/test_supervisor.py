@@ -61,8 +61,9 @@ def supervise(tmp_path, monkeypatch):
     program, lives, started = tmp_path / "bootstrap.py", tmp_path / "lives", []
     program.write_text(BOOTSTRAP)
 
-    def start(*arguments, said=tmp_path / "said"):
-        argv = [sys.executable, "-m", "im_bringup.machine.supervisor", sys.executable, program, lives, *arguments]
+    def start(*arguments, said=tmp_path / "said", options=()):
+        supervisor = [sys.executable, "-m", "im_bringup.machine.supervisor", *options]
+        argv = [*supervisor, sys.executable, program, lives, *arguments]
         started.append(subprocess.Popen([str(part) for part in argv], stdout=said.open("wb")))
         return started[-1], lambda: lives.read_text().split() if lives.exists() else []
 
@@ -90,6 +91,25 @@ def test_a_bootstrap_that_is_killed_when_the_machine_was_ready_gets_another_life
     process.send_signal(signal.SIGINT)  # is passed on
     assert process.wait(60.0) == 0
     assert len(lives()) == 2
+
+
+def test_an_agent_that_is_killed_gets_another_life_whatever_the_state_of_the_machine(supervise, tmp_path):
+    process, lives = supervise(machine.STARTING, "die", "hang", "end", "live", options=("--agent",))
+    until(lambda: len(lives()) == 4)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60.0) == 0
+    how = ("was killed by SIGKILL", "hung", "ended with exit code 7")
+    said = (tmp_path / "said").read_text().splitlines()
+    for sentence, word in zip(said, how, strict=True):
+        assert sentence.startswith(f"[supervisor]: the agent {word}")
+        assert sentence.endswith("; it is started again")
+
+
+def test_an_agent_ends_with_its_supervisor(supervise):
+    process, lives = supervise(machine.READY, "live", options=("--agent",))
+    until(lambda: len(lives()) == 1 and machine.read())
+    process.kill()
+    until(lambda: not Path(f"/proc/{lives()[0]}").exists())
 
 
 def test_a_full_disk_keeps_no_machine_from_being_started_again(supervise):

@@ -21,7 +21,7 @@ def message_folders() -> list[Path]:
         DataError: No message can carry its name.
     """
     more = os.environ.get(MORE_FOLDERS, "").split(os.pathsep)
-    return [results_dir(), _handed_over(), *(Path(each) for each in more if each)]
+    return [results_dir(), handed_over(), *(Path(each) for each in more if each)]
 
 
 def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
@@ -63,9 +63,15 @@ def hand_over(path: Path) -> Path:
         StoreError: The copy cannot be written.
     """
     content = read_bytes(path)
-    folder = make_folder(_handed_over() / hashlib.sha256(content).hexdigest()[:16])
+    folder = make_folder(handed_over() / hashlib.sha256(content).hexdigest()[:16])
     return write_whole(folder / path.name, content)
 
 
-def _handed_over() -> Path:
+def handed_over() -> Path:
+    """Return the folder of files handed over by clients of this run folder; made if missing.
+
+    Raises:
+        StoreError: It cannot be made.
+        DataError: No message can carry its name.
+    """
     return make_folder(run_dir() / "given")

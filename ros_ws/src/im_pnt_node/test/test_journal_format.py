@@ -1,7 +1,8 @@
 """The bytes of a journal stay what they were: a mission writes the lines of a sample, and comes back from each of them.
 
-The sample in ``data/journal`` is of the present version. It has the entries in ``ENTRIES``, and snapshots taken while
-actions run and requests wait; beside each file stands what came back from it.
+There is a sample for each version that was given out, in ``data/journal/<version>``. It has the entries in ``ENTRIES``,
+and snapshots taken while actions run and requests wait; beside each file stands what came back from it. ``python
+test_journal_format.py`` writes the sample of a new version; from then on the one before is read by what migrates it.
 """
 
 import json
@@ -18,10 +19,12 @@ from im_pnt.netfile import parse_net
 from im_pnt_node.distributed import link
 from im_pnt_node.distributed.codec import COMMAND, REQUEST, encode_json
 from im_pnt_node.journal import journal
+from im_pnt_node.journal.log import VERSION
 from support.journalled import JournalledProcess
 from support.memory_files import MemoryFiles
 
-SAMPLE = Path(__file__).parent / "data" / "journal"
+SAMPLES = Path(__file__).parent / "data" / "journal"
+SAMPLE = SAMPLES / str(VERSION)
 MAIN = """
 net: main
 places: {idle: 1, ready: , planned: , near: , done: , bad: , spare: {remote: true}, many: {tokens: 2}}
@@ -196,6 +199,7 @@ def bodies(content: bytes) -> list[object]:
 
 
 def sample() -> dict[str, bytes]:
+    """The sample of the present version."""
     return {path.name: path.read_bytes() for path in sorted(SAMPLE.glob("*.journal"))}
 
 
@@ -232,9 +236,11 @@ def brought_back(name: str, content: bytes) -> bytes:
     return bytes(written)
 
 
-@pytest.mark.parametrize("name", sorted(sample()))
-def test_what_was_written_is_brought_back_as_it_was(name):
-    assert brought_back(name, sample()[name]) == (SAMPLE / name).with_suffix(".back").read_bytes()
+@pytest.mark.parametrize(
+    "path", sorted(SAMPLES.glob("*/*.journal")), ids=lambda path: f"{path.parent.name}/{path.name}"
+)
+def test_what_any_version_has_written_is_brought_back_as_it_was(path):
+    assert brought_back(path.name, path.read_bytes()) == path.with_suffix(".back").read_bytes()
 
 
 def test_the_scope_of_a_command_is_written_with_it_and_with_its_requests():
@@ -242,3 +248,21 @@ def test_the_scope_of_a_command_is_written_with_it_and_with_its_requests():
     assert COMMAND.decode(COMMAND.content(command)) == command
     request = Request("r", "n", "s", "dispatcher", "m", "ask", command, {})
     assert REQUEST.decode(REQUEST.content(request)) == request
+
+
+def write_sample(folder: Path) -> None:
+    """Write the sample of the present version."""
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, content in Mission().fly(patch).items():
+            (folder / name).write_bytes(content)
+            (folder / name).with_suffix(".back").write_bytes(brought_back(name, content))
+
+
+def test_the_sample_of_a_new_version_is_written_by_a_script(tmp_path):
+    write_sample(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in SAMPLE.iterdir())
+
+
+if __name__ == "__main__":
+    write_sample(SAMPLE)

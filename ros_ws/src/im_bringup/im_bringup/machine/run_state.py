@@ -11,7 +11,7 @@ from pathlib import Path
 
 from im_core import names, unfinished_commands
 from im_core.clock import stamp_name
-from im_core.files import make_folder, move, write_whole
+from im_core.files import make_folder, move, read_text, write_whole
 
 _ALIVE = "alive"
 """Is there from when a machine was ready until it was stopped."""
@@ -66,13 +66,27 @@ def prepare(run_dir: Path, fresh: bool, say: Callable[[str], None]) -> bool:
     return False
 
 
-def begin(run_dir: Path) -> None:
+def begin(run_dir: Path, run: str) -> None:
     """Record the machine of a run folder as ready: from now on an end without a call of :func:`end` is a death.
+
+    Args:
+        run_dir: As of :func:`prepare`.
+        run: Name of the run of the machine.
 
     Raises:
         StoreError: It cannot be written down.
     """
-    write_whole(run_dir / _ALIVE, "")
+    write_whole(run_dir / _ALIVE, run)
+
+
+def run_of(run_dir: Path) -> str | None:
+    """Return the name of the last run of a run folder; None: none has begun, or the last one was stopped.
+
+    Raises:
+        FileError: It cannot be read.
+    """
+    path = run_dir / _ALIVE
+    return read_text(path) if path.exists() else None
 
 
 def end(run_dir: Path) -> None:

@@ -30,6 +30,8 @@ from im_core.processes.startup import START_TIMEOUT, START_TIMEOUT_S
 
 #: Of ``--foxglove`` without a port, the usual one.
 FOXGLOVE_PORT = 8765
+#: What is in the user's folder is none of ours.
+_SUPERVISOR = (sys.executable, "-P", "-m", "im_bringup.machine.supervisor")
 #: Exit code of a start that Ctrl-C has ended.
 INTERRUPTED = 130
 _POLL_S = 0.05
@@ -165,8 +167,8 @@ def become_agent(arguments: argparse.Namespace) -> None:
         if name not in kept and value != getattr(usual, name):
             parser().error(f"--{name} is given at the start on the first host; --host takes it from there")
     path = Path(arguments.deployment or deployments.default_path()).resolve()
-    program = path_of("im_bringup", "agent")
-    os.execv(program, [str(program), arguments.host, str(path)])
+    agent = [str(path_of("im_bringup", "agent")), arguments.host, str(path)]
+    os.execv(sys.executable, [*_SUPERVISOR, "--agent", *agent])
 
 
 def check_programs(deployment: Deployment, path: Path) -> None:
@@ -446,7 +448,7 @@ def spawn_bootstrap(
     """
     run_dir = names.run_dir().resolve()
     argv = [
-        *(sys.executable, "-P", "-m", "im_bringup.machine.supervisor"),  # what is in the user's folder is none of ours
+        *_SUPERVISOR,
         str(path_of("im_bringup", "bootstrap")),
         str(path),
         *("--factor", repr(deployment.clock_factor)),

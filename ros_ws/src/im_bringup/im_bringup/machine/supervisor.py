@@ -1,9 +1,10 @@
-"""``supervisor``: parent of the bootstrap; if the bootstrap is killed or hangs, the whole machine is started again.
+"""``supervisor``: parent of a bootstrap or an agent; after a death or a hang another one is started with all tasks.
 
 The tasks of a host end with the bootstrap that started them. A new bootstrap starts them all anew; their journals are
 kept, so that the nets go on where they were. What ends with an exit code has ended on purpose, or would end so again;
 it is not started again. A machine that is started again has nobody who waits for it: where it does not become ready
-either, it is tried :data:`MOST_TRIES` times, and then the log says that it is given up.
+either, it is tried :data:`MOST_TRIES` times, and then the log says that it is given up. An agent of another host counts
+as ready once it has lived for :data:`LASTING_S`: it waits for its bootstrap as long as need be.
 """
 
 import os
@@ -32,6 +33,7 @@ T = TypeVar("T")
 
 #: How often in a row a machine that was ready is started again and does not become ready.
 MOST_TRIES = 3
+LASTING_S = 30.0
 #: How long, and how often, what the operating system refuses is tried again, such as where /dev/shm is full [s].
 _REFUSED_S, _AGAIN_S = 60.0, 1.0
 #: How long the tasks of a dead bootstrap may take to end by themselves [s].
@@ -46,14 +48,15 @@ _ABORT_S = 2.0
 
 
 class BootstrapKeeper:
-    """Supervisor: runs a bootstrap, and another one if the first is killed after the machine was ready.
+    """Supervisor: runs a bootstrap, and another one if the first is killed after the machine was ready; or an agent.
 
     Args:
-        argv: Program and arguments of the bootstrap.
+        argv: Program and arguments of the bootstrap or the agent.
+        agent: Whether it is an agent: it ends with this process, and writes no record of a machine.
     """
 
-    def __init__(self, argv: list[str]) -> None:
-        self._argv = argv
+    def __init__(self, argv: list[str], agent: bool = False) -> None:
+        self._argv, self._agent = argv, agent
         self._child: ChildProcess | None = None
         self._stopped: signal.Signals | None = None
         self._signals: deque[signal.Signals] = deque()  # to pass on
@@ -94,7 +97,8 @@ class BootstrapKeeper:
         pulse = Pulse.create()
         try:
             environment = {**os.environ, pulse_memory.VARIABLE: str(pulse.descriptor)}
-            child = ChildProcess(self._argv, environment=environment, death_signal=None, inherit=[pulse.descriptor])
+            ends = signal.SIGTERM if self._agent else None
+            child = ChildProcess(self._argv, environment=environment, death_signal=ends, inherit=[pulse.descriptor])
         finally:
             pulse.keep()
         return child, Hang(child.pid, pulse)
@@ -116,7 +120,9 @@ class BootstrapKeeper:
 
     def _not_ready(self, began: float) -> str:
         """Return why a restarted machine does not become ready, as a clause; empty if ready or still in time."""
-        if not self._tries:
+        if self._agent and clock.monotonic() - began > LASTING_S:
+            self._tries = 0
+        if self._agent or not self._tries:
             return ""
         from im_bringup.machine import machine_state as machine
 
@@ -144,15 +150,16 @@ class BootstrapKeeper:
         from im_bringup.machine import machine_state as machine
         from im_core.processes.procfs import ProcessId
 
-        record = _tried(machine.read)
+        record = None if self._agent else _tried(machine.read)
         if record is not None and record.state == machine.READY:
             self._tries = 0
-        elif not self._tries:
+        elif not self._tries and not self._agent:
             _say(f"the bootstrap {how} before the machine was ready, which is not started again")
             return False
         self._tries += 1
         again = self._tries <= MOST_TRIES
-        sentence = f"the bootstrap {how}; the machine is {'started again' if again else 'given up'}"
+        what, whole = ("agent", "it") if self._agent else ("bootstrap", "the machine")
+        sentence = f"the {what} {how}; {whole} is {'started again' if again else 'given up'}"
         _say(sentence)
         me = ProcessId.current()
         if record is not None:
@@ -238,8 +245,9 @@ class Hang:
 
 
 def main() -> int:
-    """Run the command: a bootstrap and the bootstrap's arguments."""
-    supervisor = BootstrapKeeper(sys.argv[1:])
+    """Run the command: ``--agent`` for an agent, a program and arguments."""
+    agent = sys.argv[1:2] == ["--agent"]
+    supervisor = BootstrapKeeper(sys.argv[1 + agent :], agent)
     heed_end_signals(supervisor.stop)
     return supervisor.run()
 

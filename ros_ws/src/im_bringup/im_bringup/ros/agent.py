@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import socket
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +20,7 @@ from im_bringup.tasks.agent import Agent, Died, commands, environment
 from im_bringup.tasks.deployment import Deployment, with_options_text
 from im_bringup.tasks.host_digest import digests
 from im_bringup.tasks.memory_limit import limit_memory
-from im_bringup.tasks.middleware import middleware
+from im_bringup.tasks.middleware import has_link, middleware
 from im_bringup.tasks.registry import Progress
 from im_bringup.tasks.signed_link import (
     HostOrder,
@@ -32,6 +33,7 @@ from im_bringup.tasks.signed_link import (
 )
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
+from im_core.message_paths import MORE_FOLDERS, handed_over
 from im_core.processes.agent_socket import TaskReport
 from im_core.processes.startup import START_TIMEOUT, StartupPhase
 from im_core.ros import qos, run
@@ -44,6 +46,8 @@ from im_msgs.msg import TaskStatus
 STARTING_PERIOD_S, POLL_PERIOD_S = 0.05, 0.2
 #: How often the bootstrap hears of this host at least [s].
 REPORT_PERIOD_S = 0.5
+#: How often an agent without a link to others looks whether there is one [s].
+_LINK_PERIOD_S = 0.2
 
 
 class AgentNode(GuardedNode):
@@ -60,7 +64,6 @@ class AgentNode(GuardedNode):
         describe_sim_time(self)
         self.log: RcutilsLogger = self.get_logger()
         run_dir = names.run_dir().resolve() / host
-        run_state.prepare(run_dir, True, self.log.info)  # a new machine is a new mission
         commands(deployment, host, run_dir)  # what is missing is said now, and not when all others start
         self._deployment, self._host, self._run_dir = deployment, host, run_dir
         self._agent = Agent((), os.environ)
@@ -100,8 +103,14 @@ class AgentNode(GuardedNode):
             return
         if not self._started:
             deployment = with_options_text(self._deployment, told.options)
-            given = {START_TIMEOUT: repr(told.start_timeout_s)}
+            # clients of this host hand files over in its run folder, and not in that of its tasks
+            folders = os.pathsep.join(filter(None, (os.environ.get(MORE_FOLDERS), str(handed_over().resolve()))))
+            given = {START_TIMEOUT: repr(told.start_timeout_s), names.RUN: told.run, MORE_FOLDERS: folders}
             given = {**environment(os.environ, self._run_dir, deployment), **given}
+            # a new machine is a new mission; an agent of the run that comes back goes on with its own
+            fresh = not told.run or run_state.run_of(self._run_dir) != told.run
+            run_state.prepare(self._run_dir, fresh, self.log.info)
+            run_state.begin(self._run_dir, told.run)
             self._started = True
             self._agent = Agent(commands(deployment, self._host, self._run_dir), given)
             for event in self._agent.start():
@@ -146,6 +155,7 @@ def main() -> int:
 
     def make_node() -> AgentNode:
         deployment, secret = deployments.load(arguments.deployment), read_secret(os.environ)
+        _await_link(deployment.addresses.get(arguments.host, ""))
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         return AgentNode(deployment, arguments.host, secret)
@@ -153,6 +163,18 @@ def main() -> int:
     os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients
     enclave = enclave_arguments(arguments.host, AGENT)
     return run.main(make_node, args=enclave, at_end=AgentNode.shut_down)
+
+
+def _await_link(address: str) -> None:
+    """Wait for the link to other hosts, as long as need be, as for the bootstrap."""
+    try:
+        known = socket.gethostbyname(address) if address else ""
+    except OSError:  # its name is not known without the link, perhaps
+        known = ""
+    if not has_link(known):
+        print(f"agent: no link to other hosts is up{f' at {address}' if address else ''}; waiting for it", flush=True)
+        while not has_link(known):
+            clock.sleep(_LINK_PERIOD_S)
 
 
 if __name__ == "__main__":

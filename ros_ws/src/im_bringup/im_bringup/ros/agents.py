@@ -1,6 +1,7 @@
 """Agents of other hosts, seen from the bootstrap: signed orders to each agent, and reports of the tasks."""
 
 import json
+import os
 from collections.abc import Collection
 from dataclasses import asdict
 from functools import partial
@@ -10,7 +11,7 @@ from std_msgs.msg import String
 
 from im_bringup.machine.bootstrap import Bootstrap
 from im_bringup.tasks.signed_link import HostOrder, HostReport, SignedLink, orders_topic, reports_topic
-from im_core import clock
+from im_core import clock, names
 from im_core.processes.startup import start_timeout_s
 from im_core.ros import qos
 from im_core.ros.guard import GuardedNode
@@ -59,7 +60,8 @@ class RemoteAgents:
         )
 
     def _content(self, host: str) -> str:
-        return json.dumps(asdict(HostOrder(self._bootstrap.order(host), start_timeout_s(), self._options)))
+        order = HostOrder(self._bootstrap.order(host), start_timeout_s(), self._options, os.environ.get(names.RUN, ""))
+        return json.dumps(asdict(order))
 
     def _send(self, host: str, receiver: str) -> None:
         self._sent[host] = content = self._content(host)

@@ -1,5 +1,6 @@
 """Node ``/bootstrap``: starts a deployment's tasks phase by phase, knows tasks by name, stops tasks in order."""
 
+import os
 import threading
 from functools import partial
 from pathlib import Path
@@ -144,7 +145,7 @@ class BootstrapNode(GuardedNode):
 
     def _note_alive(self) -> None:
         try:
-            run_state.begin(self._run_dir)
+            run_state.begin(self._run_dir, os.environ.get(names.RUN, ""))
         except StoreError as error:  # what runs goes on
             self.log.error(error.message)
 

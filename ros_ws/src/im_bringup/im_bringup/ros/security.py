@@ -23,7 +23,7 @@ from im_bringup.security.permissions import (
     permissions_of,
 )
 from im_bringup.tasks.signed_link import agent_name
-from im_core.errors import WaitTimeoutError
+from im_core.errors import StateError, WaitTimeoutError
 from im_core.options import NumberParser
 from im_core.ros.peers.servers import node_of
 
@@ -39,6 +39,7 @@ class GraphNode(TasksNode):
 
         Raises:
             KeyboardInterrupt: Somebody interrupted.
+            StateError: The agent of a host is not in the graph.
             WaitTimeoutError: The bootstrap told nothing in time, or a process is not in the graph.
         """
         tasks = self.read(WAIT_S)
@@ -46,7 +47,7 @@ class GraphNode(TasksNode):
         participants = {
             node_of(end): bytes(end.endpoint_gid)[:_PREFIX] for end in self.get_publishers_info_by_topic("/rosout")
         }
-        enclaves = _enclaves(tasks, participants)
+        enclaves = enclaves_of(tasks, participants)
         of_participant = {participants[node]: name for node, name in enclaves.items() if node in participants}
         if missing := sorted(enclaves.keys() - participants.keys()):
             raise WaitTimeoutError(what=f"node {missing[0]} in the ROS graph", seconds=DISCOVERY_AT_MOST_S)
@@ -68,13 +69,22 @@ class GraphNode(TasksNode):
             offers.served |= {each for each, _ in self.get_service_names_and_types_by_node(name, space or "/")}
 
 
-def _enclaves(tasks: Sequence[Mapping[str, Any]], nodes: Collection[str]) -> dict[str, str]:
-    """Return the enclave of each node of the deployment, of the bootstrap, and of the agents of other hosts."""
+def enclaves_of(tasks: Sequence[Mapping[str, Any]], nodes: Collection[str]) -> dict[str, str]:
+    """Return the enclave of each node of the deployment, of the bootstrap, and of the agents of other hosts.
+
+    Raises:
+        StateError: The agent of a host is not in the graph.
+    """
     enclaves = {task["node"]: enclave_of(task["host"], task["process"]) for task in tasks}
-    for host in {task["host"] for task in tasks}:
-        agent = f"/{agent_name(host)}"
-        is_other = agent in nodes
-        enclaves[agent if is_other else "/bootstrap"] = enclave_of(host, AGENT if is_other else BOOTSTRAP)
+    hosts = sorted({task["host"] for task in tasks})
+    agents = {host: f"/{agent_name(host)}" for host in hosts}
+    first, *absent = [host for host in hosts if agents[host] not in nodes] or [""]
+    if absent:
+        raise StateError(
+            f"of the hosts {first}, {', '.join(absent)} one runs the bootstrap; of the others no agent runs"
+        )
+    for host, agent in agents.items():
+        enclaves["/bootstrap" if host == first else agent] = enclave_of(host, BOOTSTRAP if host == first else AGENT)
     return enclaves
 
 

@@ -1,6 +1,10 @@
 """Reach of the machine over DDS: the Fast DDS profile of the processes, chosen by the deployment."""
 
+import fcntl
+import socket
+import struct
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
@@ -15,6 +19,9 @@ PEERS = "ROS_STATIC_PEERS"
 #: Without it Fast DDS also reads a file of the working directory.
 _SKIP = {"SKIP_DEFAULT_XML_FILE": "1"}
 _PACKAGE = "im_bringup"
+#: Requests for the flags of an interface and for its address (``linux/sockios.h``), and flags (``linux/if.h``).
+_GET_FLAGS, _GET_ADDRESS = 0x8913, 0x8915
+_UP, _LOOPBACK, _RUNNING = 0x1, 0x8, 0x40
 
 
 def loopback_profile() -> Path:
@@ -55,3 +62,21 @@ def reach(base: Mapping[str, str], deployment: Deployment) -> str:
     if len(deployment.hosts) > 1:
         return f"DDS listens on all interfaces, for hosts {', '.join(deployment.hosts)} (docs/security.md)"
     return ""
+
+
+def has_link(address: str) -> bool:
+    """Return whether an interface to other hosts is up: DDS finds none later than the first node of a process.
+
+    Args:
+        address: Of the interface; any counts where none has this one.
+    """
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        for _, name in socket.if_nameindex():
+            request = struct.pack("256s", name.encode()[:15])
+            with suppress(OSError):  # it has no address, or has gone
+                (flags,) = struct.unpack_from("H", fcntl.ioctl(any_socket, _GET_FLAGS, request), 16)
+                own = socket.inet_ntoa(fcntl.ioctl(any_socket, _GET_ADDRESS, request)[20:24])
+                if not flags & _LOOPBACK:
+                    found.append((own, flags & _UP and flags & _RUNNING))
+    return any(up for own, up in [each for each in found if each[0] == address] or found)

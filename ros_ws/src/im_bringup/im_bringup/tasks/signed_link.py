@@ -41,11 +41,13 @@ class HostOrder:
         order: What its tasks are to do.
         start_timeout_s: How long the start may take [s].
         options: What the start was given, as of :func:`im_bringup.tasks.deployment.options_text`.
+        run: Name of this run of the machine.
     """
 
     order: AgentOrder
     start_timeout_s: float
     options: str
+    run: str
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,8 @@ class Journal:
 
     Attributes:
         of_this_run: Whether the journal that was found, if any, was written in this run of the machine.
-        found: Nets in the journal that was found, with the files they came from; empty if there was none.
+        found: Nets in the journal that was found, with the files they came from, and their fingerprints; empty if there
+            was none.
         epoch: Incarnation of the process, for its exchange and its link.
         lost: Why what was journalled is forgotten, a clause; empty if it is not.
 
@@ -86,7 +87,7 @@ class Journal:
         self._compact_at = self._compact_soon = compact_bytes
         self._compacted_at = clock.monotonic()
         self.epoch = new_epoch()
-        self.found: dict[str, str] = {}
+        self.found: dict[str, tuple[str, str]] = {}
         self.lost = ""
         self._files.lock()
         try:
@@ -182,7 +183,10 @@ class Journal:
                 if node != self._node:
                     text = f"{recovered.file}: this is the journal of {node}, not of {self._node}"
                     raise JournalError(text, file=recovered.file, node=node)
-                self.found = {str(net): str(known.get("source", "")) for net, known in nets.items()}
+                self.found = {
+                    str(net): (str(known.get("source", "")), str(known.get("fingerprint", "")))
+                    for net, known in nets.items()
+                }
                 self.of_this_run = header.get("run", "") == self._run
             case _:
                 raise JournalError(f"{recovered.file}: its header names no node and nets", file=recovered.file)

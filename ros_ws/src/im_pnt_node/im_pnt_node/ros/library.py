@@ -37,11 +37,13 @@ class Library:
         files: As given.
         verify: As given.
         left_out: Why nets of files are not loaded: the cell lacks what they need; by name of the file.
+        changed: Nets of the journal whose files are not there any more as they were.
     """
 
     def __init__(self, files: Sequence[Path], verifier: Verifier) -> None:
         self.files, self.verify = list(files), verifier
         self.left_out: dict[str, str] = {}
+        self.changed: list[str] = []
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
         self._nodes: dict[str, str] = {}
@@ -57,29 +59,58 @@ class Library:
         self._node = node
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
-    def nets(self, found: Mapping[str, str]) -> list[Net]:
+    def nets(self, found: Mapping[str, tuple[str, str]]) -> list[Net]:
         """Load the first nets, without those that need more parts than the cell has.
 
+        A mission goes on with its nets as they were: of a file that has changed since, with the one that was kept.
+
         Args:
-            found: The nets of the journal, with the files they came from; empty: those the node was made with.
+            found: The nets of the journal, with the files they came from, and their fingerprints; empty: those the node
+                was made with.
 
         Raises:
             NetFileError: A file is not a net.
             NetError: Two files have nets of the same name.
         """
+        files = [self._as_it_was(name, *known) for name, known in found.items()] if found else self.files
         nets = []
-        for file in [Path(source) for source in found.values()] if found else self.files:
+        for file in files:
             try:
                 nets.append(load_net(file))
             except MissingPartsError as error:
                 self.left_out[file.stem] = error.message
         return list(nets_by_name(nets).values())
 
+    def keep(self, nets: Iterable[Net]) -> None:
+        """Keep nets as they are, for a mission that outlives their files.
+
+        Raises:
+            StoreError: They cannot be written.
+        """
+        for net in nets:
+            if self._kept is not None and not (path := self._place(net.name, fingerprint(net))).exists():
+                write_whole(path, yaml_text(net))
+
+    def _place(self, name: str, known_by: str) -> Path:
+        assert self._kept is not None
+        return self._kept / f"{name}-{known_by}.yaml"
+
+    def _as_it_was(self, name: str, source: str, known_by: str) -> Path:
+        """Return the file of a net of the journal; the kept one if the other has changed."""
+        file, kept = Path(source), self._place(name, known_by)
+        if file == kept or not kept.exists():
+            return file
+        with contextlib.suppress(ImError):  # no net any more, or gone
+            if fingerprint(load_net(file)) == known_by:
+                return file
+        self.changed.append(name)
+        return kept
+
     def kept(self, net: Net) -> Net:
         """Write a net down, if nets are kept; return the net with the new source."""
         if self._kept is None:
             return net
-        path = self._kept / f"{net.name}-{fingerprint(net)}.yaml"
+        path = self._place(net.name, fingerprint(net))
         write_whole(path, yaml_text(net))
         return replace(net, source=str(path))
 
@@ -91,7 +122,7 @@ class Library:
         """
         if self._kept is None:
             return
-        used = {Path(net.source) for net in nets}
+        used = {self._place(net.name, fingerprint(net)) for net in nets}
         with contextlib.suppress(OSError):  # the next time is early enough
             files = sorted(self._kept.glob("*.yaml"), key=lambda file: file.stat().st_mtime)
             for file in files[: max(0, len(files) - MOST_KEPT)]:

@@ -185,6 +185,12 @@ class PntNode(ManagedNode):
             stopped = (self._journal_dir.parent / ESTOP).exists()
             held = None if journal.of_this_run else stopped or not os.environ.get(RESUMES)
         self.loader.begin(self.completed(self._library.nets(journal.found if journal else {})))
+        self._library.keep(executor.written for executor in self.exchange.nets.values())
+        for net in self._library.changed:
+            self.get_logger().warning(
+                f"the file of net {net} has changed since the mission began, which goes on with the net as it was; "
+                "load the file, or begin a new mission"
+            )
         self.detail = nets_sentence(self.exchange.nets)
         nets = {name: each.written for name, each in self.exchange.nets.items() if not each.written.former}
         self.nets = {name: net_digest(yaml_text(net)) for name, net in nets.items()}
