@@ -312,9 +312,7 @@ class CalibrateCamera:
         for number, (name, pose) in enumerate(zip(names, visits, strict=True), 1):
             if name in left_out:
                 continue
-            try:
-                seen = await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()])
-            except NotFoundError:
+            if (seen := await self._observation(ctx, number)) is None:
                 coming.append(pose)
             else:
                 observed.setdefault(pose, []).append(seen)
@@ -337,12 +335,21 @@ class CalibrateCamera:
         counts = range(1, _loop(ctx).skipped + 1)
         return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
 
+    async def _observation(self, ctx: ActionContext, number: int) -> Mapping[str, object] | None:
+        """Return an observation of the command; None if there is none."""
+        try:
+            return await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()])
+        except ImError as error:  # as told by the DOM: the class is lost on the way
+            if error.code != NotFoundError.default_code:
+                raise
+            return None
+
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
         observed: list[Mapping[str, object]] = []
         for number in range(1, _loop(ctx).taken + 1):
-            with contextlib.suppress(NotFoundError):
-                observed.append(await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()]))
+            if (seen := await self._observation(ctx, number)) is not None:
+                observed.append(seen)
         if observed:
             directory, cameras = str(ctx.memory["directory"]), ctx.memory["cameras"]
             await self._host.noted_apart("observations", _write_observations, directory, cameras, observed)
