@@ -346,10 +346,8 @@ class CalibrateCamera:
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
-        observed: list[Mapping[str, object]] = []
-        for number in range(1, _loop(ctx).taken + 1):
-            if (seen := await self._observation(ctx, number)) is not None:
-                observed.append(seen)
+        kept = [await self._observation(ctx, number) for number in range(1, _loop(ctx).taken + 1)]
+        observed = [seen for seen in kept if seen is not None]
         if observed:
             directory, cameras = str(ctx.memory["directory"]), ctx.memory["cameras"]
             await self._host.noted_apart("observations", _write_observations, directory, cameras, observed)
