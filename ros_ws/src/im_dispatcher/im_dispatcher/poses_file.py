@@ -36,7 +36,9 @@ class WristPose(Model):
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
     position_m: tuple[Coordinate, Coordinate, Coordinate]
     orientation_xyzw: Quaternion
-    joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = None
+    joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = pydantic.Field(
+        None, exclude_if=lambda joints: joints is None
+    )
 
     @property
     def stamped(self) -> dict[str, object]:
@@ -75,7 +77,7 @@ class PosesFile(Model):
     group: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
     frame: Literal["world"]
     other_joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = None
-    order: Literal["given", "free"] = "given"
+    order: Literal["given", "free"] = pydantic.Field("given", exclude_if=lambda order: order == "given")
     poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
 
     @pydantic.field_validator("group")

@@ -120,8 +120,7 @@ class CalibrateCamera:
         ctx.memory["light"] = order.light
         ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
         ctx.memory["loop"] = PoseLoop(poses).to_json()
-        text = order.file.model_dump_json(exclude_defaults=True)
-        await self._host.values.put(ctx.object(POSES), TEXT, {"data": text})
+        await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
         if order.accuracy_m > 0.0:
             ctx.memory["accuracy"] = {"asked_m": order.accuracy_m, "visits": [], "barred": []}
