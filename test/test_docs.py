@@ -44,6 +44,21 @@ def test_each_row_of_the_paper_has_its_file_and_its_test():
         assert not missing, f"in the row of {row[1]}"
 
 
+def test_each_fault_has_a_test_that_injects_it_and_asserts_what_the_user_reads():
+    rows = [line.split("|") for line in (ROOT / "docs" / "errors.md").read_text().splitlines() if line.startswith("| ")]
+    rows = [[cell.strip() for cell in row[1:-1]] for row in rows if row[1].strip() != "fault"]
+    assert len(rows) >= 25
+    assert len({row[0] for row in rows}) == len(rows)
+    for fault, noticed, mended, lost, reads, test in rows:
+        assert noticed, fault
+        assert mended, fault
+        assert lost, fault
+        file, name = test.strip("`").split("::")
+        text = (ROOT / file).read_text(encoding="utf-8")
+        assert re.search(rf"^(async )?def {name}\(", text, re.MULTILINE), f"{fault}: there is no {test}"
+        assert reads.strip("`") in text, f"{fault}: {file} does not assert {reads}"
+
+
 def test_each_service_of_a_coordinator_has_its_row_with_all_its_arguments():
     text = (ROOT / "docs" / "nets.md").read_text()
     told = {}

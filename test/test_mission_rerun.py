@@ -85,7 +85,7 @@ def changed(tmp_path) -> Callable[..., Path]:
 
 
 def test_a_changed_guard_is_the_first_difference(capsys, changed):
-    net = changed("    guard: goes_on\n", "    guard: cancelled\n")
+    net = changed("    guard: plans_ahead\n", "    guard: cancelled\n")
     told = differs(capsys, BAGS / "undisturbed", "--nets", net)
     assert "net calibrate_camera, transition plan_ahead.start, command 1 (/dispatcher)" in told
     assert "the bag:  plan_ahead.start fires" in told

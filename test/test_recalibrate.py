@@ -14,12 +14,11 @@ from tf2_msgs.msg import TFMessage
 from im_bag import BagWriter, Delivery
 from im_bag import writer as bag_writer
 from im_calibration import calibrate, problem_of, report_of
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import CameraModel, nominal
 from im_cell.robot import load_cell
 from im_core.errors import StateError
 from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
 from im_msgs.srv import Calibrate, SpotFind
-from im_vss.camera_book import nominal
 from im_vss.ros import recalibrate
 from im_vss.ros.ports.calibration import from_request
 from im_vss.settings import load_settings

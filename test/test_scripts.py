@@ -94,7 +94,11 @@ def test_scripts_are_executable_bash(name):
         ("start", ["--speed"], "unrecognized arguments: --speed"),
         ("stop", ["now"], "unrecognized arguments: now"),
         ("calibrate_camera", ["--cameras"], "--cameras: expected at least one argument"),
-        ("calibrate_camera", ["--json", "--camera", "wall"], "there is no --camera; there are --cameras, --poses and"),
+        (
+            "calibrate_camera",
+            ["--json", "--camera", "wall"],
+            "there is no --camera; there are --cameras, --poses, --accuracy",
+        ),
         ("run", ["im_dm"], "run: there is no package with executables 'im_dm'; did you mean 'im_dom'?"),
         ("run", ["im_dom", "dm"], "run: there is no executable of im_dom 'dm'; did you mean 'dom'?"),
     ],

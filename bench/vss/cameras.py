@@ -17,6 +17,7 @@ import numpy as np
 
 from bench.figures import Line, write
 from bench.vss.bare import Bare
+from im_cell.camera_model import nominal
 from im_cell.link import Exposure, LaserBeam
 from im_cell.robot import Cell, load_cell
 from im_cell.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth
@@ -25,7 +26,6 @@ from im_core.errors import ImError
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.protocol import CameraSettings
 from im_sim.cameras.scene import SceneMirror
-from im_vss.camera_book import nominal
 from im_vss.settings import VssSettings, load_settings
 
 RENDERERS = ("egl", "tiny")

@@ -68,7 +68,7 @@ class CommandParser(NumberParser):
             dest=key,
             required=required,
             nargs="*" if is_list else None,
-            type=_READERS.get(str(one.get("type")), json_value),
+            type=_reader(str(one.get("type")), str(schema.get("unit", ""))),
             metavar=_metavar(one),
             help=_help(schema, one).replace("%", "%%"),
         )
@@ -141,6 +141,20 @@ def _truth(text: str) -> bool:
     return text == "true"
 
 
+def _reader(kind: str, unit: str) -> Callable[[str], object]:
+    """Return the reader of a value; a number may be followed by its unit, also with a prefix: ``0.3mm``."""
+    if kind != "number" or not unit.isalpha():
+        return _READERS.get(kind, json_value)
+
+    def quantity(text: str) -> float:
+        number = text.removesuffix(unit)
+        prefix = number[-1:] if number != text and number[-1:] in _PREFIXES else ""
+        return finite_number(number.removesuffix(prefix)) * _PREFIXES.get(prefix, 1.0)
+
+    return quantity
+
+
+_PREFIXES: Mapping[str, float] = {"u": 1e-6, "m": 1e-3, "c": 1e-2}
 _READERS: Mapping[str, Callable[[str], object]] = {
     "boolean": _truth,
     "integer": whole,

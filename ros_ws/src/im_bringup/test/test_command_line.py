@@ -57,6 +57,29 @@ def test_small_negative_numbers_are_values():
     assert CommandParser(MOVE).read(words.split())[0]["joints"] == [-0.001, 0.5, -2.0]
 
 
+def test_a_number_may_have_its_unit_with_a_prefix():
+    properties = {
+        "accuracy": {"type": "number", "unit": "m"},
+        "force": {"type": "number", "unit": "N"},
+        "share": {"type": "number", "unit": ""},
+        "position": {"type": "array", "items": {"type": "number"}, "unit": "m"},
+    }
+    parser = CommandParser({**MOVE, "arguments": {"type": "object", "properties": properties}})
+    words = "--accuracy 0.3mm --force 2N --share 0.5 --position 1cm -0.2 5um"
+    expected = {"accuracy": 3e-4, "force": 2.0, "share": 0.5, "position": [0.01, -0.2, 5e-6]}
+    read = parser.read(words.split())[0]
+    assert {name: pytest.approx(value) for name, value in expected.items()} == read
+    assert parser.read(["--accuracy", "0.3m"])[0]["accuracy"] == 0.3
+
+
+@pytest.mark.parametrize("text", ["0.3 inch", "mm", "3N", "0.3kmm"])
+def test_another_unit_is_refused(text, capsys):
+    properties = {"accuracy": {"type": "number", "unit": "m"}}
+    with pytest.raises(SystemExit):
+        CommandParser({**MOVE, "arguments": {"type": "object", "properties": properties}}).read(["--accuracy", text])
+    assert "accuracy" in capsys.readouterr().err
+
+
 def test_what_is_not_given_is_left_to_the_net():
     assert CommandParser(MOVE).read(["--poses_file", "a"])[0] == {"poses_file": "a"}
 

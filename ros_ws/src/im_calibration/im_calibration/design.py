@@ -6,6 +6,7 @@ P, so that a candidate lowers their mean square by ``trace(W P J^T (S + J P J^T)
 Design of Experiments" (1993), chapter 9 (A-optimality with a weight); the update is the matrix inversion lemma.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,11 +21,15 @@ from im_calibration.estimation.unknowns import ParameterLayout, Unknowns, intrin
 from im_calibration.judgement.calibration import Calibration
 from im_calibration.judgement.expected import inside, sensitivity
 from im_calibration.problem.problem import CalibrationProblem
+from im_cell.camera_model import CameraModel
 from im_cell.rotations import UNIT_TOLERANCE, matrix_of_quaternion
 from im_core.config import Model, load_model
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
+
+#: Before the first spot: standard deviations of a camera's pose as drawn [rad], [m], and of its focal length.
+_ANYWHERE_SD, _ANY_FOCAL_SHARE = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -116,16 +121,73 @@ def next_best_poses(
     return tuple(chosen)
 
 
+class PoseDesign:
+    """Choice of poses by their information for the time of a visit: D-optimal design, one pose after the other.
+
+    Args:
+        predicted: The poses, as of :func:`predicted_problem`.
+        unknowns: The cameras, from a calibration or as drawn, with as many LEDs.
+        covariance: Covariance of all unknowns so far, shape (size, size); None: no more is known than of any lens.
+        looks: Spots of each camera at a visit.
+    """
+
+    def __init__(self, predicted: CalibrationProblem, unknowns: Unknowns, covariance: Array | None, looks: int) -> None:
+        layout = ParameterLayout.of(predicted)
+        line = linearise(unknowns, predicted, layout, predicted.detected)
+        self._jacobians, self._noise, self._looks = line.jacobians, line.covariances, looks
+        self._errors = _Errors(unknowns, predicted)
+        self._seen = predicted.detected.any(axis=0)
+        prior = np.where(layout.prior_precision > 0.0, layout.prior_precision, _ANYWHERE_SD**-2)
+        for c in range(layout.cameras):
+            focal = slice(layout.camera_slice(c).start, layout.camera_slice(c).start + 2)
+            prior[focal] = (_ANY_FOCAL_SHARE * unknowns.intrinsics[c, :2]) ** -2
+        self._covariance = np.diag(1.0 / prior) if covariance is None else covariance[: layout.size, : layout.size]
+
+    @property
+    def expected_mm(self) -> float:
+        """Expected RMS triangulation error over the workspace, NaN for one camera [mm]."""
+        return self._errors(self._covariance)[1]
+
+    def add(self, pose: int, looks: int) -> None:
+        """Count some looks at a pose as done."""
+        moved = self._jacobians[pose] @ self._covariance
+        spread = np.linalg.inv(self._noise[pose] / looks + moved @ self._jacobians[pose].T)
+        covariance = self._covariance - moved.T @ spread @ moved
+        self._covariance = (covariance + covariance.T) / 2.0
+
+    def best(self, seconds: Array, allowed: NDArray[np.bool_]) -> int | None:
+        """Return the pose whose visit tells most for its time; None if none is left.
+
+        Args:
+            seconds: Time of a visit of each pose, shape (m,) [s].
+            allowed: Which poses may be chosen, shape (m,).
+        """
+        left = allowed & self._seen
+        if not left.any():
+            return None
+        noise = self._noise / self._looks
+        spread = noise + self._jacobians @ self._covariance @ np.swapaxes(self._jacobians, 1, 2)
+        gain = np.linalg.slogdet(spread)[1] - np.linalg.slogdet(noise)[1]
+        return int(np.argmax(np.where(left, gain / seconds, -np.inf)))
+
+
 def unknowns_of(calibration: Calibration, poses: int) -> Unknowns:
     """Return the estimate as a value of all unknowns, with the LED of any number of poses at the robot's positions."""
     models = [camera.model for camera in calibration.cameras]
+    return unknowns_as_drawn(models, poses, calibration.led_offset_error, calibration.joint_offsets)
+
+
+def unknowns_as_drawn(
+    models: Sequence[CameraModel], poses: int, led_offset_error: Array | None = None, joint_offsets: Array | None = None
+) -> Unknowns:
+    """Return cameras as a value of all unknowns; offsets that are not given are 0."""
     return Unknowns(
         tuple(m.lens for m in models),
         intrinsics_of(models),
         np.array([m.R_cam_base for m in models]),
         np.array([m.t_cam_base for m in models]),
-        calibration.led_offset_error,
-        calibration.joint_offsets,
+        np.zeros(3) if led_offset_error is None else led_offset_error,
+        np.zeros(0) if joint_offsets is None else joint_offsets,
         np.zeros((poses, 3)),
     )
 
@@ -167,9 +229,13 @@ def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Un
         pose_names=candidates.names,
         readings=(),
     )
-    points = unknowns.robot_positions(predicted)
-    pixels = image(unknowns, points)
-    return replace(predicted, spots=np.where(inside(pixels, problem.image_sizes)[..., None], pixels, np.nan))
+    return predicted_problem(predicted, unknowns)
+
+
+def predicted_problem(problem: CalibrationProblem, unknowns: Unknowns) -> CalibrationProblem:
+    """Return a problem with its spots at the places expected of the unknowns, not detected outside of the images."""
+    pixels = image(unknowns, unknowns.robot_positions(problem))
+    return replace(problem, spots=np.where(inside(pixels, problem.image_sizes)[..., None], pixels, np.nan))
 
 
 class CandidatePose(Model):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from im_cell.lens import COEFFICIENTS, PLUMB_BOB, LensModel, lens_of
+from im_cell.robot.parameters import Camera
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
@@ -191,3 +192,17 @@ class CameraModel:
         low = -0.5 + margin
         high = np.array([self.width, self.height]) - 0.5 - margin
         return np.asarray(np.all((pixels >= low) & (pixels <= high), axis=-1))
+
+
+def nominal(camera: Camera) -> CameraModel:
+    """Return a camera as in the cell's drawing, without distortion."""
+    lens = camera.intrinsics
+    rotation, translation = camera.pose()
+    return CameraModel(
+        width=lens.width,
+        height=lens.height,
+        K=np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]]),
+        D=np.zeros(5),
+        R_cam_base=rotation,
+        t_cam_base=translation,
+    )

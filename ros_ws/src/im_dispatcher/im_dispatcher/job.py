@@ -8,6 +8,7 @@ first or the thousandth.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
@@ -27,10 +28,12 @@ class CalibrationOrder:
     Attributes:
         cameras: Names of the cameras to calibrate.
         file: All poses, in order, and the arm that carries the light through them.
+        accuracy_m: Expected error of a triangulated point at which it ends [m]; 0: all poses are visited.
     """
 
     cameras: tuple[str, ...]
     file: PosesFile
+    accuracy_m: float = 0.0
 
     @property
     def light(self) -> str:
@@ -46,14 +49,15 @@ def order_of(
     """Read and check the order of a command.
 
     Args:
-        arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``.
+        arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``, and
+            ``accuracy`` where one is asked for.
         known_cameras: Names of the cameras that exist; the first two are calibrated where none is named.
         load: Gives the poses of a file.
 
     Raises:
         NotFoundError: An unknown camera.
-        DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, poses of the other arm, or arguments
-            that no net has checked.
+        DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, poses of the other arm, arguments
+            that no net has checked, or an accuracy for poses in a given order or for less than two fixed cameras.
         ConfigError: The poses file is missing, empty, or malformed.
     """
     match arguments:
@@ -74,7 +78,26 @@ def order_of(
             poses=len(file.poses),
             limit=FEWEST_POSES,
         )
-    return CalibrationOrder(cameras, file)
+    accuracy_m = float(str(arguments.get("accuracy", 0.0)))
+    if accuracy_m > 0.0:
+        _check_accuracy(cameras, file)
+    return CalibrationOrder(cameras, file, accuracy_m)
+
+
+def _check_accuracy(cameras: Sequence[str], file: PosesFile) -> None:
+    """Check that an accuracy can be asked for.
+
+    Raises:
+        DataError: The poses have a given order, or the cameras are not two or more that are fixed to the world.
+    """
+    if file.order != "free":
+        raise DataError("an accuracy needs poses in free order; the poses file says order: given", argument="accuracy")
+    fixed = [name for name in cameras if load_cell().cameras[name].parent == "world"]
+    if len(fixed) < max(2, len(cameras)):
+        told = f"{len(fixed)} of {', '.join(cameras)} are fixed"
+        raise DataError(
+            f"an accuracy in metres needs two cameras or more, all fixed to the world; {told}", cameras=fixed
+        )
 
 
 @dataclass(frozen=True)
@@ -150,6 +173,14 @@ class PoseLoop:
     def more_poses(self) -> bool:
         """Enabling function of loop_again; negated, of loop_done."""
         return bool(self.again) or self.remaining > 0
+
+    def add_poses(self, count: int) -> None:
+        """Add further poses behind the others."""
+        self.poses += count
+
+    def drop_poses(self, count: int) -> None:
+        """Drop the next poses not yet visited."""
+        self.poses -= count
 
     def next_pose(self) -> int:
         """Go on to the next pose, and return the number, from 1: a repeated one, or a new one.

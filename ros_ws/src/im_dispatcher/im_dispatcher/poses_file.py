@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import pydantic
 
@@ -30,11 +30,15 @@ class WristPose(Model):
         name: Its name in reports.
         position_m: Origin of the wrist frame in the world frame, within 100 m [m].
         orientation_xyzw: Unit quaternion world <- wrist.
+        joints: Positions of the group's joints there [rad or m]; None: any that reach it.
     """
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
     position_m: tuple[Coordinate, Coordinate, Coordinate]
     orientation_xyzw: Quaternion
+    joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = pydantic.Field(
+        None, exclude_if=lambda joints: joints is None
+    )
 
     @property
     def stamped(self) -> dict[str, object]:
@@ -67,11 +71,13 @@ class PosesFile(Model):
 
     Attributes:
         other_joints: Where the other arm must stand, in the order of its joints [rad or m]; None: anywhere.
+        order: Whether the poses are visited as they are listed, or ``free``: in any order, by their joints.
     """
 
     group: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
     frame: Literal["world"]
     other_joints: Annotated[tuple[Coordinate, ...], pydantic.Field(min_length=1, max_length=32)] | None = None
+    order: Literal["given", "free"] = pydantic.Field("given", exclude_if=lambda order: order == "given")
     poses: Annotated[tuple[WristPose, ...], pydantic.Field(min_length=1, max_length=1000)]
 
     @pydantic.field_validator("group")
@@ -90,6 +96,16 @@ class PosesFile(Model):
                 raise ValueError(f"two poses are named '{pose.name}'")
             seen.add(pose.name)
         return value
+
+    @pydantic.model_validator(mode="after")
+    def _joints_where_free(self) -> Self:
+        names = load_cell().joints_of(self.group)
+        for pose in self.poses:
+            if pose.joints is None and self.order == "free":
+                raise ValueError(f"pose '{pose.name}' has no joints; poses in free order have them")
+            if pose.joints is not None and len(pose.joints) != len(names):
+                raise ValueError(f"pose '{pose.name}' has {len(pose.joints)} joints; {self.group} has {len(names)}")
+        return self
 
     @property
     def other(self) -> str:

@@ -13,7 +13,7 @@ from im_calibration import load_problems
 from im_cell.robot import load_cell
 from im_core.errors import BEGUN_ANEW, DataError, ImError, LinkError, NotFoundError, StateError
 from im_dispatcher.commands.calibrate_camera import COMMAND, MOST_TAKE_UPS, SYMBOL, CalibrateCamera
-from im_dispatcher.poses_file import load_named_poses
+from im_dispatcher.poses_file import WristPose, load_named_poses
 from im_dispatcher.report import StepTimes
 from im_pnt.errors import JournalError, NetError
 from im_pnt.execution.functions import ActionContext
@@ -99,6 +99,62 @@ class Play:
         assert (kind, fields["header"]) == ("geometry_msgs/msg/PoseStamped", {"frame_id": "world"})
         (name,) = (pose.name for pose in self._poses if pose.stamped == fields)
         return name
+
+
+@pytest.fixture
+def accurate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Play:
+    """A command with an accuracy, begun."""
+    play = Play(tmp_path, monkeypatch)
+    play.job.command.arguments["accuracy"] = 3e-4
+    play("init_calib")
+    return play
+
+
+def test_an_accuracy_is_reached_by_several_looks_at_poses_that_are_reached_by_their_joints(accurate: Play) -> None:
+    stays, planned, taken = (accurate.guard(name) for name in ("stays", "plans_ahead", "all_planned_taken"))
+    names = []
+    for look in range(5):
+        names.append(accurate.pose())
+        assert stays(None) is (0 < look < 4), "the arm is there for all looks of a visit"
+        way = accurate("way_known")
+        assert (way["destination"], way["joints"]) == ("", list(_pose_named(names[-1]).joints))
+        accurate("present_look")
+        assert planned(None) is (look == 3), "a path is planned to another pose alone"
+        accurate.restart()
+    first, other = names[0], names[4]
+    assert names == [first] * 4 + [other]
+    assert first != other
+    assert accurate("next_destination")["joints"] == list(_pose_named(other).joints)
+    assert not taken(None)
+    accurate("take_up", StateError("mcs has begun anew", code=BEGUN_ANEW))
+    accurate.pose()
+    assert not stays(None), "nobody knows where the arm is"
+
+
+def test_a_pose_out_of_reach_loses_all_its_looks_and_others_are_planned_in_its_place(accurate: Play) -> None:
+    name = accurate.pose()
+    accurate("skip_pose", DataError("out of reach"))
+    names = [accurate.pose() for _ in range(44)]
+    assert name not in names
+    assert accurate.guard("all_planned_taken")(None)
+    accurate("assess")
+    assert not accurate.guard("all_planned_taken")(None), "nothing was observed: more is planned"
+    rejected = accurate("collected")["rejected"]
+    assert rejected == {f"{name}/1": "out of reach"}
+
+
+def test_a_report_says_where_the_poses_have_run_out(accurate: Play) -> None:
+    accurate.pose()
+    solver = {"success": True, "points_rejected": [], "expected_error": {"triangulation_mm": 0.4}}
+    accurate.host.objects["calibration"] = "im_msgs/msg/CalibrationReport", {"json": json.dumps(solver)}
+    accurate("write_report")
+    said = "an error of 0.400 mm is expected, 0.3 mm was asked for: the poses have run out"
+    assert accurate.job.results["message"] == said
+    assert accurate.job.results["report"]["accuracy"]["reached"] is False
+
+
+def _pose_named(name: str) -> WristPose:
+    return next(pose for pose in load_named_poses("").poses if pose.name == name)
 
 
 @pytest.fixture

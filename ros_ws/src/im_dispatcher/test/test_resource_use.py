@@ -103,7 +103,7 @@ def test_what_is_done_for_a_command_is_within_what_it_needs() -> None:
     dice = random.Random(13)
     played = Played(dice)
     symbols = sorted({variant.symbol for variant in played.needs.variants.values()})
-    for _ in range(60):
+    for _ in range(120):
         for symbol in symbols:
             played.run(symbol)
     assert len(played.process.results) == len(played.asked)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.vss.cameras import simulated
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import CameraModel, nominal
 from im_cell.frames import FrameSourceSetup, SnapOrder
 from im_cell.link import Exposure
 from im_cell.robot import load_cell
@@ -23,7 +23,6 @@ from im_sim.cameras.host import CameraHost
 from im_sim.cameras.lens import Lens
 from im_sim.cameras.scene import SceneMirror
 from im_sim.cameras.sensor import noise_stream, read_out
-from im_vss.camera_book import nominal
 from im_vss.settings import load_settings
 from im_vss.spot import find_spot
 

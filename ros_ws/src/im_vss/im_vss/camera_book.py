@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from im_cell.calibration_files import (
     COVARIANCE,
     EXTRINSICS,
@@ -22,8 +20,8 @@ from im_cell.calibration_files import (
     monocular,
 )
 from im_cell.camera_covariance import CameraCovariance
-from im_cell.camera_model import CameraModel
-from im_cell.robot import Camera, Cell
+from im_cell.camera_model import CameraModel, nominal
+from im_cell.robot import Cell
 from im_core.errors import DataError, NotFoundError
 from im_vss.stereo import rectify
 
@@ -255,20 +253,6 @@ class CameraBook:
         except OSError as error:
             directory = str(self._directory)
             raise DataError(f"{directory}: cannot be written: {error.strerror}", file=directory) from error
-
-
-def nominal(camera: Camera) -> CameraModel:
-    """Return a camera as in the cell's drawing, without distortion."""
-    lens = camera.intrinsics
-    rotation, translation = camera.pose()
-    return CameraModel(
-        width=lens.width,
-        height=lens.height,
-        K=np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]]),
-        D=np.zeros(5),
-        R_cam_base=rotation,
-        t_cam_base=translation,
-    )
 
 
 def _rectified(entries: Mapping[str, CameraEntry], pairs: Iterable[tuple[str, str]]) -> Mapping[str, CameraEntry]:

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from im_cell.calibration_files import CalibrationFiles, LaserEstimate, read_calibration
 from im_cell.camera_covariance import CameraCovariance
-from im_cell.camera_model import PARAMETERS
+from im_cell.camera_model import PARAMETERS, nominal
 from im_cell.laser_model import LaserModel
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError, StoreError
 from im_core.files import write_whole
-from im_vss.camera_book import CameraBook, nominal
+from im_vss.camera_book import CameraBook
 from im_vss.laser.book import LaserBook
 from im_vss.services.calibrate import fixed_to
 

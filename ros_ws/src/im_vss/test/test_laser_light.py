@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from bench.vss.cameras import simulated
-from im_cell.camera_model import CameraModel
+from im_cell.camera_model import CameraModel, nominal
 from im_cell.link import Exposure, LaserBeam
 from im_cell.robot import load_cell
 from im_sim.cameras.bank import CameraBank
 from im_sim.cameras.laser import LaserLight
 from im_sim.cameras.scene import SceneMirror
-from im_vss.camera_book import nominal
 from im_vss.laser.line import line_peaks, match_lines
 from im_vss.settings import load_settings
 from im_vss.spot import find_spot

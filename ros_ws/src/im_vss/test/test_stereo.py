@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from im_cell.camera_model import PARAMETERS
+from im_cell.camera_model import PARAMETERS, nominal
 from im_cell.robot import load_cell
 from im_core.errors import DataError
-from im_vss.camera_book import CameraBook, nominal
+from im_vss.camera_book import CameraBook
 from im_vss.stereo import epipolar_distance, rectify, triangulate
 
 CELL = load_cell()

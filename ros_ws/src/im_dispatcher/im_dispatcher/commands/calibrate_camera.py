@@ -18,6 +18,7 @@ from im_core import clock
 from im_core.errors import BEGUN_ANEW, ImError, NotFoundError, StateError, StoreError
 from im_core.names import results_dir
 from im_core.text.bounded_json import read_json
+from im_dispatcher.accuracy import accuracy_reached, next_visits
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, order_of
@@ -71,6 +72,7 @@ class CalibrateCamera:
                 self.skip_pose,
                 self.skip_look,
                 self.note_unkept,
+                self.assess,
                 self.take_up,
                 self.write_report,
                 self.note_left,
@@ -93,6 +95,9 @@ class CalibrateCamera:
             "other_needed": woken_by()(_other_needed),
             "more_poses": woken_by()(_more_poses),
             "goes_on": woken_by()(_goes_on),
+            "plans_ahead": woken_by()(_plans_ahead),
+            "stays": woken_by()(_stays),
+            "all_planned_taken": woken_by()(_all_planned_taken),
             "another_visit_may_help": woken_by()(_another_visit_may_help),
             "pose_dispensable": woken_by()(_dispensable),
             "begun_anew": woken_by()(_begun_anew),
@@ -117,6 +122,12 @@ class CalibrateCamera:
         ctx.memory["loop"] = PoseLoop(poses).to_json()
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
+        if order.accuracy_m > 0.0:
+            ctx.memory["accuracy"] = {"asked_m": order.accuracy_m, "visits": [], "barred": []}
+            ctx.memory["loop"] = PoseLoop(0).to_json()
+            await self._plan_visits(ctx)
+            ctx.progress(f"{1e3 * order.accuracy_m:g} mm of {', '.join(order.cameras)}", 0.0)
+            return
         ctx.progress(f"{poses} poses for {', '.join(order.cameras)}", 0.0)
 
     def other_arm(self, ctx: ActionContext) -> dict[str, object]:
@@ -131,38 +142,53 @@ class CalibrateCamera:
         """Count the loop variable down and store the next destination."""
         loop = _loop(ctx)
         done, number = loop.progress, loop.next_pose()
-        pose = (await self._poses(ctx)).poses[number - 1]
-        ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), pose.name
+        pose = (await self._poses(ctx)).poses[_pose_of(ctx, number) - 1]
+        ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), _name_of(ctx, number, pose.name)
         ctx.memory["planned"] = False
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
         await self._host.values.put(ctx.object("destination"), POSE, pose.stamped, f"{SYMBOL}.destination_valid")
-        ctx.progress(f"pose {number} of {loop.poses} ({pose.name})", done)
+        ctx.progress(f"pose {number} of {loop.poses} ({ctx.memory['pose']})", done)
 
     async def read_planned_pos(self, ctx: ActionContext) -> None:
         """The same of a destination to which a path was planned while the arm was at the pose before."""
         await self.read_next_pos(ctx)
         ctx.memory["planned"] = True
 
-    def way_known(self, ctx: ActionContext) -> dict[str, object]:
+    async def way_known(self, ctx: ActionContext) -> dict[str, object]:
         """Whether the path to the next destination is known already; the first one is sought from home.
+
+        Poses in free order are reached by their joints, wherever the arm comes from.
 
         Each further configuration is near to the one before: so they are the same wherever the arm was at first, and
         the light is as free in all of them as when the poses were chosen.
         """
-        return {"planned": ctx.memory["planned"], "near": "home" if _loop(ctx).taken == 1 else "here"}
+        loop = _loop(ctx)
+        known = {"planned": ctx.memory["planned"], "near": "home" if loop.taken == 1 else "here"}
+        if "accuracy" in ctx.memory and loop.present is not None:
+            file = await self._poses(ctx)
+            known |= {
+                "destination": "",
+                "joints": list(file.poses[_pose_of(ctx, loop.present.number) - 1].joints or ()),
+            }
+        return known
 
     async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
         """Where the arm goes from here, and where the path to there is to lie."""
-        pose = (await self._poses(ctx)).poses[_loop(ctx).following - 1]
+        pose = (await self._poses(ctx)).poses[_pose_of(ctx, _loop(ctx).following) - 1]
+        leaves = f"path/{ctx.command.arguments['group']}"
+        if "accuracy" in ctx.memory:
+            return {"joints": list(pose.joints or ()), "leaves": leaves}
         await self._host.values.put(ctx.object("next_destination"), POSE, pose.stamped)
-        return {"destination": "next_destination", "leaves": f"path/{ctx.command.arguments['group']}"}
+        return {"destination": "next_destination", "leaves": leaves}
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
         """Return cameras, light and exposure of the present look, at the arm's present pose."""
         loop = _loop(ctx)
         visit = loop.look()
         ctx.memory["loop"], ctx.memory["looked"] = loop.to_json(), ctx.memory["pose"]
+        if "accuracy" in ctx.memory:
+            ctx.memory["there"] = _pose_of(ctx, visit.number)
         return {**self.watchers(ctx), "longer": visit.longer}
 
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
@@ -183,16 +209,25 @@ class CalibrateCamera:
         ctx.memory["loop"] = loop.to_json()
         ctx.progress(f"pose {ctx.memory['looked']} is visited again: {_reason(ctx)}", loop.looked_progress)
 
+    async def assess(self, ctx: ActionContext) -> None:
+        """Compare the expected error with the accuracy asked for, and plan further visits while it is larger."""
+        await self._plan_visits(ctx)
+
     async def skip_pose(self, ctx: ActionContext) -> None:
         """Leave out the arm's present or coming pose, with the reason."""
+        ctx.memory.pop("there", None)
+        if (present := _loop(ctx).present) is not None:
+            _bar(ctx, present.number)
         await self._skip(ctx, str(ctx.memory["pose"]), _loop(ctx).progress)
 
     async def skip_look(self, ctx: ActionContext) -> None:
         """Leave out the last seen pose, with the reason."""
+        _bar(ctx, _loop(ctx).looked_number)
         await self._skip(ctx, str(ctx.memory["looked"]), _loop(ctx).looked_progress)
 
     async def take_up(self, ctx: ActionContext) -> None:
         """Give the present pose back, if there is one: the pose is visited again."""
+        ctx.memory.pop("there", None)
         loop = _loop(ctx)
         loop.give_back()
         ctx.memory["loop"] = loop.to_json()
@@ -202,10 +237,10 @@ class CalibrateCamera:
         """Return the input of the calibration: numbers of the observed poses, and reasons for the others."""
         skipped = await self._skipped(ctx)
         left_out = {skip["pose"] for skip in skipped}
-        poses = (await self._poses(ctx)).poses
+        names = _visits_of(ctx, await self._poses(ctx))
         return {
             "cameras": ctx.memory["cameras"],
-            "observations": [number for number, pose in enumerate(poses, 1) if pose.name not in left_out],
+            "observations": [number for number, name in enumerate(names, 1) if name not in left_out],
             "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
             "directory": ctx.memory["directory"],
         }
@@ -216,6 +251,10 @@ class CalibrateCamera:
         solver = read_json(dict[str, object], str(told["json"]), "the report of the calibration")
         poses = _loop(ctx).poses
         report = succeeded(solver, await self._skipped(ctx), poses)
+        if "accuracy" in ctx.memory:
+            report["accuracy"] = reached = accuracy_reached(solver, _asked_m(ctx), _visits(ctx))
+            if not reached["reached"]:
+                ctx.result["message"] = reached["message"]
         await self._expect(poses)
         ctx.result.update(self._finish(ctx, report))
 
@@ -259,7 +298,30 @@ class CalibrateCamera:
         loop, reason = _loop(ctx), _reason(ctx)
         await self._host.values.put(ctx.object(f"skipped/{loop.skip()}"), REJECTION, {"pose": pose, "reason": reason})
         ctx.memory["loop"] = loop.to_json()
+        if _all_planned_taken(ctx):
+            await self._plan_visits(ctx)
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
+
+    async def _plan_visits(self, ctx: ActionContext) -> None:
+        """Add the next visits to those of a command with an accuracy, if any is needed and left."""
+        loop, visits, file = _loop(ctx), _visits(ctx), await self._poses(ctx)
+        names, left_out = _visits_of(ctx, file), {skip["pose"] for skip in await self._skipped(ctx)}
+        observed: dict[int, list[Mapping[str, object]]] = {}
+        coming = []
+        for number, (name, pose) in enumerate(zip(names, visits, strict=True), 1):
+            if name in left_out:
+                continue
+            if (seen := await self._observation(ctx, number)) is None:
+                coming.append(pose)
+            else:
+                observed.setdefault(pose, []).append(seen)
+        question = file, ctx.memory["cameras"], _asked_m(ctx), observed, coming, _barred(ctx)
+        added, expected = await self._host.noted_apart("visits", _next_visits, *question)
+        loop.add_poses(len(added))
+        ctx.memory["accuracy"] = {"asked_m": _asked_m(ctx), "visits": visits + added, "barred": _barred(ctx)}
+        ctx.memory["loop"] = loop.to_json()
+        if expected is not None:
+            ctx.progress(f"{1e3 * expected:.3f} mm expected of {1e3 * _asked_m(ctx):g} mm", loop.progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
         """Return the poses of a command; read the file again after a restart or in a recording."""
@@ -271,6 +333,15 @@ class CalibrateCamera:
     async def _skipped(self, ctx: ActionContext) -> list[Mapping[str, object]]:
         counts = range(1, _loop(ctx).skipped + 1)
         return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
+
+    async def _observation(self, ctx: ActionContext, number: int) -> Mapping[str, object] | None:
+        """Return an observation of the command; None if there is none."""
+        try:
+            return await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()])
+        except ImError as error:  # as told by the DOM: the class is lost on the way
+            if error.code != NotFoundError.default_code:
+                raise
+            return None
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
@@ -348,9 +419,13 @@ def _write_observations(directory: str, cameras: list[str], observed: list[Mappi
     cell = load_cell()
     sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
     offset = cell.led.offset, cell.led.offset_prior_sd
-    messages = json.loads(json.dumps(observed), object_hook=lambda fields: SimpleNamespace(**fields))
-    problem = problem_of(tuple(cameras), [observation_of(each) for each in messages], (), sizes, offset, cell.cameras)
+    seen = [observation_of(_as_message(each)) for each in observed]
+    problem = problem_of(tuple(cameras), seen, (), sizes, offset, cell.cameras)
     return str(write_observations(directory, problem))
+
+
+def _as_message(fields: Mapping[str, object]) -> Any:
+    return json.loads(json.dumps(fields), object_hook=lambda each: SimpleNamespace(**each))
 
 
 def _new_directory() -> str:
@@ -371,6 +446,85 @@ def _more_poses(ctx: ActionContext) -> bool:
 
 def _goes_on(ctx: ActionContext) -> bool:
     return _more_poses(ctx) and not ctx.cancelled
+
+
+def _plans_ahead(ctx: ActionContext) -> bool:
+    """Return whether the arm goes on, and to another pose."""
+    return _goes_on(ctx) and ctx.memory.get("there") != _pose_of(ctx, _loop(ctx).following)
+
+
+def _stays(ctx: ActionContext) -> bool:
+    """Return whether the arm is at the destination already: a further look of the same visit."""
+    present = _loop(ctx).present
+    return "there" in ctx.memory and present is not None and ctx.memory["there"] == _pose_of(ctx, present.number)
+
+
+def _all_planned_taken(ctx: ActionContext) -> bool:
+    """Return whether an accuracy is asked for, and all visits planned for it have begun."""
+    return "accuracy" in ctx.memory and not _more_poses(ctx)
+
+
+def _told_accuracy(ctx: ActionContext) -> Mapping[str, Any]:
+    told = ctx.memory["accuracy"]
+    assert isinstance(told, dict)
+    return told
+
+
+def _asked_m(ctx: ActionContext) -> float:
+    return float(_told_accuracy(ctx)["asked_m"])
+
+
+def _visits(ctx: ActionContext) -> list[int]:
+    """Return numbers of poses of the visits, one a look."""
+    return list(_told_accuracy(ctx)["visits"])
+
+
+def _barred(ctx: ActionContext) -> list[int]:
+    """Return numbers of poses that failed."""
+    return list(_told_accuracy(ctx)["barred"])
+
+
+def _pose_of(ctx: ActionContext, number: int) -> int:
+    """Return the number in the poses file, from 1, of a visit."""
+    return _visits(ctx)[number - 1] if "accuracy" in ctx.memory else number
+
+
+def _name_of(ctx: ActionContext, number: int, pose: str) -> str:
+    """Return the name of a visit: that of the pose, with the number of the look where there are several."""
+    if "accuracy" not in ctx.memory:
+        return pose
+    visits = _visits(ctx)
+    return f"{pose[:56]}/{visits[:number].count(visits[number - 1])}"
+
+
+def _visits_of(ctx: ActionContext, file: PosesFile) -> list[str]:
+    """Return the names of all visits."""
+    count = _loop(ctx).poses if "accuracy" in ctx.memory else len(file.poses)
+    return [_name_of(ctx, number, file.poses[_pose_of(ctx, number) - 1].name) for number in range(1, count + 1)]
+
+
+def _bar(ctx: ActionContext, number: int) -> None:
+    """Plan no further look at the pose of a failed visit."""
+    if "accuracy" not in ctx.memory:
+        return
+    loop, visits, pose = _loop(ctx), _visits(ctx), _pose_of(ctx, number)
+    kept = visits[: loop.taken] + [each for each in visits[loop.taken :] if each != pose]
+    loop.drop_poses(len(visits) - len(kept))
+    ctx.memory["accuracy"] = {"asked_m": _asked_m(ctx), "visits": kept, "barred": sorted({*_barred(ctx), pose})}
+    ctx.memory["loop"] = loop.to_json()
+
+
+def _next_visits(
+    file: PosesFile,
+    cameras: list[str],
+    accuracy_m: float,
+    observed: Mapping[int, list[Mapping[str, object]]],
+    coming: list[int],
+    barred: list[int],
+) -> tuple[list[int], float | None]:
+    seen = {pose: [observation_of(_as_message(each)) for each in looks] for pose, looks in observed.items()}
+    found = next_visits(file, cameras, accuracy_m, seen, coming, barred)
+    return list(found.poses), found.expected_m
 
 
 def _another_visit_may_help(ctx: ActionContext) -> bool:

@@ -1,0 +1,74 @@
+"""How long a calibration to a stated accuracy takes, and how true its expected error is, beside all shipped poses."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from im_calibration import Observation, SeenSpot, calibrate, problem_of
+from im_calibration.estimation.unknowns import rotation_exp
+from im_cell.calibration_error import evaluate
+from im_cell.camera_model import CameraModel, nominal
+from im_cell.robot import load_cell
+from im_cell.rotations import matrix_of_quaternion
+from im_dispatcher.accuracy import next_visits, seconds_to
+from im_dispatcher.poses_file import PosesFile, load_named_poses
+
+CAMERAS = ("ceiling_left", "ceiling_right")
+_SPOT_PX, _POSITION_M = 0.032, 1.5e-6
+
+
+@dataclass(frozen=True)
+class Reached:
+    """End of a calibration: poses and looks, estimated time [s], expected and true RMS triangulation error [mm]."""
+
+    poses: int
+    looks: int
+    seconds: float
+    expected_mm: float
+    true_mm: float
+
+
+def asked_accuracy(seed: int, accuracy_m: float) -> Reached:
+    """Calibrate to an accuracy in a world without images: true cameras as a seed draws them about the nominal ones."""
+    rng, file = np.random.default_rng(seed), load_named_poses("")
+    truth = [_drawn(rng, nominal(load_cell().cameras[name])) for name in CAMERAS]
+    offset = np.array(load_cell().led.offset) + rng.normal(0.0, load_cell().led.offset_prior_sd, 3)
+    observed: dict[int, list[Observation]] = {}
+    seconds, here = 0.0, None
+    while visits := next_visits(file, CAMERAS, accuracy_m, observed, (), ()).poses:
+        for pose in dict.fromkeys(visits):
+            seconds += float(seconds_to(file, here)[pose - 1])
+            here = np.array(file.poses[pose - 1].joints)
+            observed[pose] = [_seen(rng, file, pose, look, truth, offset) for look in range(visits.count(pose))]
+    cell = load_cell()
+    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
+    seen, led = [each for looks in observed.values() for each in looks], (cell.led.offset, cell.led.offset_prior_sd)
+    problem = problem_of(CAMERAS, seen, (), sizes, led, cell.cameras)
+    calibration = calibrate(problem)
+    error = evaluate([camera.model for camera in calibration.cameras], truth, problem.workspace.grid())
+    expected = calibration.expected.triangulation_rms_mm
+    return Reached(len(observed), len(seen), seconds, expected, error.triangulation_rms_mm)
+
+
+def _drawn(rng: np.random.Generator, camera: CameraModel) -> CameraModel:
+    """A camera near to a nominal one, with a lens."""
+    turn = rotation_exp(rng.normal(0.0, 0.01, (1, 3)))[0] @ camera.R_cam_base
+    K = camera.K * np.array([[1.0 + rng.normal(0.0, 0.01)], [1.0 + rng.normal(0.0, 0.01)], [1.0]])
+    D = np.array([-0.2 + rng.normal(0.0, 0.02), 0.04 + rng.normal(0.0, 0.01), *rng.normal(0.0, 5e-4, 2), 0.0])
+    return replace(camera, K=K, D=D, R_cam_base=turn, t_cam_base=camera.t_cam_base + rng.normal(0.0, 0.01, 3))
+
+
+def _seen(
+    rng: np.random.Generator, file: PosesFile, number: int, look: int, truth: list[CameraModel], offset: np.ndarray
+) -> Observation:
+    pose = file.poses[number - 1]
+    rotation, position = matrix_of_quaternion(pose.orientation_xyzw), np.array(pose.position_m)
+    light = (position + rotation @ offset)[None]
+    spots = {}
+    for name, camera in zip(CAMERAS, truth, strict=True):
+        pixel = camera.project(light)
+        if camera.contains(pixel)[0]:
+            uv = pixel[0] + rng.normal(0.0, _SPOT_PX, 2)
+            spots[name] = SeenSpot(uv, _SPOT_PX**2 * np.eye(2), 1)
+    measured = position + rng.normal(0.0, _POSITION_M, 3)
+    return Observation(f"{pose.name}/{look}", measured, rotation, _POSITION_M**2 * np.eye(3), spots)
