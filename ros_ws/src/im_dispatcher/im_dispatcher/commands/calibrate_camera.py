@@ -345,11 +345,8 @@ class CalibrateCamera:
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
-        observed: list[Mapping[str, object]] = []
-        for number in range(1, _loop(ctx).taken + 1):
-            with contextlib.suppress(NotFoundError):
-                observed.append(await self._host.values.read(ctx.object(f"observation/{number}"), OBSERVATION, [()]))
-        if observed:
+        kept = [await self._observation(ctx, number) for number in range(1, _loop(ctx).taken + 1)]
+        if observed := [seen for seen in kept if seen is not None]:
             directory, cameras = str(ctx.memory["directory"]), ctx.memory["cameras"]
             await self._host.noted_apart("observations", _write_observations, directory, cameras, observed)
 
