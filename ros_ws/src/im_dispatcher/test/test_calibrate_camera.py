@@ -37,7 +37,8 @@ class Host:
     async def read(self, name: str, kind: str, ways: object) -> object:
         self._called(name)
         if name not in self.objects:
-            raise NotFoundError(kind="data object", name=name)
+            error = NotFoundError(kind="data object", name=name)
+            raise ImError(error.message, code=error.code)  # as the DOM's answer comes: its class is lost on the way
         assert self.objects[name][0] == kind
         return self.objects[name][1]
 
