@@ -57,6 +57,7 @@ def test_a_first_file_is_a_cell_that_mcs_takes(robot, capsys):
     assert main(["check", str(file), "--picture", str(robot.with_name("cell.png"))]) == 0
     told = capsys.readouterr().out
     assert "group arm: 6 joints to tool0" in told
+    assert "group arm: inverse kinematics in closed form, by three parallel axes" in told
     assert "missing: cameras" in told
     assert re.search(r"assumed: shoulder_pan_joint, .*: no motor; a rotor", told)
     assert robot.with_name("cell.png").read_bytes().startswith(b"\x89PNG")

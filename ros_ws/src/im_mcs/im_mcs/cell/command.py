@@ -11,8 +11,15 @@ from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.template import first_cell, touching_pairs
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
+from im_mcs.inverse.closed_form import ClosedForm
+from im_mcs.model import CellModel
 
 _FEW = "straight lines keep the position, and the orientation but for turns about one axis of the tip"
+_BUILD = {
+    None: "by iteration",
+    True: "in closed form, by a spherical wrist",
+    False: "in closed form, by three parallel axes",
+}
 _FEWER = f"no straight lines: they need {FEWEST_JOINTS} joints or more"
 _EPILOG = """\
 exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
@@ -72,12 +79,15 @@ def _parser() -> argparse.ArgumentParser:
 def findings(cell: Cell, file: str) -> list[str]:
     """Return sentences about a cell: its groups, missing and assumed data."""
     lines = [f"{file}: {len(cell.joints)} joints"]
+    model = CellModel(cell)
     for name, group in cell.groups.items():
         devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]
         with_ = f", with {' and '.join(devices)}" if devices else ""
         lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
         if (count := len(cell.carriers_of(group.tip))) < ARM_JOINTS:
             lines.append(f"group {name}: {_FEW if count == FEWEST_JOINTS else _FEWER}")
+        closed = ClosedForm.of(model, group.tip, model.joints_below(group.tip))
+        lines.append(f"group {name}: inverse kinematics {_BUILD[None if closed is None else closed.spherical]}")
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
     lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
     lines += [f"assumed: {sentence}" for sentence in cell.assumed]

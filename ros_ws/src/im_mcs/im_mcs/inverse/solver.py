@@ -1,6 +1,6 @@
-"""Inverse kinematics of a wrist pose by damped least squares, with redundant joints."""
+"""Inverse kinematics of a wrist pose: in closed form where the arm has it, else by damped least squares."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
+from im_mcs.inverse.arm import ARM_JOINTS, Arm
+from im_mcs.inverse.closed_form import ClosedForm
 from im_mcs.inverse.redundancy import Redundancy
+from im_mcs.inverse.tracking import ArmTracker
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 
@@ -26,6 +29,7 @@ _STEP = 0.5
 _NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
 _SEEDS = 64
+_NEAREST = 2
 _SEED_KEY = 20240607
 
 
@@ -52,9 +56,11 @@ class IkAttempt:
 class InverseKinematics:
     """Joint positions of one group for a pose of the wrist.
 
-    Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
-    against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off limits and singularities,
-    carts near their nominal place. Several starts are tried, always the same ones in the same order.
+    Six joints of a build that :class:`ClosedForm` knows have all their solutions at once, the nearest to the start
+    first. Of all others each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the
+    joints that are not against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off
+    limits and singularities, carts near their nominal place. Several starts are tried, always the same ones in the same
+    order.
 
     Args:
         model: Kinematics.
@@ -72,6 +78,11 @@ class InverseKinematics:
         self._upper = limits.upper[index] - _LIMIT_MARGIN
         self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
         self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
+        self._closed: ClosedForm | None = None
+        if set(model.joints_below(frame)[-ARM_JOINTS:].tolist()) == set(index.tolist()):
+            arm = Arm(model, frame)
+            self._joints, self._tracker = arm.joints, ArmTracker(model, arm, frame)
+            self._closed = ClosedForm.of(model, frame, arm.joints)
 
     def solve(
         self,
@@ -97,9 +108,8 @@ class InverseKinematics:
         """
         best: IkAttempt | None = None
         blocked: ImError | None = None
-        for start in self._starts(seed):
-            attempts = list(self.descent(target, q_all, start))
-            if (attempt := attempts[-1]).reached:
+        for attempt in self.attempts(target, q_all, self._starts(seed)):
+            if attempt.reached:
                 try:
                     if collision is not None:
                         collision.require_free(self._whole(q_all, attempt.q))
@@ -107,7 +117,7 @@ class InverseKinematics:
                     blocked = blocked or error
                     continue
                 return attempt.q
-            best = min([*attempts, best or attempt], key=lambda each: each.position_error)
+            best = min(best or attempt, attempt, key=lambda each: each.position_error)
         if blocked is not None:
             raise blocked
         assert best is not None
@@ -137,6 +147,43 @@ class InverseKinematics:
         generator = np.random.Generator(np.random.Philox(key=_SEED_KEY))
         spread = generator.uniform(size=(_SEEDS - 2, len(seed)))
         return [seed, self._preferred, *(self._lower + spread * (self._upper - self._lower))]
+
+    def attempts(
+        self, target: pin.SE3, q_all: NDArray[np.float64], starts: Sequence[NDArray[np.float64]]
+    ) -> Iterator[IkAttempt]:
+        """Solutions in closed form, the nearest to the first start first; without them, an attempt from each start.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
+            starts: Where to start, shape (n,) each [rad or m].
+        """
+        if self._closed is not None:
+            if found := self._solutions(self._closed, target, q_all, starts[0]):
+                yield from found
+                return
+            starts = starts[:_NEAREST]  # nothing is there to be found but the nearest place
+        for start in starts:
+            *way, end = self.descent(target, q_all, start)
+            yield end if end.reached else min(*way, end, key=lambda each: each.position_error)
+
+    def _solutions(
+        self, closed: ClosedForm, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]
+    ) -> list[IkAttempt]:
+        """Return the solutions within limits, the nearest to a start first, each improved by Newton's method."""
+        at, found, joints = self._whole(q_all, start), list[IkAttempt](), self._joints
+        for q in closed.solve(self._model, target, at, joints):
+            whole = at.copy()
+            whole[joints] = q
+            better = self._tracker.solve(target, whole)
+            near = start + np.remainder((whole if better is None else better)[self._index] - start + np.pi, 2 * np.pi)
+            near -= np.pi
+            near += 2.0 * np.pi * ((near < self._lower).astype(float) - (near > self._upper))
+            error = self._error(target, q_all, near)
+            attempt = IkAttempt(near, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
+            if attempt.reached and ((near >= self._lower) & (near <= self._upper)).all():
+                found.append(attempt)
+        return sorted(found, key=lambda each: float(np.linalg.norm(each.q - start)))
 
     def descent(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> Iterator[IkAttempt]:
         """Iterate from one start; the last attempt is the end.

@@ -177,8 +177,8 @@ class PoseSelector:
     def _try(self, candidate: Candidate) -> PlacedPose | str:
         """Return a candidate with joint positions, or the reason against the candidate."""
         lack = "are out of reach"
-        for start in (self._common.start(candidate.light), self._home[self._index]):
-            *_, attempt = self._solver.descent(candidate.wrist, self._home, start)
+        starts = (self._common.start(candidate.light), self._home[self._index])
+        for attempt in self._solver.attempts(candidate.wrist, self._home, starts):
             if not attempt.reached:
                 continue
             try:
