@@ -1,15 +1,19 @@
 """``cell``: writes the first cell file of a URDF, and checks cell files."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from im_cell.robot import Cell, cell_file, load_cell
+import numpy as np
+
+from im_cell.robot import Capsule, Cell, cell_file, load_cell
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.template import first_cell, touching_pairs
+from im_mcs.collision.bodies import hull_of
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
 from im_mcs.inverse.closed_form import ClosedForm
 from im_mcs.model import CellModel
@@ -91,8 +95,31 @@ def findings(cell: Cell, file: str) -> list[str]:
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
     lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
     lines += [f"assumed: {sentence}" for sentence in cell.assumed]
+    lines += _shapes(cell)
     lines += [f"touching at home: {first} and {second}" for first, second in touching_pairs(cell)]
     return lines
+
+
+def _shapes(cell: Cell) -> list[str]:
+    """Return sentences about the shapes that are compared."""
+    hulled = list(dict.fromkeys(hull.link for hull in cell.hulls))
+    rounded = list(dict.fromkeys(body.link for body in cell.bodies if body.link not in hulled))
+    lines = [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
+    for link in hulled:
+        own = [hull for hull in cell.hulls if hull.link == link]
+        litres = 1e3 * sum(hull_of(np.array(hull.points)).computeVolume() for hull in own)
+        around = 1e3 * sum(_volume(body) for body in cell.bodies if body.link == link)
+        corners, margin = sum(len(hull.points) for hull in own), 1e3 * max(hull.radius for hull in own)
+        what = "a hull" if len(own) == 1 else f"{len(own)} hulls"
+        lines.append(
+            f"compared as {what}: {link}, {corners} corners with {margin:.1f} mm around; "
+            f"{litres:.2f} l, its capsules {around:.2f} l"
+        )
+    return lines
+
+
+def _volume(capsule: Capsule) -> float:
+    return math.pi * capsule.radius**2 * (math.dist(capsule.p0, capsule.p1) + 4.0 / 3.0 * capsule.radius)
 
 
 def _optional(cell: Cell) -> dict[str, bool]:
