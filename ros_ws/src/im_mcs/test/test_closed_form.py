@@ -209,3 +209,23 @@ def test_an_arm_with_a_joint_that_slides_is_left_to_the_iteration():
     slides.addFrame(pin.Frame("tip", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model.pin = slides
     assert ClosedForm.of(model, "tip", np.arange(6)) is None
+
+
+def test_an_arm_of_five_joints_meets_a_pose_but_for_a_small_turn_about_one_axis():
+    cell = load_cell("so101")
+    model, config, joints = CellModel(cell), load_config(cell=cell), np.arange(5)
+    limits, tip = JointLimits(cell, config.limits, config.slots), cell.groups["arm"].tip
+    solver, random = InverseKinematics(model, limits, joints, tip), np.random.default_rng(8)
+    for _ in range(6):
+        q = random.uniform(limits.lower + 0.1, limits.upper - 0.1)
+        pose = model.pose(q, tip).copy()
+        axis = random.normal(size=3)
+        pose.rotation = pin.exp3(0.01 * axis / np.linalg.norm(axis)) @ pose.rotation
+        *_, end = solver.descent(pose, cell.home, q)
+        assert end.reached
+        off_pose = pose.actInv(model.pose(end.q, tip))
+        assert np.linalg.norm(off_pose.translation) < 1e-6
+        assert np.linalg.norm(pin.log3(off_pose.rotation)) < 0.0175
+        pose.rotation = pin.exp3(0.3 * axis / np.linalg.norm(axis)) @ pose.rotation
+        *_, end = solver.descent(pose, cell.home, q)
+        assert end.reached == (np.linalg.norm(pin.log3(pose.rotation @ model.pose(end.q, tip).rotation.T)) < 0.0175)
