@@ -256,6 +256,7 @@ def test_path_tolerance_and_evidence(ready):
 
 def test_cancel_decelerates_on_the_path(ready):
     handle, result = started(ready, far(ready, 60.0))
+    ready.until(lambda: ready.group_state().q[0] > ready.home[0] + 1e-3)
     ready.cancel(handle)
     answer = result()
     assert answer.status == CANCELED

@@ -179,6 +179,12 @@ def test_meshes_that_are_not_there_or_in_millimetres_are_said(robot):
     box_mesh(robot.with_name("arm.stl"), (100.0, 100.0, 600.0))
     with pytest.raises(DataError, match=r"arm.stl of link upper_arm_link is 600 m large: .* millimetres"):
         first_cell(robot)
+    box_mesh(robot.with_name("arm.stl"), (0.1, float("nan"), 0.6))
+    with pytest.raises(DataError, match=r"arm.stl of link upper_arm_link: a vertex is not finite"):
+        first_cell(robot)
+    robot.with_name("arm.stl").write_bytes(b"solid x" + bytes(range(256)))
+    with pytest.raises(DataError, match=r"^the mesh arm.stl of link upper_arm_link: Could not load .*"):
+        first_cell(robot)
     robot.with_name("arm.stl").unlink()
     with pytest.raises(DataError, match=r"the mesh arm.stl of link upper_arm_link: .*arm.stl is not there"):
         first_cell(robot)
@@ -190,3 +196,7 @@ def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "named.urdf").write_text(text.replace('"elbow_joint"', '"elbow joint"'))
+    assert main(["new", str(tmp_path / "named.urdf")]) == 1
+    assert "named.urdf: joint 'elbow joint': ROS takes no such name" in capsys.readouterr().err

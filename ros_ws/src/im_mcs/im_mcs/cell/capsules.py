@@ -103,8 +103,11 @@ def _vertices(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]
             raise ValueError(f"{path} is not there")
         model = coal.MeshLoader().load(str(path), np.array(shape.size))
         points = np.array(model.vertices(), dtype=np.float64)
+        if not np.isfinite(points).all():
+            raise ValueError("a vertex is not finite")
     except (ValueError, RuntimeError) as error:
-        raise DataError(f"the mesh {shape.mesh} of link {link}: {error}", link=link, mesh=shape.mesh) from error
+        told = " ".join(str(error).rpartition("message: ")[2].split())  # coal's has lines of its source before
+        raise DataError(f"the mesh {shape.mesh} of link {link}: {told}", link=link, mesh=shape.mesh) from error
     if (size := float(np.ptp(points, axis=0).max())) > _LARGEST_M:
         text = f'is {size:.0f} m large: its lengths are millimetres, it seems; scale="0.001 0.001 0.001" mends that'
         raise DataError(f"the mesh {shape.mesh} of link {link} {text}", link=link, mesh=shape.mesh)

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from im_cell.robot import Box, Capsule, Cell, Hull
 from im_cell.robot.cell import robot_text
 from im_cell.robot.description import UrdfJoint, UrdfTree, parse_description
+from im_core.config import faults
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.cell.hulls import enclosing_hulls
@@ -50,7 +52,10 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
         "boxes": [_FLOOR],
         "srdf": "" if srdf is None else str(srdf.absolute()),
     }
-    bare = Cell.model_validate(data)
+    try:
+        bare = Cell.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{urdf}: {faults(error, Cell)[0].sentence}", file=str(urdf)) from error
     capsules, hulls = enclosing_capsules(bare), enclosing_hulls(bare)
     cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
     never = () if srdf is not None else _always(cell)
