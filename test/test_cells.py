@@ -13,11 +13,12 @@ from support.whole_machine import free_port, report_of, run_script, running_mach
 
 COMMANDS = {
     "ur5": {"home", "move", "look", "calibrate_camera"},
+    "so101": {"home", "move", "look", "calibrate_camera"},
     "panda": {"home", "move", "look", "calibrate_camera", "open_gripper", "close_gripper", "pick", "place"},
 }
 
 
-@pytest.fixture(scope="module", params=["ur5", "panda"])
+@pytest.fixture(scope="module", params=COMMANDS)
 def cell(request):
     return request.param, load_cell(request.param)
 

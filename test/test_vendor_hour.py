@@ -4,7 +4,7 @@ Robot, cameras and lamp are processes of their own, which speak topics and servi
 """
 
 import json
-import shutil
+import re
 import sys
 from pathlib import Path
 
@@ -14,30 +14,43 @@ import yaml
 
 from im_cell.robot import cell_file, load_cell
 from im_cell.rotations import matrix_of_vector
+from im_core import names
 from im_core.config import package_file
 from im_mcs.cell.command import main as cell_command
-from support.mcs_config import write_mcs_config
+from im_mcs.poses.command import main as find_poses
 from support.whole_machine import report_of, running_machine
 
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "tutorials" / "your_robot.md").read_text(encoding="utf-8").partition("## Let MCS move it\n")[2]
+MCS, FRAMES = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL))
+TYPED = re.findall(r"^\$ (.*)$", PAGE.partition("## Let it calibrate your cameras\n")[2], re.MULTILINE)
 SHIPPED = yaml.safe_load(cell_file("ur5").read_text())
 CYLINDER = '<collision><origin xyz="0 0 0.2"/><geometry><cylinder radius="0.05" length="0.4"/></geometry></collision>'
-POSES = 12
+
+
+def words_of(line, begin, folder):
+    """The arguments of a line of the page that begins so, with the folder of the test for ``lab``."""
+    assert line.startswith(begin + " "), line
+    return line.removeprefix(begin).replace("lab/", f"{folder}/").split()
 
 
 @pytest.fixture
-def cell(tmp_path):
-    """The cell of the lab: `im cell new`, then lines for cameras, lamp and poses."""
+def cell(tmp_path, monkeypatch):
+    """The cell of the lab: the lines of the page, with cameras and lamp of the UR5."""
     text = cell_file("ur5").with_name("ur5.urdf").read_text()
     for link in ("upper_arm_link", "forearm_link"):
         text = text.replace(f'<link name="{link}">', f'<link name="{link}">{CYLINDER}')
     (tmp_path / "arm.urdf").write_text(text)
     file = tmp_path / "cell.yaml"
-    assert cell_command(["new", str(tmp_path / "arm.urdf"), "--output", str(file)]) == 0
-    shutil.copy(cell_file("ur5").with_name("poses.yaml"), tmp_path)
+    assert cell_command(words_of(TYPED[0], "scripts/im cell", tmp_path)) == 0
+    assert cell_command(words_of(TYPED[1], "scripts/im cell", tmp_path)) == 0
     data = yaml.safe_load(file.read_text())
     data["groups"]["arm"] |= {"light": True, "home": SHIPPED["groups"]["arm"]["home"]}
-    data |= {"cameras": SHIPPED["cameras"], "led": SHIPPED["led"]}
+    data |= {"cameras": SHIPPED["cameras"], "led": SHIPPED["led"], "poses": "poses.yaml"}
     file.write_text(yaml.safe_dump(data))
+    with monkeypatch.context() as patch:
+        patch.setenv(names.CELL, str(file))
+        assert find_poses(words_of(TYPED[2], "IM_CELL=lab/cell.yaml scripts/run.sh im_mcs poses", tmp_path)) == 0
     return file
 
 
@@ -57,49 +70,24 @@ def write_truth(folder, cell):
     return folder / "truth.json"
 
 
-def write_deployment(folder, cell):
+def write_deployment(folder):
     """Writes the machine without a testbed: the drivers of the lab take its place; its file."""
-    driver = {
-        "driver": "im_mcs.testbed.joint_state:CommandTopicDriver",
-        "settings": {
-            "joints": list(cell.joint_names),
-            "state_topic": "/joint_states_of_vendor",
-            "command_topic": "/forward_position_controller/commands",
-            "command_joints": list(cell.joint_names),
-            "period_s": 0.008,
-            "silence_s": 5.0,
-            "faults": [{"topic": "/vendor/safety"}],
-        },
-    }
-    mcs = write_mcs_config(
-        folder,
-        testbed={"clock": "robot", "drivers": {"robot": driver}},
-        control={"controller": "im_mcs.control.setpoints:SetpointPosition", "parameters": {}},
-        # patience with a busy computer: positions that come in bunches look like speed
-        limits={"velocity": 0.4, "following_error_rad": 0.5},
-        safety={"driver_age_s": 5.0, "driver_age_estop_s": 6.0},
-        servo={
-            "period_s": 0.008,
-            "max_overruns": 200,
-            "velocity_bandwidth_rad_s": 10,
-            "settle": {"tolerance": 0.005, "still_tolerance": 0.01, "window_ticks": 16, "timeout_s": 30.0},
-        },
-    )
-    data = yaml.safe_load(mcs.read_text())
-    data["slots"] = [
-        {"name": name, "driver": "robot", "channel": rank, "interface": "position"}
-        for rank, name in enumerate(cell.joint_names)
-    ]
-    mcs.write_text(yaml.safe_dump(data))
-    vss = yaml.safe_load(package_file("im_vss", "config/vss.yaml").read_text())
-    topics = {name: f"/{name}/image_raw" for name in cell.cameras}
-    settings = {"topics": topics, "light": "/strobe"}
-    vss["frame_source"] = {"implementation": "im_vss.ros.image_topics:ImageTopics", "settings": settings}
-    (folder / "vss.yaml").write_text(yaml.safe_dump(vss))
+    mcs = yaml.safe_load(package_file("im_mcs", "config/mcs.yaml").read_text(encoding="utf-8"))
+    for section, values in MCS.items():
+        mcs[section] = values if section == "slots" else {**mcs[section], **values}
+    # patience with a busy computer: positions that come in bunches look like speed
+    mcs["testbed"]["drivers"]["robot"]["settings"]["silence_s"] = 5.0
+    mcs["limits"] |= {"velocity": 0.4, "following_error_rad": 0.5}
+    mcs["safety"] |= {"driver_age_s": 5.0, "driver_age_estop_s": 6.0}
+    settle = {"tolerance": 0.005, "still_tolerance": 0.01, "window_ticks": 16, "timeout_s": 30.0}
+    mcs["servo"] |= {"max_overruns": 200, "velocity_bandwidth_rad_s": 10, "settle": settle}
+    (folder / "mcs.yaml").write_text(yaml.safe_dump(mcs))
+    vss = yaml.safe_load(package_file("im_vss", "config/vss.yaml").read_text(encoding="utf-8"))
+    (folder / "vss.yaml").write_text(yaml.safe_dump(vss | FRAMES))
     deployment = yaml.safe_load(package_file("im_bringup", "deployments/default.yaml").read_text())
     processes = deployment["hosts"]["localhost"]
     del processes["testbed"]
-    processes["mcs"]["mcs"]["parameters"] = {"config": str(mcs)}
+    processes["mcs"]["mcs"]["parameters"] = {"config": str(folder / "mcs.yaml")}
     processes["vss"]["vss"]["parameters"] = {"settings": str(folder / "vss.yaml")}
     for tasks in processes.values():
         for task in tasks.values():
@@ -115,14 +103,14 @@ def test_from_a_urdf_to_calibrated_cameras(cell, process, tmp_path):
     home = ",".join(map(str, lab.home.tolist()))
     process(sys.executable, "-m", "support.vendor_robot", "--joints", ",".join(lab.joint_names), f"--home={home}")
     process(sys.executable, "-m", "support.vendor_cameras", lab.urdf, truth)
-    few = yaml.safe_load(Path(tmp_path / "poses.yaml").read_text())
-    few["poses"] = few["poses"][:POSES]
-    (tmp_path / "few.yaml").write_text(yaml.safe_dump(few))
-    with running_machine(write_deployment(tmp_path, lab), "--cell", cell) as machine:
-        answer = machine.calibrate(tmp_path / "few.yaml")
+    write_deployment(tmp_path)
+    with running_machine(*words_of(TYPED[3], "scripts/start.sh", tmp_path)) as machine:
+        assert TYPED[4] == "scripts/im run calibrate_camera"
+        answer = machine.calibrate(tmp_path / "poses.yaml")
         assert answer.success, answer.message
     report = report_of(answer)
-    assert report["points_used"] >= POSES - 2
+    poses = yaml.safe_load((tmp_path / "poses.yaml").read_text())["poses"]
+    assert report["points_used"] >= len(poses) - 2
     true = json.loads(truth.read_text())
     for camera in report["cameras"]:
         its = true["cameras"][camera["name"]]

@@ -3,6 +3,7 @@
 import contextlib
 import threading
 
+import numpy as np
 import pytest
 import rclpy
 from control_msgs.action import FollowJointTrajectory
@@ -14,8 +15,9 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from im_cell.link import PanelEnd, ServoEnd
 from im_cell.robot import load_cell
-from im_core import clock
+from im_core import clock, names
 from im_core.ros import qos
 from im_core.ros.calls import call_blocking
 from im_core.ros.guard import GuardedActionClient, GuardedNode
@@ -28,11 +30,11 @@ from im_sim.ros.node import TestbedNode
 from support.mcs_config import write_mcs_config
 from support.stranger import Stranger
 
-CELL = load_cell()
-
-
 #: So long a thousand goals take on a slow computer, whose states rclpy tells again with each that ends [s].
 PATIENCE_S = 600.0
+
+#: A short way of an arm on its cart, or of an arm alone [m or rad].
+STEP = np.array([0.05, 0.1, 0.05, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
 
 
 def wait(future, seconds=PATIENCE_S):
@@ -44,13 +46,17 @@ def wait(future, seconds=PATIENCE_S):
 
 
 class Client:
-    """What a user does to ``/mcs``; the left arm unless told otherwise."""
-
-    home = CELL.home[:9]
+    """What a user does to ``/mcs``; the first arm unless told otherwise."""
 
     def __init__(self, node, mcs):
         self.node, self.mcs = node, mcs
-        self.joints = list(CELL.joint_names[:9])
+        self.cell = load_cell()
+        self.group = next(iter(self.cell.groups))
+        self.joints = list(self.cell.joints_of(self.group))
+        self.home = self.cell.home[: len(self.joints)]
+        self.step = STEP[-len(self.joints) :]
+        # so that a metre or radian of the first joint takes some seconds in each cell
+        self.slow = min(1.0, 0.6 / self.cell.joints[0].limits.velocity)
         self.states, self.positions, self.frames, self.description = [], [], [], []
         node.create_subscription(McsState, "/mcs/state", self.states.append, qos.LATCHED)
         node.create_subscription(JointState, "/joint_states", self.positions.append, qos.EVENTS)
@@ -113,26 +119,27 @@ class Client:
         goal.path.points = [JointTrajectoryPoint(positions=[float(x) for x in point]) for point in points]
         return goal
 
-    def start_move(self, *points, group="left", feedback=None, **fields):
+    def start_move(self, *points, group="", feedback=None, **fields):
         """Begin a move; its handle, and a function that waits for the result."""
-        handle, result = self.act(Move, f"/{group}/move", self.move_goal(*points, **fields), feedback)
+        handle, result = self.act(Move, f"/{group or self.group}/move", self.move_goal(*points, **fields), feedback)
         return handle, lambda: result().result
 
     def move(self, *points, **options):
         return self.start_move(*points, **options)[1]()
 
     def rest(self):
-        """The positions of the left arm once it rests, which a trajectory that has ended does not wait for."""
+        """The positions of the arm once it rests, which a trajectory that has ended does not wait for."""
         return self.until(lambda: (state := self.group_state()).at_rest and state).q_rest
 
     def follow(self, goal, feedback=None):
-        return self.act(FollowJointTrajectory, "/left/follow_joint_trajectory", goal, feedback)
+        return self.act(FollowJointTrajectory, f"/{self.group}/follow_joint_trajectory", goal, feedback)
 
     def start_far_move(self, **fields):
         """A move of some seconds that is under way: its handle, and a function that waits for the result."""
         moving = threading.Event()
         far = self.home.copy()
         far[0] += 1.0
+        fields["speed_scale"] = min(self.slow, fields.get("speed_scale", 1.0))
         started = self.start_move(far, self.home, far, self.home, far, feedback=lambda _: moving.set(), **fields)
         assert moving.wait(60.0)
         return started
@@ -149,18 +156,18 @@ class Client:
     def state(self):
         return self.states[-1].state
 
-    def status(self, group="left"):
+    def status(self, group=""):
         """What ``/mcs/state`` says of a group."""
-        return next(status for status in self.states[-1].groups if status.group == group)
+        return next(status for status in self.states[-1].groups if status.group == (group or self.group))
 
-    def group_state(self, group="left"):
-        answer = self.call(GetGroupState, "get_group_state", group=group)
+    def group_state(self, group=""):
+        answer = self.call(GetGroupState, "get_group_state", group=group or self.group)
         assert answer.success, answer.status.message
         return answer.state
 
-    def to_motion(self, group="left", **reservation):
+    def to_motion(self, group="", **reservation):
         for answer in (
-            self.call(ReserveGroup, "reserve", group=group, **reservation),
+            self.call(ReserveGroup, "reserve", group=group or self.group, **reservation),
             self.trigger("power_on"),
             self.trigger("enable_motion"),
         ):
@@ -182,7 +189,13 @@ def owner_silence_s():
 
 
 @pytest.fixture(scope="module")
-def machine(tmp_path_factory, owner_silence_s):
+def cell_name():
+    """The cell of the machine; a module has its own, or several."""
+    return "puma_pair"
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory, owner_silence_s, cell_name):
     """Testbed at clock factor 0, MCS, and a client.
 
     A protective stop waits ten minutes to be resumed: without a clock, five seconds are over before a busy computer
@@ -194,8 +207,10 @@ def machine(tmp_path_factory, owner_silence_s):
         safety={"owner_silence_s": owner_silence_s},
     )
     parameters = {"testbed:factor": 0.0, "testbed:seed": 3, "mcs:config": config}
-    with _machine(TestbedNode, McsNode, parameters=parameters) as client:
-        yield client
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(names.CELL, cell_name)
+        with _machine(TestbedNode, McsNode, parameters=parameters) as client:
+            yield client
 
 
 @pytest.fixture
@@ -255,8 +270,20 @@ def client(machine):
 
 @pytest.fixture
 def ready(client):
-    """A user whose left arm is in motion state, at home."""
+    """A user whose arm is in motion state, at home."""
     client.to_motion()
     result = client.move(client.home)
     assert result.success, result.status.message
     return client
+
+
+@pytest.fixture
+def panel():
+    with PanelEnd.attach(names.instance(), 60.0) as end:
+        yield end
+
+
+@pytest.fixture
+def testbed():
+    with ServoEnd.attach(names.instance(), 60.0) as end:
+        yield end

@@ -4,49 +4,16 @@ import os
 import signal
 import threading
 
-import pytest
 from action_msgs.msg import GoalStatus
 
-from im_cell.link import PanelEnd, ServoEnd, StopEnd
 from im_core import names
-from im_core.ros.calls import call_blocking
 from im_mcs.safety.stop_mark import StopMark
 from im_mcs.state import UNCONFIGURED_MESSAGE
 from im_msgs.action import Move
-from im_msgs.srv import InjectFault, ReserveGroup
+from support.motions import dead
 
 CAUSE = "request on /mcs/estop"
 GOALS = 1000
-
-
-@pytest.fixture
-def panel():
-    with PanelEnd.attach(names.instance(), 60.0) as end:
-        yield end
-
-
-@pytest.fixture
-def testbed():
-    with ServoEnd.attach(names.instance(), 60.0) as end:
-        yield end
-
-
-def dead(testbed):
-    """Whether there is no power and every brake holds."""
-    state = testbed.read_state()
-    return state.brakes.all() and not state.power
-
-
-def test_cold(client):
-    assert client.trigger("estop").message.startswith("MCS is estopped")
-    client.until(lambda: client.state() == "estopped" and CAUSE in client.states[-1].reason)
-    for request in (lambda: client.call(ReserveGroup, "reserve", group="left"), lambda: client.trigger("power_on")):
-        refusal = request().message
-        assert "is refused in state estopped; allowed here: reset, protective_stop, estop" in refusal
-        assert refusal.endswith(f"; the cause of this state: {client.states[-1].reason}")
-    assert client.trigger("estop").success  # once more
-    assert client.trigger("reset").message == "MCS is cold"
-    client.to_motion()
 
 
 def test_unconfigured(client):
@@ -75,66 +42,6 @@ def test_it_outlives_the_servo(client, panel):
     assert client.trigger("reset").success
     assert client.change("configure")
     client.until(lambda: client.state() == "cold")
-
-
-def test_a_circuit_that_is_found_cut_is_an_estop(client):
-    assert client.change("cleanup")
-    with StopEnd.attach(names.instance(), 60.0) as circuit:
-        circuit.cut()
-        assert client.change("configure")
-        client.until(lambda: client.state() == "estopped" and "circuit was found cut" in client.states[-1].reason)
-        assert client.lifecycle() == "inactive"
-        assert client.trigger("reset").success
-        assert not circuit.is_cut
-
-
-def test_a_servo_that_has_just_begun_to_hang_is_not_waited_for(client, panel, testbed):
-    client.to_motion()
-    _, result = client.start_far_move(speed_scale=0.02)
-    pid = panel.servo_pid
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        answer = client.trigger("estop")
-        assert answer.success
-        assert answer.message.startswith("MCS is estopped; the stop circuit of testbed is cut; power is ")
-        assert answer.message.endswith("; the servo has not answered")
-        client.until(lambda: dead(testbed))
-        client.until(lambda: client.state() == "estopped" and not client.states[-1].power)
-        assert client.lifecycle() == "inactive"
-        assert not client.trigger("reset").success
-    finally:
-        os.kill(pid, signal.SIGCONT)
-    assert not result().success
-    client.until(lambda: panel.servo_pid == pid)
-    client.until(lambda: client.trigger("reset").success)
-    client.to_motion()
-
-
-@pytest.mark.parametrize(
-    ("fault", "joint", "sentence"),
-    [
-        ("encoder_nan", "left_j2", "encoder_nan of left_j2"),
-        ("encoder_frozen", "right_j3", "encoder_frozen of right_j3"),
-        ("brake_stuck", "left_j1", "brake_stuck of left_j1"),
-        ("brake_open", "right_j1", "brake open of right_j1"),
-        ("power_loss", "", "power_loss"),
-    ],
-)
-def test_reset_waits_until_what_is_broken_is_mended(client, panel, fault, joint, sentence):
-    service = client.node.create_client(InjectFault, "/testbed/inject_fault")
-
-    def inject(active):
-        request = InjectFault.Request(fault=fault, joint=joint, active=active)
-        assert call_blocking(service, request, 5.0, "fault").success
-        panel.wait_tick(panel.request_time(2), 5.0)
-
-    assert client.trigger("estop").success
-    inject(True)
-    answer = client.trigger("reset")
-    inject(False)
-    assert not answer.success
-    assert sentence in answer.message
-    assert client.trigger("reset").success
 
 
 def test_a_stop_that_was_asked_for_outlives_who_was_asked(client):

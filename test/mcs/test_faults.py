@@ -5,7 +5,6 @@ import signal
 import sys
 from pathlib import Path
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from im_cell.link import PanelEnd, ServoEnd
@@ -13,35 +12,6 @@ from im_core import names
 from im_msgs.srv import GetGroupState, ReserveGroup
 
 UNCONFIGURED = "MCS is unconfigured; scripts/im recover configures it (transition configure on /mcs/change_state)"
-
-
-def test_estop_in_the_middle_of_a_move(client):
-    client.to_motion()
-    _, result = client.start_far_move()
-    assert client.trigger("estop").success
-    message = result().status.message
-    assert "request on /mcs/estop" in message
-    client.until(lambda: client.state() == "estopped")
-    assert client.lifecycle() == "inactive"
-    assert "request on /mcs/estop" in client.states[-1].reason
-    assert "allowed here: reset" in client.trigger("power_on").message
-    assert client.trigger("reset").success
-    assert client.call(ReserveGroup, "reserve", group="left").success
-    assert client.trigger("power_on").success
-    stopped = client.group_state().q
-    assert client.trigger("enable_motion").success
-    np.testing.assert_allclose(client.group_state().q_rest, stopped, atol=2e-4)  # the arm never leaps
-    assert client.move(client.home).success
-
-
-def test_cancel(client):
-    client.to_motion()
-    handle, result = client.start_far_move()
-    client.cancel(handle)
-    answer = result()
-    assert answer.status.code == "cancelled"
-    assert answer.state.at_rest
-    assert client.move(client.home).success
 
 
 def test_unconfigured(client):
@@ -64,31 +34,6 @@ def test_unconfigured(client):
     client.until(lambda: lifecycle_diagnosis(diagnostics).message == "active")
     assert client.change("deactivate")
     client.until(lambda: client.state() == "reserved")
-
-
-def test_deactivate_ends_the_goal_at_rest_and_takes_the_power(client):
-    client.to_motion()
-    _, result = client.start_far_move()
-    assert client.change("deactivate")
-    assert "the motion was ended: motion of its group is being disabled" in result().status.message
-    client.until(lambda: (client.state(), client.states[-1].power) == ("reserved", False))
-    assert client.lifecycle() == "inactive"
-
-
-def test_a_killed_servo_ends_the_goal_and_the_testbed_brakes(client):
-    client.to_motion()
-    _, result = client.start_far_move()
-    panel, end = PanelEnd.attach(names.instance(), 60.0), ServoEnd.attach(names.instance(), 60.0)
-    os.kill(panel.servo_pid, signal.SIGKILL)
-    assert "the process im_mcs.servo ended with code -9" in result().status.message
-    client.until(lambda: client.state() == "unconfigured")
-    panel.request_time(2)
-    client.until(lambda: end.read_state().brakes.all() and not end.read_state().power)
-    assert client.lifecycle() == "unconfigured"
-    panel.close()
-    end.close()
-    assert client.change("configure")
-    client.until(lambda: client.state() == "cold")
 
 
 def test_a_servo_that_is_killed_while_it_writes_is_noticed(client):

@@ -6,56 +6,20 @@ import threading
 import numpy as np
 import pytest
 from geometry_msgs.msg import Inertia, Pose, Vector3
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from im_core.ros import qos
-from im_msgs.action import Move
-from im_msgs.msg import GroupPath, GroupSetpoints
 from im_msgs.srv import (
-    CheckPath,
     ForwardKinematics,
-    GroupCommand,
     InverseKinematics,
     SetController,
     SetPayload,
     SetSpeed,
 )
+from support.motions import below, position
 
 COMPUTED_TORQUE = "im_mcs.control.computed_torque:ComputedTorque"
 STEP = np.array([0.05, 0.2, 0.1, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
-
-
-def position(pose):
-    return np.array([pose.position.x, pose.position.y, pose.position.z])
-
-
-def below(client, depth):
-    """The wrist's pose, ``depth`` [m] lower."""
-    pose = client.group_state().wrist
-    pose.position.z -= depth
-    return pose
-
-
-def forward(client, q):
-    answer = client.call(ForwardKinematics, "forward_kinematics", group="left", q=list(map(float, q)))
-    assert answer.success, answer.status.message
-    return answer.wrist
-
-
-def test_forward_and_inverse_kinematics_agree(ready):
-    assert forward(ready, []) == ready.group_state().wrist
-    pose = below(ready, 0.15)
-    answer = ready.call(InverseKinematics, "inverse_kinematics", group="left", wrist=pose, avoid_collisions=True)
-    assert answer.success, answer.status.message
-    np.testing.assert_allclose(position(forward(ready, answer.q)), position(pose), atol=1e-5)
-    points = [JointTrajectoryPoint(positions=q) for q in (ready.group_state().q_rest, answer.q)]
-    free = ready.call(CheckPath, "check_path", group="left", path=JointTrajectory(points=points))
-    assert free.success
-    assert free.clearance > 0.02
-    result = ready.move(answer.q)
-    assert result.success
-    assert result.state.wrist.position.z == pytest.approx(pose.position.z, abs=5e-4)
 
 
 def test_kinematics_refuses_what_is_wrong(client):
@@ -68,23 +32,6 @@ def test_kinematics_refuses_what_is_wrong(client):
         assert not client.call(ForwardKinematics, "forward_kinematics", group="left", q=q).success
     answer = client.call(ForwardKinematics, "forward_kinematics", group="transporter")
     assert "group 'transporter' is not in the preset in force, 2x9 (left, right), but in 3x6" in answer.status.message
-
-
-def test_a_line_is_straight(ready):
-    begin = position(ready.group_state().wrist)
-    paths = ready.listen(GroupPath, "/left/path")
-    setpoints = ready.listen(GroupSetpoints, "/left/setpoints")
-    target = below(ready, 0.15)
-    result = ready.move(line=[target], line_speed=0.1)
-    assert result.success, result.status.message
-    assert result.duration > 1.5
-    np.testing.assert_allclose(position(result.state.wrist), position(target), atol=5e-4)
-    assert {path.kind for path in paths} >= {"line", ""}
-    ready.until(lambda: setpoints)
-    way = position(target) - begin
-    for setpoint in setpoints[:: max(1, len(setpoints) // 10)]:
-        offset = position(forward(ready, setpoint.position)) - begin
-        assert np.linalg.norm(np.cross(offset, way)) / np.linalg.norm(way) < 5e-4
 
 
 def test_wrong_lines_are_refused(ready):
@@ -112,23 +59,6 @@ def test_wrong_lines_are_refused(ready):
     assert ready.group_state().q_rest == before
 
 
-def test_policies(ready):
-    _, first = ready.start_far_move(speed_scale=0.3)  # under way still when a busy computer comes to the second request
-    refused = ready.move(ready.home)
-    assert not refused.success
-    assert refused.status.code == "state"
-    result = ready.move(ready.home, policy=Move.Goal.REPLACE)
-    assert result.success, result.status.message
-    assert not first().success
-    np.testing.assert_allclose(result.state.q_rest, ready.home, atol=1e-4)
-
-    _, first = ready.start_move(ready.home + STEP, speed_scale=0.5)
-    result = ready.move(ready.home, policy=Move.Goal.APPEND)
-    assert first().success
-    assert result.success, result.status.message
-    np.testing.assert_allclose(result.state.q_rest, ready.home, atol=1e-4)
-
-
 def test_blending_saves_time(ready):
     points = [ready.home + STEP * k for k in (0.5, 1.0, 1.5, 2.0, 1.0, 0.0)]
     with_stops = ready.move(*points)
@@ -136,20 +66,6 @@ def test_blending_saves_time(ready):
     assert blended.success, blended.status.message
     assert blended.duration < with_stops.duration - 0.5
     np.testing.assert_allclose(blended.state.q_rest, ready.home, atol=1e-4)
-
-
-def test_pause_and_resume(ready):
-    _, result = ready.start_far_move()
-    answer = ready.call(GroupCommand, "pause", group="left")
-    assert answer.success, answer.message
-    ready.until(lambda: ready.status().paused and ready.status().speed == 0.0)
-    assert list(ready.states[-1].paused_groups) == ["left"]
-    held = ready.group_state().q
-    assert ready.status().moving
-    np.testing.assert_allclose(ready.group_state().q, held, atol=1e-3)
-    answer = ready.call(GroupCommand, "resume")
-    assert answer.success, answer.message
-    assert result().success
 
 
 def test_speed(ready):
@@ -162,19 +78,6 @@ def test_speed(ready):
     for scale in (0.0, -1.0, 1.5, math.nan):
         assert not ready.call(SetSpeed, "set_speed", group="left", scale=scale).success
     assert ready.call(SetSpeed, "set_speed", group="left", scale=1.0).success
-
-
-def test_protective_stop_is_named_and_resumed(ready):
-    _, result = ready.start_far_move()
-    answer = ready.trigger("protective_stop")
-    assert answer.success, answer.message
-    ready.until(lambda: ready.states[-1].protective_stop)
-    assert "request on /mcs/protective_stop" in ready.states[-1].protective_stop
-    assert ready.state() == "motion"
-    answer = ready.call(GroupCommand, "resume")
-    assert answer.success, answer.message
-    assert result().success
-    ready.until(lambda: not ready.states[-1].protective_stop)
 
 
 def test_a_law_takes_over_in_the_middle_of_a_motion(ready):

@@ -6,10 +6,9 @@ import threading
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
@@ -22,6 +21,7 @@ from im_mcs.ros.access import McsAccess
 from im_mcs.ros.actions import trajectory_server
 from im_msgs.action import Move
 from im_msgs.msg import GroupSetpoints
+from support.motions import duration, far, goal, now, stamp, started, trajectory
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 Result = FollowJointTrajectory.Result
@@ -30,47 +30,8 @@ STEP = np.array([0.05, 0.1, 0.05, 0.2, -0.2, 0.2, 0.3, 0.3, 0.3])
 ORDER = [4, 0, 8, 2, 6, 1, 3, 7, 5]
 
 
-def duration(seconds):
-    return Duration(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
-
-
-def stamp(seconds):
-    return Time(sec=int(seconds), nanosec=round(1e9 * (seconds - int(seconds))))
-
-
-def trajectory(client, *points, joints=(), start=0.0):
-    """A trajectory through (time, positions), at rest in the last point."""
-    message = JointTrajectory(joint_names=list(joints or client.joints))
-    message.header.stamp = stamp(start)
-    for time, q in points:
-        message.points.append(JointTrajectoryPoint(positions=list(map(float, q)), time_from_start=duration(time)))
-    return message
-
-
-def goal(client, *points, **options):
-    return FollowJointTrajectory.Goal(trajectory=trajectory(client, *points, **options))
-
-
 def seconds(time):
     return time.sec + 1e-9 * time.nanosec
-
-
-def now(client):
-    time = client.group_state().stamp
-    return time.sec + 1e-9 * time.nanosec
-
-
-def far(client, time=8.0):
-    """A goal of some seconds, a metre along the track."""
-    return goal(client, (time, client.home + np.eye(9)[0]))
-
-
-def started(client, request):
-    """A goal that is under way."""
-    moving = threading.Event()
-    handle, result = client.follow(request, lambda _: moving.set())
-    assert moving.wait(60.0)
-    return handle, result
 
 
 def test_joints_in_any_order_with_velocities_and_feedback(ready):
@@ -109,13 +70,6 @@ def test_a_goal_is_told_as_the_message_that_it_was(ready, goals_told):
     (told,) = [sent for event in goals_told for sent in event.request]
     assert told.goal == request
     assert bytes(told.goal_id.uuid) == bytes(handle.goal_id.uuid)
-
-
-def test_a_start_to_come_is_waited_for(ready):
-    begin = now(ready) + 1.0
-    answer = ready.follow(goal(ready, (1.0, ready.home + STEP), start=begin))[1]()
-    assert answer.status == SUCCEEDED, answer.result.error_string
-    assert now(ready) >= begin + 1.0
 
 
 @pytest.mark.parametrize(
@@ -188,22 +142,6 @@ def test_wrong_goals_are_refused_and_move_nothing(ready_once, change, code, sent
     assert client.group_state().q_rest == before
 
 
-def test_path_tolerance_and_evidence(ready):
-    request = far(ready)
-    request.path_tolerance = [JointTolerance(name="left_track", position=1e-7)]
-    answer = ready.follow(request)[1]()
-    assert answer.status == ABORTED
-    assert answer.result.error_code == Result.PATH_TOLERANCE_VIOLATED
-    assert "left_track" in answer.result.error_string
-    assert "tick" in answer.result.error_string
-    path = answer.result.error_string.rpartition(" ")[2]
-    record = np.load(path)
-    assert list(record["joints"][:9]) == ready.joints
-    assert record["q"].shape == (len(record["tick"]), 18)
-    assert np.abs(record["following_error"][:, 0]).max() > 1e-7
-    assert ready.move(ready.home).success
-
-
 def test_tolerances_of_velocity_and_acceleration(ready):
     request = far(ready)
     request.path_tolerance = [JointTolerance(name="left_j1", velocity=1e-6)]
@@ -224,57 +162,6 @@ def test_goal_tolerance(ready, seconds):
     assert answer.status == ABORTED
     assert answer.result.error_code == Result.GOAL_TOLERANCE_VIOLATED
     assert "left_j1" in answer.result.error_string
-
-
-def test_cancel_decelerates_on_the_path(ready):
-    handle, result = started(ready, far(ready, 60.0))
-    ready.cancel(handle)
-    answer = result()
-    assert answer.status == CANCELED
-    assert answer.result.error_code == Result.SUCCESSFUL
-    state = ready.group_state()
-    assert state.at_rest
-    offset = np.array(state.q_rest) - ready.home
-    assert 0.0 < offset[0] < 1.0
-    np.testing.assert_allclose(offset[1:], 0.0, atol=1e-4)
-
-
-def test_a_new_goal_replaces_the_running_one(ready):
-    _, first = started(ready, far(ready, 60.0))
-    answer = ready.follow(goal(ready, (4.0, ready.home)))[1]()
-    assert answer.status == SUCCEEDED, answer.result.error_string
-    assert first().status == ABORTED
-    assert first().result.error_code == Result.INVALID_GOAL
-    np.testing.assert_allclose(ready.rest(), ready.home, atol=1e-4)
-
-
-def test_an_invalid_second_goal_leaves_the_first_alone(ready):
-    handle, first = started(ready, far(ready, 60.0))
-    answer = ready.follow(goal(ready, (1.0, ready.home[:3])))[1]()
-    assert answer.status == ABORTED
-    assert answer.result.error_code == Result.INVALID_GOAL
-    assert not ready.group_state().at_rest
-    ready.cancel(handle)
-    assert first().status == CANCELED
-
-
-def test_the_topic_replaces_stops_and_counts_what_it_refuses(ready):
-    publisher = ready.talk(JointTrajectory, "/left/joint_trajectory")
-    _, result = started(ready, far(ready, 60.0))
-    publisher.publish(trajectory(ready, (40.0, ready.home - 0.2 * np.eye(9)[0])))
-    assert result().status == ABORTED
-    publisher.publish(JointTrajectory())
-    ready.until(lambda: ready.group_state().at_rest)
-    assert ready.group_state().q_rest[0] > ready.home[0] - 0.19
-
-    diagnostics = ready.listen(DiagnosticArray, "/diagnostics")
-    publisher.publish(trajectory(ready, (1.0, ready.home), joints=["left_j1"]))
-
-    def refused():
-        statuses = [s for m in diagnostics for s in m.status if s.name == "mcs: refused messages"]
-        return [v for s in statuses for v in s.values if v.key == "/left/joint_trajectory"]
-
-    assert int(ready.until(refused)[-1].value) == 1
 
 
 @pytest.fixture

@@ -1,18 +1,24 @@
 """``im cell``: a first cell file of a URDF, and what a cell file leaves open."""
 
+import itertools
 import re
 import shutil
 import struct
 
 import numpy as np
 import pytest
+import yaml
+from scipy.optimize import nnls
 
 from im_cell.robot import cell_file, load_cell
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclose
 from im_mcs.cell.command import main
+from im_mcs.cell.hulls import simplified
 from im_mcs.cell.template import first_cell
+from im_mcs.collision import Bodies, CollisionChecker, lever_bounds
 from im_mcs.limits.configuration import load_config
+from im_mcs.model import CellModel
 
 
 def test_capsules_hold_all_points_and_little_more():
@@ -24,6 +30,34 @@ def test_capsules_hold_all_points_and_little_more():
         away = np.linalg.norm(points - start - np.outer(along, end - start), axis=1)
         assert away.max() <= radius * (1.0 + 1e-9)
         assert radius < 1.2 * np.linalg.norm(points - points.mean(axis=0), axis=1).max()
+
+
+def away_from_hull(corners, point):
+    """Distance of a point from the convex hull of corners, by the best of their mixtures (non-negative squares)."""
+    heavy = 1e3
+    rows = np.vstack([corners.T - point[:, None], np.full(len(corners), heavy)])
+    shares, _ = nnls(rows, np.array([0.0, 0.0, 0.0, heavy]))
+    return np.linalg.norm(shares @ corners / shares.sum() - point)
+
+
+@pytest.mark.parametrize("count", [4, 9, 500])
+def test_a_hull_of_few_corners_holds_all_points_and_little_more(count):
+    random = np.random.default_rng(count)
+    for _ in range(5):
+        points = random.normal(size=(count, 3)) * random.uniform(0.02, 0.4, 3) + random.normal(size=3)
+        corners, margin = simplified(points)
+        assert len(corners) <= 32
+        assert {tuple(each) for each in corners} <= {tuple(each) for each in np.round(points, 4)}
+        assert max(away_from_hull(corners, point) for point in points) <= margin + 1e-6
+        assert margin < 0.15 * np.ptp(points, axis=0).max()
+
+
+def test_corners_in_one_plane_but_one_are_enough():
+    """The outermost points may all lie in one plane; the one above it belongs to the hull."""
+    plane = [(x, y, x + y) for x in (-0.2, 0.2) for y in (-0.1, 0.1)]
+    corners, margin = simplified(np.array([*plane, (0.05, 0.0, 0.12)]))
+    assert len(corners) == 5
+    assert margin <= 2e-4
 
 
 def box_mesh(path, size):
@@ -57,9 +91,60 @@ def test_a_first_file_is_a_cell_that_mcs_takes(robot, capsys):
     assert main(["check", str(file), "--picture", str(robot.with_name("cell.png"))]) == 0
     told = capsys.readouterr().out
     assert "group arm: 6 joints to tool0" in told
+    assert "group arm: inverse kinematics in closed form, by three parallel axes" in told
     assert "missing: cameras" in told
     assert re.search(r"assumed: shoulder_pan_joint, .*: no motor; a rotor", told)
     assert robot.with_name("cell.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_mesh_is_compared_as_its_hull(robot, capsys):
+    """The distance from the floor is that of the box's corners, which a capsule around would shorten."""
+    file = robot.with_name("cell.yaml")
+    before, shape, after = re.split("(<collision>.*?</collision>)", robot.read_text(), maxsplit=1)
+    robot.write_text(before + after.replace('<link name="forearm_link">', f'<link name="forearm_link">{shape}'))
+    assert main(["new", str(robot), "--output", str(file)]) == 0
+    cell = load_cell(file)
+    (hull,) = cell.hulls
+    assert sorted(hull.points) == sorted(itertools.product((-0.05, 0.05), (-0.05, 0.05), (-0.3, 0.3)))
+    capsys.readouterr()
+    assert main(["check", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "compared as a hull: forearm_link, 8 corners with 0.1 mm around; 6.00 l, its capsules " in told
+    assert "compared as capsules" not in told
+    model, random = CellModel(cell), np.random.default_rng(2)
+    checker = CollisionChecker(model, 0.0)
+    for _ in range(20):
+        q = random.uniform(-2.0, 2.0, 6)
+        pose = model.pose(q, "forearm_link")
+        lowest = min(pose.act(np.array(corner))[2] for corner in hull.points)
+        if lowest > hull.radius:
+            assert checker.closest(q).distance == pytest.approx(lowest - hull.radius, abs=1e-6)
+    bound = lever_bounds(model, Bodies(model))[0, 2]
+    assert bound == pytest.approx(np.hypot(0.05, 0.3), abs=1e-3)  # from the elbow's axis to an edge
+
+
+def test_a_mesh_without_thickness_keeps_its_capsule(robot):
+    box_mesh(robot.with_name("arm.stl"), (0.2, 0.4, 5e-4))
+    text = first_cell(robot)
+    assert "hulls:" not in text
+    assert "{link: upper_arm_link, p0: " in text
+
+
+@pytest.mark.parametrize(
+    ("points", "link", "sentence"),
+    [
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "upper_arm_link", r"hulls\[0\].points.*4"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-5]], "upper_arm_link", "these points are in one plane, or nearly"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "uper_arm_link", "'uper_arm_link' is not a link .*'upper_arm_"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, float("nan")]], "upper_arm_link", "nan"),
+    ],
+)
+def test_a_hull_that_is_none_is_refused_with_its_line(tmp_path, points, link, sentence):
+    shutil.copy(cell_file("ur5").with_name("ur5.urdf"), tmp_path)
+    data = yaml.safe_load(cell_file("ur5").read_text()) | {"hulls": [{"link": link, "points": points, "radius": 0.0}]}
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(ConfigError, match=sentence):
+        load_cell(tmp_path / "cell.yaml")
 
 
 def test_fingers_stand_still_and_the_frame_between_them_is_the_tip():
@@ -94,6 +179,12 @@ def test_meshes_that_are_not_there_or_in_millimetres_are_said(robot):
     box_mesh(robot.with_name("arm.stl"), (100.0, 100.0, 600.0))
     with pytest.raises(DataError, match=r"arm.stl of link upper_arm_link is 600 m large: .* millimetres"):
         first_cell(robot)
+    box_mesh(robot.with_name("arm.stl"), (0.1, float("nan"), 0.6))
+    with pytest.raises(DataError, match=r"arm.stl of link upper_arm_link: a vertex is not finite"):
+        first_cell(robot)
+    robot.with_name("arm.stl").write_bytes(b"solid x" + bytes(range(256)))
+    with pytest.raises(DataError, match=r"^the mesh arm.stl of link upper_arm_link: Could not load .*"):
+        first_cell(robot)
     robot.with_name("arm.stl").unlink()
     with pytest.raises(DataError, match=r"the mesh arm.stl of link upper_arm_link: .*arm.stl is not there"):
         first_cell(robot)
@@ -105,3 +196,7 @@ def test_what_cannot_be_used_is_said_in_a_line(tmp_path, capsys):
     (tmp_path / "still.urdf").write_text('<robot name="r"><link name="base"/></robot>')
     assert main(["new", str(tmp_path / "still.urdf")]) == 1
     assert "no chain of two joints or more moves" in capsys.readouterr().err
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "named.urdf").write_text(text.replace('"elbow_joint"', '"elbow joint"'))
+    assert main(["new", str(tmp_path / "named.urdf")]) == 1
+    assert "named.urdf: joint 'elbow joint': ROS takes no such name" in capsys.readouterr().err

@@ -9,7 +9,19 @@ or judges imports it.
 
 from im_cell.robot.cell import Cell, cell_file, load_cell, shipped_cells
 from im_cell.robot.objects import FreeBody
-from im_cell.robot.parameters import Box, Camera, Capsule, Gripper, Group, Intrinsics, Led, Limits, SensorSpec, Vector
+from im_cell.robot.parameters import (
+    Box,
+    Camera,
+    Capsule,
+    Gripper,
+    Group,
+    Hull,
+    Intrinsics,
+    Led,
+    Limits,
+    SensorSpec,
+    Vector,
+)
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia
 from im_cell.robot.urdf import PALM_KGM2, robot_description, urdf
@@ -24,6 +36,7 @@ __all__ = [
     "FreeBody",
     "Gripper",
     "Group",
+    "Hull",
     "Intrinsics",
     "Joint",
     "Lamp",

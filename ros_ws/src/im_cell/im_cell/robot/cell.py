@@ -25,6 +25,7 @@ from im_cell.robot.parameters import (
     EncoderSpec,
     Gripper,
     Group,
+    Hull,
     Led,
     Number,
     Size,
@@ -67,6 +68,7 @@ class Cell(ObjectsFile):
     drives: dict[str, DriveSpec] = Field(default_factory=dict)
     standing: dict[str, Number] = Field(default_factory=dict)
     capsules: tuple[Capsule, ...] = ()
+    hulls: tuple[Hull, ...] = ()
     never: tuple[tuple[str, str], ...] = ()
     period: Annotated[float, Field(ge=_SHORTEST_S)] = 0.0045
     substeps: Annotated[int, Field(ge=1, le=64)] = 4
@@ -150,6 +152,7 @@ class Cell(ObjectsFile):
         frames = (WORLD, *self.description.links)
         fixed: list[tuple[Location, str]] = [
             *((("capsules", rank, "link"), each.link) for rank, each in enumerate(self.capsules)),
+            *((("hulls", rank, "link"), each.link) for rank, each in enumerate(self.hulls)),
             *((("boxes", rank, "link"), each.link) for rank, each in enumerate(self.boxes)),
             *((("mirrors", rank, "link"), each.link) for rank, each in enumerate(self.mirrors)),
             *((("cameras", name, "parent"), each.parent) for name, each in self.cameras.items()),

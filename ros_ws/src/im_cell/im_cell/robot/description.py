@@ -10,6 +10,7 @@ from im_cell.robot.parameters import Vector
 from im_core.errors import ConfigError, shortened
 
 MOVING = ("revolute", "continuous", "prismatic")
+_MOST_LINKS = 500
 _LARGEST_M = 50.0
 """Of an offset between joints: no cell is that large, but one in millimetres is."""
 
@@ -109,7 +110,13 @@ def parse_description(text: str, name: str) -> UrdfTree:
     try:
         if robot.tag != "robot":
             raise ValueError(f"its outermost element is <{shortened(robot.tag)}>, not <robot>")
-        links = {link.name: link for link in map(_link, robot.findall("link"))}
+        links: dict[str, UrdfLink] = {}
+        for link in map(_link, robot.findall("link")):
+            if link.name in links:
+                raise ValueError(f"two links have the same name, '{link.name}'")
+            links[link.name] = link
+        if len(links) > _MOST_LINKS:
+            raise ValueError(f"it has {len(links)} links; {_MOST_LINKS} are allowed")
         joints = [_joint(each) for each in robot.findall("joint")]
         return _tree(links, joints)
     except ValueError as error:
@@ -179,6 +186,8 @@ def _link(element: ET.Element) -> UrdfLink:
         mass = _number(_child(inertial, "mass", name), "value", name)
         moments = _child(inertial, "inertia", name)
         inertia = tuple(_number(moments, key, name) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+        if min(mass, inertia[0], inertia[3], inertia[5]) < 0.0:
+            raise ValueError(f"link {name} has a mass or a moment of inertia below 0")
     return UrdfLink(name, mass, xyz, rpy, inertia, tuple(_shape(each, name) for each in element.findall("collision")))
 
 
@@ -186,14 +195,24 @@ def _shape(element: ET.Element, link: str) -> UrdfGeometry:
     xyz, rpy = _origin(element, link)
     geometry = _child(element, "geometry", link)
     if (box := geometry.find("box")) is not None:
-        return UrdfGeometry("box", _numbers(box.get("size", ""), 3, link), "", xyz, rpy)
+        return UrdfGeometry("box", _sizes(_numbers(box.get("size", ""), 3, link), link), "", xyz, rpy)
     if (cylinder := geometry.find("cylinder")) is not None:
         size = (_number(cylinder, "radius", link), _number(cylinder, "length", link))
-        return UrdfGeometry("cylinder", size, "", xyz, rpy)
+        return UrdfGeometry("cylinder", _sizes(size, link), "", xyz, rpy)
     if (sphere := geometry.find("sphere")) is not None:
-        return UrdfGeometry("sphere", (_number(sphere, "radius", link),), "", xyz, rpy)
+        return UrdfGeometry("sphere", _sizes((_number(sphere, "radius", link),), link), "", xyz, rpy)
     mesh = _child(geometry, "mesh", link)
-    return UrdfGeometry("mesh", _numbers(mesh.get("scale", "1 1 1"), 3, link), mesh.get("filename", ""), xyz, rpy)
+    scale = _numbers(mesh.get("scale", "1 1 1"), 3, link)
+    _sizes(tuple(map(abs, scale)), link)  # mirrored meshes have a scale below 0
+    if not (file := mesh.get("filename", "")):
+        raise ValueError(f"{link}: a mesh for collision has no file name")
+    return UrdfGeometry("mesh", scale, file, xyz, rpy)
+
+
+def _sizes(size: tuple[float, ...], link: str) -> tuple[float, ...]:
+    if min(size) <= 0.0:
+        raise ValueError(f"{link}: a shape for collision has the size {min(size):g}; more than 0 is needed")
+    return size
 
 
 def _joint(element: ET.Element) -> UrdfJoint:
@@ -214,6 +233,8 @@ def _joint(element: ET.Element) -> UrdfJoint:
         axis = (x, y, z) if abs(length - 1.0) < 1e-12 or length < 1e-9 else (x / length, y / length, z / length)
     values = {key: _number(limit, key, name) if limit is not None and limit.get(key) is not None else None
               for key in ("lower", "upper", "velocity", "effort")}  # fmt: skip
+    if (values["lower"] or 0.0) > (values["upper"] or 0.0):
+        raise ValueError(f"joint {name}: its limit lower {values['lower']} is above upper {values['upper']}")
     parent, child = (_child(element, each, name).get("link", "") for each in ("parent", "child"))
     return UrdfJoint(
         name, kind, parent, child, xyz, rpy, axis, **values,

@@ -17,6 +17,7 @@ NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
 Size = tuple[Positive, Positive, Positive]
 Source = Annotated[str, Field(min_length=1)]
 
+MOST_CORNERS, THINNEST_M = 64, 1e-4
 _LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
 _SAME_M, _PARALLEL = 1e-9, 1e-6
 
@@ -84,6 +85,42 @@ class Capsule(Model):
     p1: Vector
     radius: Positive
     visual: bool = True
+
+
+class Hull(Model):
+    """The convex hull of points, with a margin around: closer to a mesh than a capsule, for collision alone.
+
+    Attributes:
+        link: URDF link it is fixed to.
+        points: Corners in the link's frame, not all in one plane [m].
+        radius: Margin around [m].
+    """
+
+    link: str
+    points: Annotated[tuple[Vector, ...], Field(min_length=4, max_length=MOST_CORNERS)]
+    radius: NonNegative
+
+    @field_validator("points")
+    @classmethod
+    def _solid(cls, points: tuple[Vector, ...]) -> tuple[Vector, ...]:
+        if thickness(np.array(points)) < THINNEST_M:
+            raise ValueError(
+                f"these points are in one plane, or nearly: a hull is {1e3 * THINNEST_M:g} mm thick or more"
+            )
+        return points
+
+
+def thickness(points: NDArray[np.float64]) -> float:
+    """Return the least extent of points along their principal axes [m].
+
+    Args:
+        points: Shape (n, 3) [m].
+    """
+    if len(points) < 4:
+        return 0.0
+    centred = points - points.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=False)[2]
+    return float(np.ptp(centred @ axes.T, axis=0).min())
 
 
 class Box(Model):

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from im_cell.robot import Capsule, Cell
 from im_cell.robot.cell import resolved
 from im_cell.robot.description import UrdfGeometry, UrdfLink
+from im_cell.robot.parameters import THINNEST_M, thickness
 from im_cell.rotations import matrix_of_rpy
 from im_core.errors import DataError
+from im_mcs.collision.bodies import hull_of
 
 _CENTRING = 256
 _SHORTEST_M = 1e-3
@@ -31,7 +33,7 @@ def capsule_around(link: UrdfLink, urdf: Path) -> Capsule | None:
     """
     if not link.shapes:
         return None
-    found = [_points(shape, link.name, urdf) @ matrix_of_rpy(shape.rpy).T + shape.xyz for shape in link.shapes]
+    found = [corners_of(shape, link.name, urdf) @ matrix_of_rpy(shape.rpy).T + shape.xyz for shape in link.shapes]
     start, end, radius = enclose(np.vstack(found))
     return Capsule(
         link=link.name, p0=_rounded(start), p1=_rounded(end), radius=round(float(np.ceil(1e3 * radius + 0.1)) * 1e-3, 3)
@@ -72,8 +74,17 @@ def _volume(capsule: tuple[NDArray[np.float64], NDArray[np.float64], float]) -> 
     return float(np.pi * radius**2 * (np.linalg.norm(end - start) + 4.0 / 3.0 * radius))
 
 
-def _points(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]:
-    """Return corners of a shape, or vertices of a mesh, in its own frame, shape (n, 3) [m]."""
+def corners_of(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]:
+    """Return corners of a shape, or of the convex hull of a mesh, in its own frame, shape (n, 3) [m].
+
+    Args:
+        shape: The shape; a cylinder or sphere has the corners of a prism around it.
+        link: Its link, for messages.
+        urdf: File that it is from, for the paths of meshes.
+
+    Raises:
+        DataError: A mesh is not there, cannot be read, or is as large as one in millimetres.
+    """
     if shape.kind == "mesh":
         return _vertices(shape, link, urdf)
     if shape.kind == "box":
@@ -92,12 +103,16 @@ def _vertices(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]
             raise ValueError(f"{path} is not there")
         model = coal.MeshLoader().load(str(path), np.array(shape.size))
         points = np.array(model.vertices(), dtype=np.float64)
+        if not np.isfinite(points).all():
+            raise ValueError("a vertex is not finite")
     except (ValueError, RuntimeError) as error:
-        raise DataError(f"the mesh {shape.mesh} of link {link}: {error}", link=link, mesh=shape.mesh) from error
+        told = " ".join(str(error).rpartition("message: ")[2].split())  # coal's has lines of its source before
+        raise DataError(f"the mesh {shape.mesh} of link {link}: {told}", link=link, mesh=shape.mesh) from error
     if (size := float(np.ptp(points, axis=0).max())) > _LARGEST_M:
         text = f'is {size:.0f} m large: its lengths are millimetres, it seems; scale="0.001 0.001 0.001" mends that'
         raise DataError(f"the mesh {shape.mesh} of link {link} {text}", link=link, mesh=shape.mesh)
-    return points
+    points = np.unique(points, axis=0)
+    return points if thickness(points) < THINNEST_M else np.array(hull_of(points).points())
 
 
 def enclosing_capsules(cell: Cell) -> list[Capsule]:

@@ -1,18 +1,29 @@
 """``cell``: writes the first cell file of a URDF, and checks cell files."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from im_cell.robot import Cell, cell_file, load_cell
+import numpy as np
+
+from im_cell.robot import Capsule, Cell, cell_file, load_cell
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.template import first_cell, touching_pairs
+from im_mcs.collision.bodies import hull_of
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
+from im_mcs.inverse.closed_form import ClosedForm
+from im_mcs.model import CellModel
 
 _FEW = "straight lines keep the position, and the orientation but for turns about one axis of the tip"
+_BUILD = {
+    None: "by iteration",
+    True: "in closed form, by a spherical wrist",
+    False: "in closed form, by three parallel axes",
+}
 _FEWER = f"no straight lines: they need {FEWEST_JOINTS} joints or more"
 _EPILOG = """\
 exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
@@ -72,17 +83,43 @@ def _parser() -> argparse.ArgumentParser:
 def findings(cell: Cell, file: str) -> list[str]:
     """Return sentences about a cell: its groups, missing and assumed data."""
     lines = [f"{file}: {len(cell.joints)} joints"]
+    model = CellModel(cell)
     for name, group in cell.groups.items():
         devices = [device for device in ("gripper", "force", "light") if getattr(group, device)]
         with_ = f", with {' and '.join(devices)}" if devices else ""
         lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
         if (count := len(cell.carriers_of(group.tip))) < ARM_JOINTS:
             lines.append(f"group {name}: {_FEW if count == FEWEST_JOINTS else _FEWER}")
+        closed = ClosedForm.of(model, group.tip, model.joints_below(group.tip))
+        lines.append(f"group {name}: inverse kinematics {_BUILD[None if closed is None else closed.spherical]}")
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
     lines += [f"missing: {what}" for what, there in _optional(cell).items() if not there]
     lines += [f"assumed: {sentence}" for sentence in cell.assumed]
+    lines += _shapes(cell)
     lines += [f"touching at home: {first} and {second}" for first, second in touching_pairs(cell)]
     return lines
+
+
+def _shapes(cell: Cell) -> list[str]:
+    """Return sentences about the shapes that are compared."""
+    hulled = list(dict.fromkeys(hull.link for hull in cell.hulls))
+    rounded = list(dict.fromkeys(body.link for body in cell.bodies if body.link not in hulled))
+    lines = [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
+    for link in hulled:
+        own = [hull for hull in cell.hulls if hull.link == link]
+        litres = 1e3 * sum(hull_of(np.array(hull.points)).computeVolume() for hull in own)
+        around = 1e3 * sum(_volume(body) for body in cell.bodies if body.link == link)
+        corners, margin = sum(len(hull.points) for hull in own), 1e3 * max(hull.radius for hull in own)
+        what = "a hull" if len(own) == 1 else f"{len(own)} hulls"
+        lines.append(
+            f"compared as {what}: {link}, {corners} corners with {margin:.1f} mm around; "
+            f"{litres:.2f} l, its capsules {around:.2f} l"
+        )
+    return lines
+
+
+def _volume(capsule: Capsule) -> float:
+    return math.pi * capsule.radius**2 * (math.dist(capsule.p0, capsule.p1) + 4.0 / 3.0 * capsule.radius)
 
 
 def _optional(cell: Cell) -> dict[str, bool]:

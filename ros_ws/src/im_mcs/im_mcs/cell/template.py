@@ -1,4 +1,4 @@
-"""The first cell file of a URDF: groups, homes and capsules, asking nothing that the URDF shows."""
+"""The first cell file of a URDF: groups, homes, capsules and hulls, asking nothing that the URDF shows."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -6,12 +6,15 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
-from im_cell.robot import Box, Capsule, Cell
+from im_cell.robot import Box, Capsule, Cell, Hull
 from im_cell.robot.cell import robot_text
 from im_cell.robot.description import UrdfJoint, UrdfTree, parse_description
+from im_core.config import faults
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclosing_capsules
+from im_mcs.cell.hulls import enclosing_hulls
 from im_mcs.collision.bodies import Bodies
 from im_mcs.model import CellModel
 
@@ -49,12 +52,15 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
         "boxes": [_FLOOR],
         "srdf": "" if srdf is None else str(srdf.absolute()),
     }
-    bare = Cell.model_validate(data)
-    capsules = enclosing_capsules(bare)
-    cell = bare.model_copy(update={"capsules": tuple(capsules)})
+    try:
+        bare = Cell.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{urdf}: {faults(error, Cell)[0].sentence}", file=str(urdf)) from error
+    capsules, hulls = enclosing_capsules(bare), enclosing_hulls(bare)
+    cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
     never = () if srdf is not None else _always(cell)
     home = _home(cell.model_copy(update={"never": never}))
-    return _written(urdf, srdf, grouped, tips, home, capsules, never)
+    return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -161,6 +167,7 @@ def _written(
     tips: Sequence[str],
     home: Sequence[float],
     capsules: Sequence[Capsule],
+    hulls: Sequence[Hull],
     never: Sequence[tuple[str, str]],
 ) -> str:
     names = [joint.name for joint in _ordered(grouped)]
@@ -174,6 +181,11 @@ def _written(
     for each in capsules:
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
         lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(each.link, *ends, each.radius))
+    if hulls:
+        lines += ["", "hulls:                  # around meshes; compared in place of the capsules of their links"]
+    for hull in hulls:
+        corners = ", ".join(f"[{', '.join(f'{value:g}' for value in point)}]" for point in hull.points)
+        lines.append(f"  - {{link: {hull.link}, radius: {hull.radius:g}, points: [{corners}]}}")
     if never:
         lines += [
             "",

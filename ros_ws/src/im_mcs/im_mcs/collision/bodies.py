@@ -30,7 +30,9 @@ class Closest:
 
 
 class Bodies:
-    """Capsules of all links and the boxes fixed to the world, at one position of the joints after the other.
+    """Shapes of all links and the boxes fixed to the world, at one position of the joints after the other.
+
+    A link has its hulls, or without them its capsules.
 
     Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
     them from touching otherwise. Nor are the pairs that the cell names, in `never` or an SRDF.
@@ -48,7 +50,15 @@ class Bodies:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
+        hulled = {hull.link for hull in model.cell.hulls}
+        for number, hull in enumerate(model.cell.hulls):
+            frame = model.pin.frames[model.frame_id(hull.link)]
+            shape = hull_of(np.array(hull.points))
+            shape.setSweptSphereRadius(hull.radius)
+            self._add(f"{hull.link}_hull_{number}", hull.link, frame.parentJoint, frame.placement, shape)
         for number, capsule in enumerate(model.cell.bodies):
+            if capsule.link in hulled:
+                continue
             self._add_capsule(f"{capsule.link}_{number}", capsule.link, capsule.p0, capsule.p1, capsule.radius)
         for box in model.cell.obstacles:
             shape = coal.Box(*box.size)
@@ -65,11 +75,13 @@ class Bodies:
 
     @property
     def ends(self) -> list[tuple[int, NDArray[np.float64]]]:
-        """Joint of each body (0: the world) and the ends of the line in the joint's frame, shape (2, 3) [m]."""
+        """Joint of each body (0: the world), ends of its line or corners in the joint's frame, shape (k, 3) [m]."""
         found = []
         for body in self._geometry.geometryObjects:
             half = body.geometry.halfLength if isinstance(body.geometry, coal.Capsule) else 0.0
             line = np.array([[0.0, 0.0, -half], [0.0, 0.0, half]])
+            if isinstance(body.geometry, coal.Convex):
+                line = np.array(body.geometry.points())
             placement = body.placement
             found.append((int(body.parentJoint), line @ placement.rotation.T + placement.translation))
         return found
@@ -167,6 +179,17 @@ def ancestors(model: CellModel, joint: int) -> list[int]:
     while chain[-1] != 0:
         chain.append(int(model.pin.parents[chain[-1]]))
     return chain
+
+
+def hull_of(points: NDArray[np.float64]) -> coal.Convex:
+    """Return the convex hull of points.
+
+    Args:
+        points: Shape (n, 3), not in one plane: Qhull would end the process [m].
+    """
+    corners = coal.StdVec_Vec3s()
+    corners.extend(list(points))
+    return coal.Convex.convexHull(corners, True, "Qt")
 
 
 def _capsule(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> tuple[coal.Capsule, pin.SE3]:

@@ -41,7 +41,7 @@ def _levers(model: CellModel, joint: int, ends: bytes) -> NDArray[np.float64]:
     """Bounds of the levers of a body, shape (n,): those of the cell's own links are computed once."""
     levers, chain = np.zeros(model.n), ancestors(model, joint)[:-1]
     for rank, carrier in enumerate(chain):
-        levers[carrier - 1] = _lever(model, carrier, chain[:rank][::-1], np.frombuffer(ends).reshape(2, 3))
+        levers[carrier - 1] = _lever(model, carrier, chain[:rank][::-1], np.frombuffer(ends).reshape(-1, 3))
     return levers
 
 

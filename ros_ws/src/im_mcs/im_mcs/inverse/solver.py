@@ -1,6 +1,6 @@
-"""Inverse kinematics of a wrist pose by damped least squares, with redundant joints."""
+"""Inverse kinematics of a wrist pose: in closed form where the arm has it, else by damped least squares."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
+from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS, Arm
+from im_mcs.inverse.closed_form import ClosedForm
 from im_mcs.inverse.redundancy import Redundancy
+from im_mcs.inverse.tracking import ArmTracker
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 
@@ -25,7 +28,10 @@ _DAMPING, _LAST_DAMPING = 1e-3, 1e-6
 _STEP = 0.5
 _NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
+# The largest turn about an axis that an arm of five joints gives up: what is asked for is then met in all but name.
+_GIVEN_UP_RAD = 0.0175
 _SEEDS = 64
+_NEAREST = 2
 _SEED_KEY = 20240607
 
 
@@ -52,9 +58,14 @@ class IkAttempt:
 class InverseKinematics:
     """Joint positions of one group for a pose of the wrist.
 
-    Each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the joints that are not
-    against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off limits and singularities,
-    carts near their nominal place. Several starts are tried, always the same ones in the same order.
+    Six joints of a build that :class:`ClosedForm` knows have all their solutions at once, the nearest to the start
+    first. Of all others each step solves ``dq = J^T (J J^T + d^2 I)^-1 e`` (Y. Nakamura, H. Hanafusa, 1986) over the
+    joints that are not against a limit; what remains of the redundancy goes where :class:`Redundancy` wishes: off
+    limits and singularities, carts near their nominal place. Several starts are tried, always the same ones in the same
+    order.
+
+    Five joints meet the place of a pose, and its orientation but for a turn of at most a degree about the axis that
+    they give up (:class:`Arm`): of a pose written in decimals, for instance.
 
     Args:
         model: Kinematics.
@@ -72,6 +83,13 @@ class InverseKinematics:
         self._upper = limits.upper[index] - _LIMIT_MARGIN
         self._preferred = np.clip(model.cell.home[index], self._lower, self._upper)
         self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
+        self._closed: ClosedForm | None = None
+        self._short: Arm | None = None
+        if len(index) >= FEWEST_JOINTS and set(model.joints_below(frame)[-ARM_JOINTS:].tolist()) == set(index.tolist()):
+            arm = Arm(model, frame)
+            self._joints, self._tracker = arm.joints, ArmTracker(model, arm, frame)
+            self._closed = ClosedForm.of(model, frame, arm.joints)
+            self._short = arm if len(arm.joints) < ARM_JOINTS else None
 
     def solve(
         self,
@@ -97,9 +115,8 @@ class InverseKinematics:
         """
         best: IkAttempt | None = None
         blocked: ImError | None = None
-        for start in self._starts(seed):
-            attempts = list(self.descent(target, q_all, start))
-            if (attempt := attempts[-1]).reached:
+        for attempt in self.attempts(target, q_all, self._starts(seed)):
+            if attempt.reached:
                 try:
                     if collision is not None:
                         collision.require_free(self._whole(q_all, attempt.q))
@@ -107,7 +124,7 @@ class InverseKinematics:
                     blocked = blocked or error
                     continue
                 return attempt.q
-            best = min([*attempts, best or attempt], key=lambda each: each.position_error)
+            best = min(best or attempt, attempt, key=lambda each: each.position_error)
         if blocked is not None:
             raise blocked
         assert best is not None
@@ -138,6 +155,42 @@ class InverseKinematics:
         spread = generator.uniform(size=(_SEEDS - 2, len(seed)))
         return [seed, self._preferred, *(self._lower + spread * (self._upper - self._lower))]
 
+    def attempts(
+        self, target: pin.SE3, q_all: NDArray[np.float64], starts: Sequence[NDArray[np.float64]]
+    ) -> Iterator[IkAttempt]:
+        """Solutions in closed form, the nearest to the first start first; without them, an attempt from each start.
+
+        Args:
+            target: Wanted pose of the wrist in ``world``.
+            q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
+            starts: Where to start, shape (n,) each [rad or m].
+        """
+        if self._closed is not None:
+            if found := self._solutions(self._closed, target, q_all, starts[0]):
+                yield from found
+                return
+            starts = starts[:_NEAREST]  # nothing is there to be found but the nearest place
+        for start in starts:
+            *way, end = self.descent(target, q_all, start)
+            yield end if end.reached else min(*way, end, key=lambda each: each.position_error)
+
+    def _solutions(
+        self, closed: ClosedForm, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]
+    ) -> list[IkAttempt]:
+        """Return the solutions within limits, the nearest to a start first, each improved by Newton's method."""
+        at, found, joints = self._whole(q_all, start), list[IkAttempt](), self._joints
+        for q in closed.solve(self._model, target, at, joints):
+            whole = at.copy()
+            whole[joints] = q
+            better = self._tracker.solve(target, whole)
+            near = start + np.remainder((whole if better is None else better)[self._index] - start + np.pi, 2 * np.pi)
+            near -= np.pi
+            near += 2.0 * np.pi * ((near < self._lower).astype(float) - (near > self._upper))
+            attempt = self._attempt(target, q_all, near, self._error(target, q_all, near))
+            if attempt.reached and ((near >= self._lower) & (near <= self._upper)).all():
+                found.append(attempt)
+        return sorted(found, key=lambda each: float(np.linalg.norm(each.q - start)))
+
     def descent(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> Iterator[IkAttempt]:
         """Iterate from one start; the last attempt is the end.
 
@@ -149,11 +202,10 @@ class InverseKinematics:
         q = np.clip(start, self._lower, self._upper)
         error = self._error(target, q_all, q)
         for k in range(_ITERATIONS):
-            attempt = IkAttempt(q, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])))
-            yield attempt
+            yield (attempt := self._attempt(target, q_all, q, error))
             if attempt.reached and k >= _NULL_ITERATIONS:
                 return
-            jacobian = self._model.jacobian(self._whole(q_all, q), self._frame)[:, self._index]
+            jacobian = self._jacobian(self._whole(q_all, q))
             pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
             damping = _DAMPING if k < _UNDAMPED else _LAST_DAMPING
             q = self._step(jacobian, error, q, pull, damping)
@@ -167,12 +219,12 @@ class InverseKinematics:
         pull: float,
         damping: float,
     ) -> NDArray[np.float64]:
-        """One damped step within the limits."""
+        """One damped step within the limits; columns beyond those of the joints are turns that are given up."""
         free = np.ones(len(q), dtype=np.bool_)
         wish = pull * self._redundancy.wish(q) if pull > 0.0 else np.zeros(len(q))
         for _ in range(2):
-            j = jacobian * free
-            inverse = j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(6))
+            j, given_up = jacobian[:, : len(q)] * free, jacobian[:, len(q) :]
+            inverse = j.T @ np.linalg.inv(j @ j.T + given_up @ given_up.T + damping**2 * np.eye(6))
             step = inverse @ error
             step += (wish - inverse @ (j @ wish)) * free
             step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-12))
@@ -182,10 +234,32 @@ class InverseKinematics:
             free &= ~outside
         return np.clip(q + step, self._lower, self._upper)
 
+    def _attempt(
+        self, target: pin.SE3, q_all: NDArray[np.float64], q: NDArray[np.float64], error: NDArray[np.float64]
+    ) -> IkAttempt:
+        angle = float(np.linalg.norm(error[3:]))
+        if self._short is not None:
+            pose = self._model.pose(self._whole(q_all, q), self._frame)
+            turn = float(np.linalg.norm(pin.log3(target.rotation @ pose.rotation.T)))
+            angle = angle if turn < _GIVEN_UP_RAD else turn
+        return IkAttempt(q, float(np.linalg.norm(error[:3])), angle)
+
     def _error(self, target: pin.SE3, q_all: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
-        pose = self._model.pose(self._whole(q_all, q), self._frame)
+        whole = self._whole(q_all, q)
+        if self._short is not None:
+            self._short.give_up(whole)
+            return self._tracker.error(target, whole)
+        pose = self._model.pose(whole, self._frame)
         rotation = pin.log3(target.rotation @ pose.rotation.T)
         return np.concatenate([target.translation - pose.translation, rotation])
+
+    def _jacobian(self, whole: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the columns of the group's joints, and of turns that are given up, shape (6, n) or (6, n + 1)."""
+        columns = self._model.jacobian(whole, self._frame)
+        if self._short is None:
+            return columns[:, self._index]
+        given_up = self._short.square(columns, self._model.pose(whole, self._frame).rotation)[:, len(self._joints) :]
+        return np.hstack([columns[:, self._index], given_up])
 
     def _whole(self, q_all: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = q_all.copy()

@@ -1,6 +1,6 @@
-"""Candidate poses: the light anywhere in the common view, turned to all cameras."""
+"""Candidate poses: the light anywhere in the common view, turned to all cameras, or as the arm holds it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,9 +47,7 @@ def candidates(
         seed: Of the scrambled Halton sequence.
         draws: Length of the sequence.
     """
-    offset, axis = np.array(cell.led.offset), np.array(cell.led.axis)
-    axis /= np.linalg.norm(axis)
-    least_cosine = np.cos(min(cell.led.half_angle - _FACING_MARGIN, np.pi))
+    offset, axis, least_cosine = _light(cell)
     sequence = qmc.Halton(6, seed=seed)
     for _ in range(0, draws, _BLOCK):
         drawn = sequence.random(_BLOCK)
@@ -63,6 +61,29 @@ def candidates(
             aim = pin.Quaternion.FromTwoVectors(axis, outward).matrix()
             rotation = aim @ pin.exp3(axis * (2.0 * np.pi * s[5]))
             yield Candidate(light, pin.SE3(rotation, light - rotation @ offset))
+
+
+def held(cell: Cell, wrists: Iterable[pin.SE3], views: Sequence[View], max_tilt_rad: float) -> Iterator[Candidate]:
+    """Candidates of an arm that cannot turn its wrist freely: as it holds the light, if that faces all cameras.
+
+    Args:
+        cell: Light.
+        wrists: Poses of the wrist in ``world`` with the light in view.
+        views: Cameras that shall see it.
+        max_tilt_rad: Largest tilt away from where it faces all cameras best [rad].
+    """
+    offset, axis, least_cosine = _light(cell)
+    for wrist in wrists:
+        light, outward = wrist.act(offset), wrist.rotation @ axis
+        towards, best = facing(light, views)
+        if (towards @ outward).min() >= least_cosine and best @ outward >= np.cos(max_tilt_rad):
+            yield Candidate(light, wrist)
+
+
+def _light(cell: Cell) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return place and axis of the light in the wrist's frame, and the least cosine of its angle to a camera."""
+    axis = np.array(cell.led.axis) / np.linalg.norm(cell.led.axis)
+    return np.array(cell.led.offset), axis, float(np.cos(min(cell.led.half_angle - _FACING_MARGIN, np.pi)))
 
 
 def _tilted(direction: NDArray[np.float64], angle: float, turn: float) -> NDArray[np.float64]:

@@ -26,6 +26,7 @@ class CommonView:
     Attributes:
         lower: Corner of the box around these places, shape (3,) [m].
         upper: Opposite corner, shape (3,) [m].
+        wrists: Poses of the wrist in ``world`` of the samples.
 
     Args:
         model: Kinematics and the light.
@@ -44,14 +45,16 @@ class CommonView:
         draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(index)))
         sampled = limits.lower[index] + draw * (limits.upper - limits.lower)[index]
         whole, offset = model.cell.home, np.array(model.cell.led.offset)
-        lights = np.empty((_SAMPLES, 3))
+        lights, wrists = np.empty((_SAMPLES, 3)), []
         for k, q in enumerate(sampled):
             whole[index] = q
-            lights[k] = model.pose(whole, frame).act(offset)
+            wrists.append(model.pose(whole, frame).copy())
+            lights[k] = wrists[k].act(offset)
         seen = np.array([view.sees(lights) for view in views])
         common = seen.all(axis=0)
         if common.sum() < _FEWEST:
             raise DataError(_reason(seen, [view.name for view in views], frame), cameras=[view.name for view in views])
+        self.wrists = [wrists[k] for k in np.flatnonzero(common)]
         self._views = views
         self._positions, self._tree = sampled[common], cKDTree(lights[common])
         self.lower, self.upper = lights[common].min(axis=0), lights[common].max(axis=0)

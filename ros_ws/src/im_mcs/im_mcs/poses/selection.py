@@ -11,10 +11,11 @@ from scipy.spatial import cKDTree
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
 from im_mcs.inverse import InverseKinematics
+from im_mcs.inverse.arm import ARM_JOINTS
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.motions.joint import JointPath
-from im_mcs.poses.candidates import Candidate, candidates
+from im_mcs.poses.candidates import Candidate, candidates, held
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.view import View
 
@@ -158,8 +159,11 @@ class PoseSelector:
     def _pool(self, count: int, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
         """Reachable, free and visible candidates."""
         pool, lacks = list[PlacedPose](), Counter[str]()
-        stream = candidates(
-            self._model.cell, self._common, self._views, max_tilt_rad, seed, _MAX_DRAWS_PER_POSE * count
+        cell, views, draws = self._model.cell, self._views, _MAX_DRAWS_PER_POSE * count
+        stream = (
+            held(cell, self._common.wrists, views, max_tilt_rad)
+            if len(self._index) < ARM_JOINTS
+            else candidates(cell, self._common, views, max_tilt_rad, seed, draws)
         )
         for tries, candidate in enumerate(stream, start=1):
             found = self._try(candidate)
@@ -177,8 +181,8 @@ class PoseSelector:
     def _try(self, candidate: Candidate) -> PlacedPose | str:
         """Return a candidate with joint positions, or the reason against the candidate."""
         lack = "are out of reach"
-        for start in (self._common.start(candidate.light), self._home[self._index]):
-            *_, attempt = self._solver.descent(candidate.wrist, self._home, start)
+        starts = (self._common.start(candidate.light), self._home[self._index])
+        for attempt in self._solver.attempts(candidate.wrist, self._home, starts):
             if not attempt.reached:
                 continue
             try:
