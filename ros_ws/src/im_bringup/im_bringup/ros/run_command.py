@@ -18,8 +18,10 @@ from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
 from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
+from im_bringup.tasks import deployment
+from im_core import plugins
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, require_text
-from im_core.files import FileError, read_text, write_whole
+from im_core.files import FileError, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
@@ -40,8 +42,8 @@ MOST_SHOWN = 1000
 #: How long a machine is looked for that this host knows nothing of [s], and a silent dispatcher waited for: one that
 #: died is started again within a few seconds, on a busy computer later.
 LOOKED_FOR_S, SILENCE_S = 5.0, 60.0
-#: What the last machine told of its commands, in the folder of the run.
-_TOLD = "commands.json"
+#: Reads the commands of a deployment from their net files, where no machine tells them.
+_READER = "im_dispatcher.commands:describe_named"
 
 
 def main() -> int:
@@ -70,17 +72,18 @@ def main() -> int:
         parser.error("--yes goes with --abandon")
     if options.abandon is not None and not options.yes and not sys.stdin.isatty():
         parser.error(f"--abandon {options.abandon} needs a confirmation: a terminal to ask on, or --yes")
-    if named and {"-h", "--help"} & set(texts[1:]) and (told := told_last(texts[0])):
+    if named and {"-h", "--help"} & set(texts[1:]) and (told := described_in_files(texts[0])):
         CommandParser(told).read(["--help"])
     return talk(lambda machine: _do(machine, options, texts[1:]), "im run", "; the machine goes on with the command")
 
 
-def told_last(name: str) -> Mapping[str, Any] | None:
-    """Return the description of a command by the last machine of this host; None if a machine runs, or none knew it."""
-    with contextlib.suppress(ImError, ValueError):
+def described_in_files(name: str) -> Mapping[str, Any] | None:
+    """Return the description of a command of the default deployment; None if a machine runs here, or there is none."""
+    with contextlib.suppress(ImError):
         record = machine_state.read()
         if record is None or not record.alive:
-            return command_told(json.loads(read_text(run_dir() / _TOLD)), name)
+            described: Any = plugins.make(_READER, "list of commands", deployment.load(deployment.default_path()).commands)
+            return command_told(described["commands"], name)
     return None
 
 
@@ -136,7 +139,6 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     commands = list(known.values())
     with contextlib.suppress(StoreError):  # a shell then completes no names
         write_whole(run_dir() / "commands.txt", completions(commands))
-        write_whole(run_dir() / _TOLD, json.dumps(commands))
     if options.name is None:
         print_list(commands, machine.under_way)
         return DONE

@@ -156,18 +156,16 @@ class Site:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False, compress=False)
         await socket.prepare(request)
-        if not isinstance(request.transport, asyncio.WriteTransport):
-            return socket  # the viewer has left
-        viewer = self._viewers.enter(request.transport)
-        stopper = asyncio.create_task(self._stop.wait())
+        viewer = self._viewers.enter()
         listener = asyncio.create_task(self._listen_to(socket, viewer, may_operate))
+        works = [listener, *map(asyncio.ensure_future, (_send_to(socket, viewer), self._stop.wait()))]
         try:
-            await asyncio.wait({stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._viewers.leave(viewer)
-            for task in (stopper, listener):
-                task.cancel()
-            await asyncio.gather(stopper, listener, return_exceptions=True)
+            for work in works:
+                work.cancel()
+            await asyncio.gather(*works, return_exceptions=True)
             if listener.done() and not listener.cancelled() and listener.exception() is None and listener.result():
                 await self._end_flood(request, socket)
             await socket.close()
@@ -223,6 +221,12 @@ class _Refusal(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         transport.close()
+
+
+async def _send_to(socket: web.WebSocketResponse, viewer: Viewer) -> None:
+    """Send a viewer the pieces; all viewers get the same bytes, not compressed."""
+    while True:
+        await socket.send_frame(await viewer.unsent.get(), WSMsgType.TEXT)
 
 
 async def _file(path: Path, request: web.Request) -> web.FileResponse:
