@@ -82,7 +82,9 @@ def described_in_files(name: str) -> Mapping[str, Any] | None:
     with contextlib.suppress(ImError):
         record = machine_state.read()
         if record is None or not record.alive:
-            described: Any = plugins.make(_READER, "list of commands", deployment.load(deployment.default_path()).commands)
+            described: Any = plugins.make(
+                _READER, "list of commands", deployment.load(deployment.default_path()).commands
+            )
             return command_told(described["commands"], name)
     return None
 
