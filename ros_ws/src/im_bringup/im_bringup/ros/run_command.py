@@ -17,7 +17,16 @@ from typing import Any
 from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
+from im_bringup.ros.interruptible import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    LOOKED_FOR_S,
+    NOT_RUNNING,
+    USAGE,
+    exit_code,
+    own_output,
+)
 from im_bringup.tasks import deployment
 from im_core import plugins
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, require_text
@@ -39,9 +48,8 @@ CONTROLS = {
 MOST_NUMBER = 2**32 - 1
 #: Of results that a person is shown: a report of a calibration has 280,000 characters.
 MOST_SHOWN = 1000
-#: How long a machine is looked for that this host knows nothing of [s], and a silent dispatcher waited for: one that
-#: died is started again within a few seconds, on a busy computer later.
-LOOKED_FOR_S, SILENCE_S = 5.0, 60.0
+#: How long a silent dispatcher is waited for [s]: one that died is started again in a few seconds, or later.
+SILENCE_S = 60.0
 #: Reads the commands of a deployment from their net files, where no machine tells them.
 _READER = "im_dispatcher.commands:describe_named"
 
@@ -80,8 +88,7 @@ def main() -> int:
 def described_in_files(name: str) -> Mapping[str, Any] | None:
     """Return the description of a command of the default deployment; None if a machine runs here, or there is none."""
     with contextlib.suppress(ImError):
-        record = machine_state.read()
-        if record is None or not record.alive:
+        if not machine_state.runs_here():
             described: Any = plugins.make(
                 _READER, "list of commands", deployment.load(deployment.default_path()).commands
             )
@@ -101,8 +108,7 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
     def connect() -> int:
         with own_output():
             handle_end_signals(signal.default_int_handler)
-            record = machine_state.read()
-            watch = why_lost if record is not None and record.alive else None
+            watch = why_lost if machine_state.runs_here() else None
             try:
                 machine = Machine.connect(timeout=LOOKED_FOR_S, watch=watch)
             except UnreachableError as error:
