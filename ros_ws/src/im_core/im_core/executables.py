@@ -1,10 +1,19 @@
 """Where the executables of the workspace's packages are, and ``run PACKAGE EXECUTABLE ARGS...``, which becomes one."""
 
 import os
+import runpy
+import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.errors import NotFoundError
+from im_core.files import FileError, read_bytes
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+_LARGEST_SCRIPT = 2**14
+"""Bytes of a console script, which only calls a function."""
 
 
 def prefixes() -> list[Path]:
@@ -52,23 +61,40 @@ def packages_with(executable: str) -> list[str]:
 def main() -> int:
     """Run the executable; with less than two arguments, list the choices.
 
+    Ctrl-C ends the executable without a traceback, also while it is loaded: ``scripts/im`` blocks it until then.
+
     Returns:
-        0 after a listing, 2 if there is no such thing; does not return otherwise.
+        0 after a listing, 2 if there is no such thing, 130 after Ctrl-C.
     """
     arguments = sys.argv[1:]
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         if not arguments:
             for package in packages():
                 print(f"{package}: {' '.join(executables(package))}")
         elif len(arguments) == 1 or arguments[1] in ("-h", "--help"):
             print("\n".join(executables(arguments[0])))
         else:
-            path = _path_anywhere(arguments[0], arguments[1])
-            os.execv(path, [str(path), *arguments[2:]])
+            _become(_path_anywhere(arguments[0], arguments[1]), arguments[2:])
     except NotFoundError as error:
         print(f"run: {error.message}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        return INTERRUPTED
     return 0
+
+
+def _become(path: Path, arguments: Sequence[str]) -> None:
+    """Run a script of this Python in this process; any other program takes its place."""
+    try:
+        own = read_bytes(path, _LARGEST_SCRIPT).startswith(f"#!{sys.executable}\n".encode())
+    except FileError:
+        own = False
+    sys.argv = [str(path), *arguments]
+    if own:
+        runpy.run_path(str(path), run_name="__main__")
+    else:
+        os.execv(path, sys.argv)
 
 
 def _path_anywhere(package: str, executable: str) -> Path:
