@@ -62,6 +62,12 @@ def test_recover_helps_and_says_that_no_machine_runs():
     assert (done.returncode, done.stderr.startswith(sentence)) == (3, True), done.stderr
 
 
+def test_ctrl_c_ends_a_subcommand_without_a_traceback_from_its_first_moment():
+    run = ["env", "--block-signal=INT", "bash", "-c", 'kill -INT $$; exec "$0" topic list', ROOT / "scripts" / "im"]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_a_node_helps_and_starts_with_nothing_it_does_not_know(script):
     done = script("run", "im_mcs", "mcs", "--help")
     assert (done.returncode, done.stderr) == (0, "")
