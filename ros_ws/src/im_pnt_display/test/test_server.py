@@ -325,6 +325,17 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
         second.stop()
 
 
+def test_pictures_of_results_are_served_and_nothing_else_of_them(serve, tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+    for name in ("7/a.png", "7/report.json", "b.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    server = serve()
+    assert asked(server, "results/7/a.png")[::2] == (200, "7/a.png")
+    for path in ("7/none.png", "8/a.png", "7/report.json", "b.png", "7/..%2Fb.png", "7/%2e%2e/b.png", ".%2E/7/a.png"):
+        assert asked(server, f"results/{path}")[0] == 404, path
+
+
 def test_an_allowance_grows_with_time_up_to_its_most():
     now = [0.0]
     allowance = Allowance(2.0, 3, lambda: now[0])

@@ -13,6 +13,7 @@ from aiohttp import WSMsgType, web
 
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
+from im_core.names import results_dir
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
 from im_pnt_display.page.viewers import VALUES, Operate, Viewer, Viewers
@@ -97,6 +98,7 @@ class Site:
         self._app.router.add_get("/ws", self._view)
         self._app.router.add_get("/recording.json", self._give_moment)
         self._app.router.add_get("/cell.json", self._give_cell)
+        self._app.router.add_get(r"/results/{folder:[\w-]+}/{picture:[\w-]+\.png}", _picture)
         for file in (*STATIC.iterdir(), *VENDOR.iterdir()):
             self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
@@ -231,6 +233,10 @@ async def _send_to(socket: web.WebSocketResponse, viewer: Viewer) -> None:
 
 async def _file(path: Path, request: web.Request) -> web.FileResponse:
     return web.FileResponse(path)
+
+
+async def _picture(request: web.Request) -> web.FileResponse:
+    return web.FileResponse(results_dir() / request.match_info["folder"] / request.match_info["picture"])
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:
