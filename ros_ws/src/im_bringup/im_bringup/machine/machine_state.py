@@ -103,7 +103,7 @@ def read(path: Path | None = None) -> MachineRecord | None:
 
 
 def runs_here() -> bool:
-    """Whether a machine of the current ROS domain runs on this host; raises as :func:`read`."""
+    """Whether a machine of the current ROS domain runs on the local host; raises as :func:`read`."""
     record = read()
     return record is not None and record.alive
 

@@ -81,7 +81,7 @@ class InterruptibleNode(GuardedNode):
             raise KeyboardInterrupt
 
     def require_machine(self) -> None:
-        """Wait for a machine, known to this host or seen in the graph.
+        """Wait for a machine, known to the local host or seen in the graph.
 
         Raises:
             DataError: What this host knows of it cannot be read.

@@ -185,7 +185,7 @@ def _nobody(viewers: int, of_cell: int) -> None:
 
 
 async def _send_pieces(writer: asyncio.StreamWriter, viewer: Viewer) -> None:
-    """Send the process what viewers get."""
+    """Send the process the pieces of a viewer."""
     with contextlib.suppress(ConnectionError):
         while True:
             writer.write(await viewer.unsent.get() + END_OF_PIECE)
