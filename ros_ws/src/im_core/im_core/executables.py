@@ -53,11 +53,6 @@ def path_of(package: str, executable: str) -> Path:
     return next(path for path in (prefix / "lib" / package / executable for prefix in prefixes()) if path.is_file())
 
 
-def packages_with(executable: str) -> list[str]:
-    """Return the names of the packages of colcon workspaces with an executable of the given name, sorted."""
-    return [package for package in packages() if executable in executables(package)]
-
-
 def main() -> int:
     """Run the executable; with less than two arguments, list the choices.
 
@@ -66,21 +61,27 @@ def main() -> int:
     Returns:
         0 after a listing, 2 if there is no such thing, 130 after Ctrl-C.
     """
-    arguments = sys.argv[1:]
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        return _run(sys.argv[1:])
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
         if not arguments:
             for package in packages():
                 print(f"{package}: {' '.join(executables(package))}")
-        elif len(arguments) == 1 or arguments[1] in ("-h", "--help"):
+            return 0
+        if len(arguments) == 1 or arguments[1] in ("-h", "--help"):
             print("\n".join(executables(arguments[0])))
-        else:
-            _become(_path_anywhere(arguments[0], arguments[1]), arguments[2:])
+            return 0
+        path = path_of(arguments[0], arguments[1])
     except NotFoundError as error:
         print(f"run: {error.message}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        return INTERRUPTED
+    _become(path, arguments[2:])
     return 0
 
 
@@ -95,22 +96,6 @@ def _become(path: Path, arguments: Sequence[str]) -> None:
         runpy.run_path(str(path), run_name="__main__")
     else:
         os.execv(path, sys.argv)
-
-
-def _path_anywhere(package: str, executable: str) -> Path:
-    """Return the path of an executable; without one, the path in the only other package with one, with a message.
-
-    Raises:
-        NotFoundError: Nobody has it, or several others have.
-    """
-    try:
-        return path_of(package, executable)
-    except NotFoundError:
-        others = packages_with(executable)
-        if len(others) != 1:
-            raise
-    print(f"run: {executable} is in {others[0]}", file=sys.stderr)
-    return path_of(others[0], executable)
 
 
 def _programs(folder: Path) -> list[Path]:

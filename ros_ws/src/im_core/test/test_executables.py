@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from im_core.errors import NotFoundError
-from im_core.executables import executables, main, packages, packages_with, path_of
+from im_core.executables import executables, packages, path_of
 
 
 @pytest.fixture
@@ -47,25 +47,6 @@ def add(workspaces, monkeypatch, package, name):
     program.chmod(0o755)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{workspaces}/ws/{package}:{os.environ['AMENT_PREFIX_PATH']}")
     return program
-
-
-def test_an_executable_that_moved_to_one_other_package_is_run_from_there(workspaces, monkeypatch, capsys):
-    moved = add(workspaces, monkeypatch, "other", "tool")
-    assert packages_with("tool") == ["other"]
-    ran = []
-    monkeypatch.setattr(os, "execv", lambda path, arguments: ran.append((path, arguments)))
-    monkeypatch.setattr(sys, "argv", ["run", "near", "tool", "--option"])
-    main()
-    assert ran == [(moved, [str(moved), "--option"])]
-    assert capsys.readouterr().err == "run: tool is in other\n"
-
-
-def test_an_executable_of_several_other_packages_is_not_guessed(workspaces, monkeypatch, capsys):
-    for package in ("one", "two"):
-        add(workspaces, monkeypatch, package, "tool")
-    monkeypatch.setattr(sys, "argv", ["run", "near", "tool"])
-    assert main() == 2
-    assert "no executable of near 'tool'" in capsys.readouterr().err
 
 
 INTERRUPTED_AS_IT_LOADS = """
