@@ -125,3 +125,15 @@ def test_what_is_no_number_and_what_contradicts_itself_is_bad_usage(texts, sente
         run_command.main()
     assert ended.value.code == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_the_help_of_a_command_is_that_of_its_net_file_where_no_machine_has_run(monkeypatch, capsys):
+    monkeypatch.setattr(run_command.machine_state, "read", lambda: None)
+    monkeypatch.setattr(run_command, "talk", lambda *_: pytest.fail("a machine is looked for"))
+    monkeypatch.setattr("sys.argv", ["im run", "open_gripper", "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        run_command.main()
+    told = capsys.readouterr().out
+    assert told.startswith("usage: im run open_gripper")
+    assert "--group right|left" in told or "--group left|right" in told
+    assert "Needs <group>_gripper" in told

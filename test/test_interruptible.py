@@ -9,6 +9,8 @@ import pytest
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from im import UnreachableError
+from im_bringup.ros import interruptible
 from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_core import clock
 from im_core.errors import WaitTimeoutError
@@ -48,7 +50,7 @@ def test_what_libraries_print_is_not_among_the_output_of_a_program():
 SAYS = """
 import sys
 from im_bringup.ros import interruptible
-interruptible.machine.read_running = lambda: None
+interruptible.runs_here = lambda: True
 def use(node):
     print("one", flush=True)
     print("two")
@@ -69,6 +71,23 @@ def test_a_program_whose_output_goes_nowhere_waits_all_the_same(where, code, sai
     run = ["bash", "-c", f'set -o pipefail; "$0" -c "$1" {where}', sys.executable, SAYS]
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (code, f"waited to the end\n{said}")
+
+
+@pytest.mark.parametrize("here", [True, False])
+def test_a_machine_is_one_of_this_host_or_one_in_the_graph(ros, monkeypatch, here):
+    asking = ros(InterruptibleNode("asking"))
+    monkeypatch.setattr(interruptible, "runs_here", lambda: here)
+    monkeypatch.setattr(asking, "get_node_names", lambda: [] if here else ["bootstrap"])
+    asking.require_machine()
+
+
+def test_a_machine_that_is_neither_here_nor_in_the_graph_is_looked_for_in_vain(ros, monkeypatch):
+    asking = ros(InterruptibleNode("asking"))
+    monkeypatch.setattr(interruptible, "LOOKED_FOR_S", 0.1)
+    monkeypatch.setattr(interruptible, "runs_here", lambda: False)
+    monkeypatch.setattr(asking, "get_node_names", lambda: ["talker"])
+    with pytest.raises(UnreachableError, match=r"no machine runs in ROS domain \d+: none was heard within 0.1 s"):
+        asking.require_machine()
 
 
 def test_who_waits_for_a_service_ends_when_interrupted(ros):

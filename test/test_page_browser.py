@@ -333,6 +333,29 @@ def test_what_ended_before_the_page_was_opened_and_the_log_are_shown(small, tab,
     assert "warning" in each.page.inner_text("#logged")
 
 
+def test_the_pictures_that_a_command_left_are_shown_and_open_whole(tab, tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+    (tmp_path / "7").mkdir()
+    Image.new("RGB", (640, 480)).save(tmp_path / "7" / "residuals.png")
+    server = DisplayServer(port=0)
+    server.start()
+    ended = {
+        "number": 7,
+        "symbol": "go",
+        "message": "",
+        "success": True,
+        "results": {},
+        "pictures": ["7/residuals.png"],
+    }
+    server.state.enter(server.state.commands("ended", [ended]))
+    each = tab(server.url)
+    each.until("document.querySelector('#ended img')?.naturalWidth === 640", "the picture")
+    with each.page.expect_popup() as opened:
+        each.page.click("#ended img")
+    assert opened.value.url == f"{server.url}results/7/residuals.png"
+    server.stop()
+
+
 @pytest.fixture(scope="module")
 def recorded():
     recording = recording_of(BAGS / "faults")

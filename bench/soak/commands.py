@@ -11,7 +11,6 @@ from typing import Any
 import yaml
 from rclpy.action import ActionClient
 
-from im_bringup.machine import machine_state as machine
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_cell.robot import load_cell
 from im_core import clock, config
@@ -151,7 +150,6 @@ class Commander(InterruptibleNode):
     def _done(self, future: Any) -> Any:
         deadline = clock.monotonic() + ANSWER_S
         while not future.done():
-            machine.read_running()
             if clock.monotonic() > deadline:
                 raise WaitTimeoutError(what="an answer of the dispatcher", seconds=ANSWER_S)
             clock.sleep(0.02)

@@ -32,6 +32,14 @@ class UnreachableError(MachineError):
     def __init__(self, message: str) -> None:
         super().__init__(message, "timeout")
 
+    @classmethod
+    def of_no_machine(cls, domain: int, timeout: float) -> "UnreachableError":
+        """Return the error of a search for a machine in a ROS domain; the search took so long [s]."""
+        return cls(
+            f"no machine runs in ROS domain {domain}: none was heard within {timeout:g} s; scripts/start.sh starts "
+            "one, ROS_AUTOMATIC_DISCOVERY_RANGE and the DDS profile say which hosts are reached"
+        )
+
 
 class CommandFailedError(MachineError):
     """Failure of a command.

@@ -67,7 +67,7 @@ class Heartbeats:
             waited = time.monotonic() - began
             if self._watch is None:
                 if waited > timeout:
-                    raise UnreachableError(self._unheard(task, timeout))
+                    raise self._unheard(task, timeout)
             elif waited > FRESH_S and (why := self._watch(waited)):
                 raise UnreachableError(f"{task} is missing{why}")
             time.sleep(0.02)
@@ -105,11 +105,8 @@ class Heartbeats:
         lives = any(time.monotonic() - heard.at < FRESH_S for heard in tuple(self._heard.values()))
         return "; other tasks of the machine live" if lives else ": the machine has ended"
 
-    def _unheard(self, task: str, timeout: float) -> str:
-        if self._heard:
-            known = ", ".join(sorted(self._heard))
-            return f"{task} was not ready in ROS domain {self._domain} within {timeout:g} s; heard were: {known}"
-        return (
-            f"no machine runs in ROS domain {self._domain}: none was heard within {timeout:g} s; scripts/start.sh "
-            "starts one, ROS_AUTOMATIC_DISCOVERY_RANGE and the DDS profile say which hosts are reached"
-        )
+    def _unheard(self, task: str, timeout: float) -> UnreachableError:
+        if not self._heard:
+            return UnreachableError.of_no_machine(self._domain, timeout)
+        known = f"heard were: {', '.join(sorted(self._heard))}"
+        return UnreachableError(f"{task} was not ready in ROS domain {self._domain} within {timeout:g} s; {known}")

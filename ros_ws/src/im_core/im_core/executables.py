@@ -1,10 +1,19 @@
 """Where the executables of the workspace's packages are, and ``run PACKAGE EXECUTABLE ARGS...``, which becomes one."""
 
 import os
+import runpy
+import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from im_core.errors import NotFoundError
+from im_core.files import FileError, read_bytes
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+_LARGEST_SCRIPT = 2**14
+"""Bytes of a console script, which only calls a function."""
 
 
 def prefixes() -> list[Path]:
@@ -44,47 +53,49 @@ def path_of(package: str, executable: str) -> Path:
     return next(path for path in (prefix / "lib" / package / executable for prefix in prefixes()) if path.is_file())
 
 
-def packages_with(executable: str) -> list[str]:
-    """Return the names of the packages of colcon workspaces with an executable of the given name, sorted."""
-    return [package for package in packages() if executable in executables(package)]
-
-
 def main() -> int:
     """Run the executable; with less than two arguments, list the choices.
 
+    Ctrl-C ends the executable without a traceback, also while it is loaded: ``scripts/im`` blocks it until then.
+
     Returns:
-        0 after a listing, 2 if there is no such thing; does not return otherwise.
+        0 after a listing, 2 if there is no such thing, 130 after Ctrl-C.
     """
-    arguments = sys.argv[1:]
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        return _run(sys.argv[1:])
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         if not arguments:
             for package in packages():
                 print(f"{package}: {' '.join(executables(package))}")
-        elif len(arguments) == 1 or arguments[1] in ("-h", "--help"):
+            return 0
+        if len(arguments) == 1 or arguments[1] in ("-h", "--help"):
             print("\n".join(executables(arguments[0])))
-        else:
-            path = _path_anywhere(arguments[0], arguments[1])
-            os.execv(path, [str(path), *arguments[2:]])
+            return 0
+        path = path_of(arguments[0], arguments[1])
     except NotFoundError as error:
         print(f"run: {error.message}", file=sys.stderr)
         return 2
+    _become(path, arguments[2:])
     return 0
 
 
-def _path_anywhere(package: str, executable: str) -> Path:
-    """Return the path of an executable; without one, the path in the only other package with one, with a message.
-
-    Raises:
-        NotFoundError: Nobody has it, or several others have.
-    """
+def _become(path: Path, arguments: Sequence[str]) -> None:
+    """Run a script of this Python in this process; any other program takes its place."""
     try:
-        return path_of(package, executable)
-    except NotFoundError:
-        others = packages_with(executable)
-        if len(others) != 1:
-            raise
-    print(f"run: {executable} is in {others[0]}", file=sys.stderr)
-    return path_of(others[0], executable)
+        own = read_bytes(path, _LARGEST_SCRIPT).startswith(f"#!{sys.executable}\n".encode())
+    except FileError:
+        own = False
+    sys.argv = [str(path), *arguments]
+    if own:
+        runpy.run_path(str(path), run_name="__main__")
+    else:
+        os.execv(path, sys.argv)
 
 
 def _programs(folder: Path) -> list[Path]:

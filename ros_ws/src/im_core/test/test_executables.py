@@ -1,10 +1,11 @@
 import os
+import subprocess
 import sys
 
 import pytest
 
 from im_core.errors import NotFoundError
-from im_core.executables import executables, main, packages, packages_with, path_of
+from im_core.executables import executables, packages, path_of
 
 
 @pytest.fixture
@@ -48,20 +49,34 @@ def add(workspaces, monkeypatch, package, name):
     return program
 
 
-def test_an_executable_that_moved_to_one_other_package_is_run_from_there(workspaces, monkeypatch, capsys):
-    moved = add(workspaces, monkeypatch, "other", "tool")
-    assert packages_with("tool") == ["other"]
-    ran = []
-    monkeypatch.setattr(os, "execv", lambda path, arguments: ran.append((path, arguments)))
-    monkeypatch.setattr(sys, "argv", ["run", "near", "tool", "--option"])
-    main()
-    assert ran == [(moved, [str(moved), "--option"])]
-    assert capsys.readouterr().err == "run: tool is in other\n"
+INTERRUPTED_AS_IT_LOADS = """
+import os, signal, sys
+print(*sys.argv[1:], flush=True)
+os.kill(os.getpid(), signal.SIGINT)
+print("goes on")
+"""
 
 
-def test_an_executable_of_several_other_packages_is_not_guessed(workspaces, monkeypatch, capsys):
-    for package in ("one", "two"):
-        add(workspaces, monkeypatch, package, "tool")
-    monkeypatch.setattr(sys, "argv", ["run", "near", "tool"])
-    assert main() == 2
-    assert "no executable of near 'tool'" in capsys.readouterr().err
+@pytest.mark.parametrize("first", ["#!{python}", "#!/usr/bin/env python3"], ids=["in this process", "in its place"])
+def test_a_script_gets_its_arguments_and_its_end_is_ours(workspaces, monkeypatch, first):
+    program = add(workspaces, monkeypatch, "mine", "tool")
+    program.write_text(f"{first.format(python=sys.executable)}\nimport sys\nprint(*sys.argv)\nsys.exit(7)\n")
+    run = [sys.executable, "-m", "im_core.executables", "mine", "tool", "--option", "7"]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (7, f"{program} --option 7\n", "")
+
+
+def test_ctrl_c_while_an_executable_is_loaded_ends_it_without_a_traceback(workspaces, monkeypatch):
+    program = add(workspaces, monkeypatch, "mine", "tool")
+    program.write_text(f"#!{sys.executable}\n{INTERRUPTED_AS_IT_LOADS}")
+    run = [sys.executable, "-m", "im_core.executables", "mine", "tool", "begins"]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "begins\n", "")
+
+
+def test_ctrl_c_before_anything_is_loaded_is_not_lost():
+    """``scripts/im`` has the kernel keep it until there is somebody to take it."""
+    command = 'kill -INT $$; exec "$0" -m im_core.executables im_core none'
+    run = ["env", "--block-signal=INT", "bash", "-c", command, sys.executable]
+    done = subprocess.run(run, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

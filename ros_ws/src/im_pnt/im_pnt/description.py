@@ -1,4 +1,6 @@
-"""The description of a net, as in the field ``json`` of ``/pnt/nets``: one reader for all nodes."""
+"""Descriptions of a net, as in the field ``json`` of ``/pnt/nets``, and of the commands of nets."""
+
+from collections.abc import Iterable, Mapping
 
 import pydantic
 
@@ -45,3 +47,33 @@ def read_net(name: str, text: str, node: str) -> Net:
     if net.name != name:
         raise DataError(f"the description of net {name} is that of net {net.name}", net=name)
     return net
+
+
+def describe_commands(nets: Iterable[Net], left_out: Mapping[str, str]) -> dict[str, object]:
+    """Return the description of commands, as JSON on ``/<node>/commands``.
+
+    Symbol, net and description of each; where the net declares it, also the JSON schema of its arguments; and where it
+    needs what there is once, ``needs``, ``busy`` and ``priority``.
+
+    Args:
+        nets: Nets of the commands.
+        left_out: Why nets are not loaded: the cell lacks what they need; by the net's name.
+    """
+    told: dict[str, dict[str, object]] = {}
+    for net in nets:
+        for symbol in net.symbols():
+            entry = _command(net, symbol)
+            if "needs" in entry or symbol not in told:  # who does it tells more than who hands it on
+                told[symbol] = entry
+    return {"commands": list(told.values()), "left_out": dict(left_out)}
+
+
+def _command(net: Net, symbol: str) -> dict[str, object]:
+    told: dict[str, object] = {"symbol": symbol, "net": net.name, "description": net.description}
+    declared = net.commands.get(symbol)
+    if declared is None:
+        return told
+    told |= {"description": declared.description or net.description, "arguments": declared.arguments.json_schema()}
+    if declared.needs:
+        told |= {"needs": list(declared.needs), "busy": declared.busy.value, "priority": declared.priority}
+    return told

@@ -5,7 +5,14 @@ import json
 import pytest
 
 from im_core.errors import ImError
-from im_pnt_display.page.messages import counterexample, described_net, finite, phase_name, token_counts
+from im_pnt_display.page.messages import (
+    counterexample,
+    described_net,
+    finite,
+    phase_name,
+    result_pictures,
+    token_counts,
+)
 
 NET = "net: n\nplaces: {a: 1, b: }\ntransitions: {t: {in: a, out: [a, b]}}\n"
 HUGE = json.dumps({"yaml": "# x\n" * 2_500_000})
@@ -92,3 +99,22 @@ def test_numbers_that_no_page_can_read_are_refused(value):
     assert finite("duration", 0.5) == 0.5
     with pytest.raises(ImError, match="its duration is"):
         finite("duration", value)
+
+
+def test_pictures_of_a_result_are_those_of_its_folder_of_results(tmp_path):
+    for folder, name in (
+        ("results/7", "b.png"),
+        ("results/7", "a.png"),
+        ("results/7", "report.json"),
+        ("else", "c.png"),
+    ):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / name).touch()
+    results = tmp_path / "results"
+
+    def found(directory):
+        return result_pictures({"directory": json.dumps(directory)}, results)
+
+    assert found(str(results / "7")) == ["7/a.png", "7/b.png"]
+    assert found(str(tmp_path / "else")) == found(str(results / "none")) == found(7) == []
+    assert result_pictures({"directory": "/cut..."}, results) == result_pictures({}, results) == []

@@ -325,6 +325,17 @@ def test_the_address_that_it_tells_answers_also_where_the_port_was_taken(serve):
         second.stop()
 
 
+def test_pictures_of_results_are_served_and_nothing_else_of_them(serve, tmp_path, monkeypatch):
+    monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
+    for name in ("7/a.png", "7/report.json", "b.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+    server = serve()
+    assert asked(server, "results/7/a.png")[::2] == (200, "7/a.png")
+    for path in ("7/none.png", "8/a.png", "7/report.json", "b.png", "7/..%2Fb.png", "7/%2e%2e/b.png", ".%2E/7/a.png"):
+        assert asked(server, f"results/{path}")[0] == 404, path
+
+
 def test_an_allowance_grows_with_time_up_to_its_most():
     now = [0.0]
     allowance = Allowance(2.0, 3, lambda: now[0])
@@ -528,93 +539,97 @@ def test_a_recording_plays_at_its_pace_however_often_play_is_clicked(tmp_path):
     assert json.loads(done.stdout) == [1.0, 1.0, 0.0, 0.0, 1.0]
 
 
-class Written(asyncio.WriteTransport):
-    """Transport that keeps what is written; ``unsent`` bytes of it wait."""
-
-    def __init__(self):
-        super().__init__()
-        self.lines, self.pieces, self.unsent = [], 0, 0
-
-    def write(self, data):
-        self.pieces += 1
-        self.lines += [json.loads(line) for line in data.decode().split("\n")]
-
-    def get_write_buffer_size(self):
-        return self.unsent
-
-    def is_closing(self):
-        return False
+def taken(viewer):
+    """The pieces that wait for a viewer, as lists of changes."""
+    pieces = []
+    while not viewer.unsent.empty():
+        pieces.append([json.loads(line) for line in viewer.unsent.get_nowait().decode().split("\n")])
+    return pieces
 
 
 def test_who_comes_while_nets_fire_is_told_each_firing_once():
     """What one thread has told of, and the thread of the server has not yet shown, is in no snapshot."""
-    state, other, viewer = DisplayState(), Written(), Written()
+    state = DisplayState()
 
     async def fire():
-        viewers = Viewers(state, bytes)
-        viewers.enter(other)
+        viewers = Viewers(state)
+        other = viewers.enter()
         viewers.show(state.firing({"net": "n", "sequence": 1}))
-        viewers.enter(viewer)
+        viewer = viewers.enter()
         viewers.show(state.firing({"net": "n", "sequence": 2}))
         condition = {"state": "motion", "stale": False}
         for _ in range(2):
             viewers.show(state.motion_control(condition))
         viewers.send()
+        return taken(viewer), taken(other)
 
-    asyncio.run(fire())
-    snapshot, *changes = viewer.lines
+    [[snapshot], changes], of_other = asyncio.run(fire())
     firings = [change for change in changes if change["kind"] == "firing"]
     assert [firing["sequence"] for firing in [*snapshot["firings"], *firings]] == [1, 2]
     assert len(changes) == 2, "what is nothing new is not told"
-    assert [change["kind"] for change in other.lines] == ["snapshot", "firing", "firing", "mcs"]
+    assert [change["kind"] for piece in of_other for change in piece] == ["snapshot", "firing", "firing", "mcs"]
 
 
 def test_changes_that_follow_each_other_go_in_one_piece_with_the_newest_marking_alone():
-    state, viewer, at_cell = DisplayState(), Written(), Written()
+    state = DisplayState()
 
     async def fire():
-        viewers = Viewers(state, bytes)
-        viewers.enter(viewer)
-        viewers.enter(at_cell, at_cell=True)
+        viewers = Viewers(state)
+        both = viewers.enter(), viewers.enter(at_cell=True)
+        for each in both:
+            await each.unsent.get()
         for number in range(3):
             viewers.show(state.firing({"net": "n", "sequence": number}))
             viewers.show(state.marking("n", {"sequence": number}))
             viewers.show(state.cell("joints", number))
-        while viewer.pieces < 2:
-            await asyncio.sleep(0.01)
+        return [[json.loads(line) for line in (await each.unsent.get()).decode().split("\n")] for each in both]
 
-    asyncio.run(fire())
-    assert (viewer.pieces, at_cell.pieces) == (2, 2)
-    assert [(one["kind"], one["sequence"]) for one in viewer.lines[1:]] == [
+    viewer, at_cell = asyncio.run(fire())
+    assert [(one["kind"], one["sequence"]) for one in viewer] == [
         ("firing", 0), ("firing", 1), ("firing", 2), ("marking", 2)]  # fmt: skip
-    assert [one["content"] for one in at_cell.lines if one["kind"] == "cell"] == [2]
+    assert [one["content"] for one in at_cell if one["kind"] == "cell"] == [2]
 
 
 def test_a_viewer_that_takes_nothing_misses_changes_and_gets_the_state_later():
-    state, viewer, other = DisplayState(), Written(), Written()
+    state = DisplayState()
 
     async def fire():
-        viewers = Viewers(state, bytes)
-        for each in (viewer, other):
-            viewers.enter(each, at_cell=True)
+        viewers = Viewers(state)
+        viewer = viewers.enter(at_cell=True)
+        for number in range(MOST_UNSENT + 9):
+            viewers.show(state.firing({"net": "n", "sequence": number}))
+            viewers.send()
+        other = viewers.enter(at_cell=True)
         viewers.show(state.cell("joints", 1))
         viewers.send()
-        viewer.unsent = MOST_UNSENT + 1
-        viewers.show(state.firing({"net": "n", "sequence": 1}))
+        assert len(taken(viewer)) == MOST_UNSENT
+        state_again = (await viewer.unsent.get()).decode().split("\n")
+        viewers.show(state.firing({"net": "n", "sequence": -1}))
         viewers.send()
-        viewer.unsent = 1
-        viewers.send()
-        assert viewer.pieces == 2
-        viewer.unsent = 0
-        while viewer.pieces == 2:
-            await asyncio.sleep(0.01)
-        viewers.show(state.firing({"net": "n", "sequence": 2}))
-        viewers.send()
+        return [json.loads(line) for line in state_again], taken(viewer), taken(other)
 
-    asyncio.run(fire())
-    assert [one["kind"] for one in viewer.lines] == ["snapshot", "cell", "snapshot", "cell", "firing"]
-    assert [one["sequence"] for one in viewer.lines[2]["firings"]] == [1]
-    assert [one["kind"] for one in other.lines] == ["snapshot", "cell", "firing", "firing"]
+    state_again, later, of_other = asyncio.run(fire())
+    assert [one["kind"] for one in state_again] == ["snapshot", "cell"]
+    assert state_again[0]["firings"][-1]["sequence"] == MOST_UNSENT + 8
+    assert [one["sequence"] for [one] in later] == [-1]
+    assert [one["kind"] for [one] in of_other] == ["snapshot", "cell", "firing"]
+
+
+def test_a_viewer_that_takes_nothing_sees_the_cell_once_it_takes_something():
+    state = DisplayState()
+
+    async def look():
+        viewers = Viewers(state)
+        viewers.show(state.cell("joints", 1))
+        viewer = viewers.enter()
+        while not viewer.unsent.full():
+            viewers.show(state.firing({"net": "n", "sequence": 1}))
+            viewers.send()
+        viewers.look(viewer, at_cell=True)
+        taken(viewer)
+        return (await viewer.unsent.get()).decode().split("\n")
+
+    assert [json.loads(line)["kind"] for line in asyncio.run(look())] == ["snapshot", "cell"]
 
 
 @pytest.mark.parametrize("length", [30, 125, 126, 2**16 - 1, 2**16, 2**20])

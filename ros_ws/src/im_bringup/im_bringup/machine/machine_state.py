@@ -9,16 +9,13 @@ from typing import Annotated
 
 import pydantic
 
-from im_core import clock, names
+from im_core import names
 from im_core.config import field_name
-from im_core.errors import DataError, LinkError, StateError
+from im_core.errors import DataError, LinkError
 from im_core.files import MEBIBYTE, FileError, read_bytes, write_whole
 from im_core.ownership import is_own, require_own
 from im_core.processes.procfs import ProcessId
 from im_core.shm_names import SHM
-
-#: How long a supervisor may take to notice that its bootstrap was killed [s].
-_NOTICED_S = 2.0
 
 STARTING, READY, FAILED, STOPPING = "starting", "ready", "failed", "stopping"
 
@@ -105,20 +102,10 @@ def read(path: Path | None = None) -> MachineRecord | None:
         raise DataError(f"{path} is not the record of a machine: {sentence}", file=str(path)) from error
 
 
-def read_running() -> MachineRecord:
-    """Read the record of the machine of the current ROS domain, running or being started again.
-
-    Raises:
-        StateError: None runs.
-        DataError: The record cannot be read.
-        LinkError: It belongs to another user.
-    """
-    deadline = clock.monotonic() + _NOTICED_S
-    while (record := read()) is not None and not record.alive and clock.monotonic() < deadline:
-        clock.sleep(0.05)  # its supervisor is about to say so
-    if record is None or not record.alive:
-        raise StateError(f"no machine runs in ROS domain {domain()}; scripts/start.sh starts one")
-    return record
+def runs_here() -> bool:
+    """Whether a machine of the current ROS domain runs on the local host; raises as :func:`read`."""
+    record = read()
+    return record is not None and record.alive
 
 
 def neighbour(run_dir: Path) -> str:

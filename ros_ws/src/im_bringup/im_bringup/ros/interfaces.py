@@ -9,9 +9,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import Node, NodeNameNonExistentError
 
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
+from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
 from im_core import clock
-from im_core.errors import ImError
 
 # the graph is known when nothing has changed for so long; on a busy computer that takes its time
 SETTLED_S = 3.0
@@ -147,20 +146,13 @@ def main() -> int:
     argparse.ArgumentParser(
         prog="interfaces", description="Print the interfaces of the running machine as Markdown."
     ).parse_args()
-    try:
-        with spun(lambda: InterruptibleNode("interfaces")) as node:
-            settle(node)
-            page = tables(node)
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except ImError as error:
-        print(f"interfaces: {error.message}", file=sys.stderr)
-        return FAILED
-    if "/bootstrap" not in page:
-        print("interfaces: no machine runs in this ROS domain; start one with scripts/start.sh", file=sys.stderr)
-        return NOT_RUNNING
-    print(page, end="")
-    return DONE
+
+    def use(node: InterruptibleNode) -> int:
+        settle(node)
+        print(tables(node), end="")
+        return DONE
+
+    return talk(lambda: InterruptibleNode("interfaces"), use, "interfaces")
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ import rclpy
 from rclpy.client import Client
 from rclpy.signals import SignalHandlerOptions
 
-from im import MachineError
-from im_bringup.machine import machine_state as machine
+from im import MachineError, UnreachableError
+from im_bringup.machine.machine_state import runs_here
 from im_core import clock
 from im_core.errors import ImError, StoreError, WaitTimeoutError
 from im_core.output import complain
@@ -26,6 +26,11 @@ _OF_RCLPY = (
 )
 
 _POLL_S = 0.02
+
+BOOTSTRAP = "bootstrap"
+"""Name of the node that each machine has."""
+LOOKED_FOR_S = 5.0
+"""How long a machine is looked for [s]."""
 
 DONE, FAILED, USAGE, NOT_RUNNING, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -74,6 +79,19 @@ class InterruptibleNode(GuardedNode):
         """
         if self._interrupted.wait(seconds):
             raise KeyboardInterrupt
+
+    def require_machine(self) -> None:
+        """Wait for a machine, known to the local host or seen in the graph.
+
+        Raises:
+            DataError: What this host knows of it cannot be read.
+            KeyboardInterrupt: :meth:`interrupt` was called.
+            UnreachableError: There is none.
+        """
+        try:
+            self._until(lambda: runs_here() or BOOTSTRAP in self.get_node_names(), "a machine", LOOKED_FOR_S)
+        except WaitTimeoutError as error:
+            raise UnreachableError.of_no_machine(self.context.get_domain_id(), LOOKED_FOR_S) from error
 
     def _until(self, ready: Callable[[], bool], what: str, seconds: float) -> None:
         """Wait until something is so.
@@ -193,7 +211,7 @@ def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
 
 
 def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str) -> int:
-    """Run a client of the running machine; print the reason of a failure in one sentence; return the exit code.
+    """Run a client of a machine on any host; print the reason of a failure in one sentence; return the exit code.
 
     Args:
         make: Makes the client, once ROS is there.
@@ -203,13 +221,13 @@ def talk(make: Callable[[], NodeT], use: Callable[[NodeT], int], who: str) -> in
 
     def spin() -> int:
         with spun(make) as client:
+            try:
+                client.require_machine()
+            except UnreachableError as error:
+                complain(f"{who}: {error.message}")
+                return NOT_RUNNING
             return use(client)
 
-    try:
-        machine.read_running()
-    except ImError as error:
-        complain(f"{who}: {error.message}")
-        return NOT_RUNNING
     return exit_code(spin, who)
 
 

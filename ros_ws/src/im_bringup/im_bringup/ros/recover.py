@@ -13,12 +13,12 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
-from im_bringup.machine import machine_state as machine
 from im_bringup.machine.recovery import McsCondition, Step, next_step
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, InterruptibleNode, spun
+from im_bringup.ros.interruptible import DONE, FAILED, InterruptibleNode, talk
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.options import NumberParser, seconds
+from im_core.output import complain
 from im_core.ros import qos
 from im_core.ros.latest import Latest
 from im_core.ros.repeated_warnings import LINK
@@ -187,20 +187,16 @@ def main() -> int:
     )
     parser.add_argument("--timeout", type=seconds, default=TIMEOUT_S, help="longest wait in s (default: %(default)g)")
     arguments = parser.parse_args()
-    try:
-        machine.read_running()
-    except ImError as error:
-        print(f"recover: {error.message}", file=sys.stderr)
-        return NOT_RUNNING
-    try:
-        with spun(lambda: RecoverClient(lambda sentence: print(f"recover: {sentence}", flush=True))) as client:
+
+    def use(client: RecoverClient) -> int:
+        try:
             print(f"recover: {client.recover(arguments.timeout)}")
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except ImError as error:
-        print(f"recover: {error.message}", file=sys.stderr)
-        return FAILED
-    return DONE
+        except ImError as error:
+            complain(f"recover: {error.message}")
+            return FAILED
+        return DONE
+
+    return talk(lambda: RecoverClient(lambda sentence: print(f"recover: {sentence}", flush=True)), use, "recover")
 
 
 if __name__ == "__main__":

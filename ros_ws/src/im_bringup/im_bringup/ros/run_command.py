@@ -17,9 +17,20 @@ from typing import Any
 from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, exit_code, own_output
+from im_bringup.ros.interruptible import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    LOOKED_FOR_S,
+    NOT_RUNNING,
+    USAGE,
+    exit_code,
+    own_output,
+)
+from im_bringup.tasks import deployment
+from im_core import plugins
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, require_text
-from im_core.files import FileError, read_text, write_whole
+from im_core.files import FileError, write_whole
 from im_core.message_paths import hand_over
 from im_core.names import run_dir
 from im_core.output import complain
@@ -37,11 +48,10 @@ CONTROLS = {
 MOST_NUMBER = 2**32 - 1
 #: Of results that a person is shown: a report of a calibration has 280,000 characters.
 MOST_SHOWN = 1000
-#: How long a machine is looked for that this host knows nothing of [s], and a silent dispatcher waited for: one that
-#: died is started again within a few seconds, on a busy computer later.
-LOOKED_FOR_S, SILENCE_S = 5.0, 60.0
-#: What the last machine told of its commands, in the folder of the run.
-_TOLD = "commands.json"
+#: How long a silent dispatcher is waited for [s]: one that died is started again in a few seconds, or later.
+SILENCE_S = 60.0
+#: Reads the commands of a deployment from their net files, where no machine tells them.
+_READER = "im_dispatcher.commands:describe_named"
 
 
 def main() -> int:
@@ -70,17 +80,19 @@ def main() -> int:
         parser.error("--yes goes with --abandon")
     if options.abandon is not None and not options.yes and not sys.stdin.isatty():
         parser.error(f"--abandon {options.abandon} needs a confirmation: a terminal to ask on, or --yes")
-    if named and {"-h", "--help"} & set(texts[1:]) and (told := told_last(texts[0])):
+    if named and {"-h", "--help"} & set(texts[1:]) and (told := described_in_files(texts[0])):
         CommandParser(told).read(["--help"])
     return talk(lambda machine: _do(machine, options, texts[1:]), "im run", "; the machine goes on with the command")
 
 
-def told_last(name: str) -> Mapping[str, Any] | None:
-    """Return the description of a command by the last machine of this host; None if a machine runs, or none knew it."""
-    with contextlib.suppress(ImError, ValueError):
-        record = machine_state.read()
-        if record is None or not record.alive:
-            return command_told(json.loads(read_text(run_dir() / _TOLD)), name)
+def described_in_files(name: str) -> Mapping[str, Any] | None:
+    """Return the description of a command of the default deployment; None if a machine runs here, or there is none."""
+    with contextlib.suppress(ImError):
+        if not machine_state.runs_here():
+            described: Any = plugins.make(
+                _READER, "list of commands", deployment.load(deployment.default_path()).commands
+            )
+            return command_told(described["commands"], name)
     return None
 
 
@@ -96,8 +108,7 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
     def connect() -> int:
         with own_output():
             handle_end_signals(signal.default_int_handler)
-            record = machine_state.read()
-            watch = why_lost if record is not None and record.alive else None
+            watch = why_lost if machine_state.runs_here() else None
             try:
                 machine = Machine.connect(timeout=LOOKED_FOR_S, watch=watch)
             except UnreachableError as error:
@@ -136,7 +147,6 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     commands = list(known.values())
     with contextlib.suppress(StoreError):  # a shell then completes no names
         write_whole(run_dir() / "commands.txt", completions(commands))
-        write_whole(run_dir() / _TOLD, json.dumps(commands))
     if options.name is None:
         print_list(commands, machine.under_way)
         return DONE

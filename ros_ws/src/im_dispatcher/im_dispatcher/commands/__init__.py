@@ -12,8 +12,9 @@ from im_core import plugins
 from im_core.errors import ConfigError, NotFoundError
 from im_core.message_paths import message_folders, resolve_below
 from im_dispatcher.command import CommandDescription
+from im_pnt.description import describe_commands
 from im_pnt.model.net import Net
-from im_pnt.netfile import load_net, parse_net
+from im_pnt.netfile import load_net, load_present, parse_net
 
 NETS = Path(__file__).parent.parent / "nets"
 
@@ -57,6 +58,19 @@ def net_files(named: Iterable[str]) -> list[Path]:
         known = f"{SHIPPED}, or names of {', '.join(shipped())}"
         raise ConfigError(f"no command is named: give net files, folders of them, {known}")
     return files
+
+
+def describe_named(named: Iterable[str]) -> dict[str, object]:
+    """Return the description of commands from the net files, as a dispatcher publishes on ``/dispatcher/commands``.
+
+    Args:
+        named: As of :func:`net_files`.
+
+    Raises:
+        ConfigError: As of :func:`net_files`.
+        NetFileError: A file is not a net.
+    """
+    return describe_commands(*load_present(net_files(named)))
 
 
 def load_named_net(path: str) -> Net:

@@ -5,9 +5,10 @@ checked by the models of :mod:`~im_pnt.netfile.schema`, and made a net by :mod:`
 :mod:`~im_pnt.netfile.writer` writes one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from im_pnt.errors import MissingPartsError
 from im_pnt.model.net import Net
 from im_pnt.netfile.reader import read_net
 from im_pnt.netfile.schema.net import schema_text
@@ -15,9 +16,9 @@ from im_pnt.netfile.templates import assemble
 from im_pnt.netfile.text import read_text, read_values
 from im_pnt.netfile.writer import describe, yaml_text
 
-__all__ = ["describe", "load_net", "parse_net", "schema_text", "yaml_text"]
+__all__ = ["PNML_SUFFIXES", "describe", "load_net", "load_present", "parse_net", "schema_text", "yaml_text"]
 
-_PNML_SUFFIXES = (".pnml", ".xml", ".tapn")
+PNML_SUFFIXES = (".pnml", ".xml", ".tapn")
 
 
 def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
@@ -39,11 +40,29 @@ def load_net(path: str | Path, within: Sequence[Path] = ()) -> Net:
     """
     file = Path(path)
     named = file if file.exists() else Path(file.name.partition("#")[0])  # FILE.pnml#net
-    if named.suffix.lower() in _PNML_SUFFIXES:
+    if named.suffix.lower() in PNML_SUFFIXES:
         from im_pnt.pnml import load_pnml
 
         return load_pnml(file, within)
     return read_net(assemble(read_values(read_text(file, within), str(file)), file, within))
+
+
+def load_present(paths: Iterable[Path]) -> tuple[list[Net], dict[str, str]]:
+    """Read the net files with all needed parts present in the cell.
+
+    Returns:
+        The nets, and the reason against each left out, by name of the file.
+
+    Raises:
+        NetFileError: A file is not a net.
+    """
+    nets, left_out = [], {}
+    for path in paths:
+        try:
+            nets.append(load_net(path))
+        except MissingPartsError as error:
+            left_out[path.stem] = error.message
+    return nets, left_out
 
 
 def parse_net(text: str, source: str = "net", file: Path | None = None, within: Sequence[Path] = ()) -> Net:

@@ -1,12 +1,13 @@
 """Messages of nodes on the nets, as plain data for the page. Senseless messages are refused with a sentence."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from im_core.errors import ImError
+from im_core.errors import DataError, ImError
 from im_core.text.bounded_json import read_json
 from im_pnt.description import read_net
 from im_pnt.execution.notification import Phase
@@ -134,3 +135,18 @@ def finite(name: str, value: float) -> float:
     if not math.isfinite(value):
         raise ImError(f"its {name} is {value}", code="input")
     return value
+
+
+def result_pictures(results: Mapping[str, str], folder: Path) -> list[str]:
+    """Return the pictures that a command left, as paths below the folder of results.
+
+    Args:
+        results: Results of the command as JSON texts; ``directory`` is where it wrote.
+        folder: Folder for the results of commands.
+    """
+    try:
+        directory = Path(read_json(str, results.get("directory", ""), "the directory"))
+    except DataError:
+        return []
+    inside = directory.parent == folder.resolve()
+    return [f"{directory.name}/{each.name}" for each in sorted(directory.glob("*.png"))] if inside else []

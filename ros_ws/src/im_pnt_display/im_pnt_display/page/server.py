@@ -16,7 +16,7 @@ from im_core.processes.process import ChildProcess
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.hosts import is_everywhere
 from im_pnt_display.page.state import Change, DisplayState
-from im_pnt_display.page.viewers import VALUES, Audience, Operate, Viewers, link_frame, websocket_frame
+from im_pnt_display.page.viewers import END_OF_PIECE, VALUES, Audience, Operate, Viewer, Viewers
 
 if TYPE_CHECKING:
     from im_pnt_display.page.recording import RecordedNets  # with the readers of bags
@@ -66,7 +66,7 @@ class DisplayServer:
         self.state.operable = operate is not None and operable
         self.state.recording = recording.overview if recording is not None else None
         self._operate = operate
-        self._viewers = Viewers(self.state, link_frame if apart else websocket_frame, _nobody if apart else audience)
+        self._viewers = Viewers(self.state, _nobody if apart else audience)
         self._sockets: list[socket.socket] = []
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -142,9 +142,9 @@ class DisplayServer:
             child = ChildProcess.of_module(WEB_PROCESS, [self._host, *map(str, given)], inherit=given)
         reader, writer = await asyncio.open_connection(sock=ours)
         writer.write(f"{self._token}\n".encode())
-        viewer = self._viewers.enter(writer.transport, at_cell=True)
+        viewer = self._viewers.enter(at_cell=True)
         try:
-            await _first(self._take_requests(reader), self._stop.wait())
+            await _first(self._take_requests(reader), _send_pieces(writer, viewer), self._stop.wait())
         finally:
             self._viewers.leave(viewer)
             self._audience(0, 0)
@@ -182,6 +182,14 @@ class DisplayServer:
 
 def _nobody(viewers: int, of_cell: int) -> None:
     """Pass over the number of processes that answer viewers."""
+
+
+async def _send_pieces(writer: asyncio.StreamWriter, viewer: Viewer) -> None:
+    """Send the process the pieces of a viewer."""
+    with contextlib.suppress(ConnectionError):
+        while True:
+            writer.write(await viewer.unsent.get() + END_OF_PIECE)
+            await writer.drain()
 
 
 async def _first(*works: Coroutine[object, object, object]) -> None:

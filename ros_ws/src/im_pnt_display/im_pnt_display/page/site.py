@@ -13,6 +13,7 @@ from aiohttp import WSMsgType, web
 
 from im_core.clock import monotonic
 from im_core.errors import DataError, ImError
+from im_core.names import results_dir
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
 from im_pnt_display.page.viewers import VALUES, Operate, Viewer, Viewers
@@ -97,6 +98,7 @@ class Site:
         self._app.router.add_get("/ws", self._view)
         self._app.router.add_get("/recording.json", self._give_moment)
         self._app.router.add_get("/cell.json", self._give_cell)
+        self._app.router.add_get(r"/results/{folder:[\w-]+}/{picture:[\w-]+\.png}", _picture)
         for file in (*STATIC.iterdir(), *VENDOR.iterdir()):
             self._app.router.add_get(f"/static/{file.name}", partial(_file, file))
 
@@ -156,18 +158,16 @@ class Site:
             raise web.HTTPServiceUnavailable(text=f"{MOST_VIEWERS} pages are open already")
         socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=LONGEST_REQUEST, autoping=False, compress=False)
         await socket.prepare(request)
-        if not isinstance(request.transport, asyncio.WriteTransport):
-            return socket  # the viewer has left
-        viewer = self._viewers.enter(request.transport)
-        stopper = asyncio.create_task(self._stop.wait())
+        viewer = self._viewers.enter()
         listener = asyncio.create_task(self._listen_to(socket, viewer, may_operate))
+        works = [listener, *map(asyncio.ensure_future, (_send_to(socket, viewer), self._stop.wait()))]
         try:
-            await asyncio.wait({stopper, listener}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(works, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._viewers.leave(viewer)
-            for task in (stopper, listener):
-                task.cancel()
-            await asyncio.gather(stopper, listener, return_exceptions=True)
+            for work in works:
+                work.cancel()
+            await asyncio.gather(*works, return_exceptions=True)
             if listener.done() and not listener.cancelled() and listener.exception() is None and listener.result():
                 await self._end_flood(request, socket)
             await socket.close()
@@ -225,8 +225,18 @@ class _Refusal(asyncio.Protocol):
         transport.close()
 
 
+async def _send_to(socket: web.WebSocketResponse, viewer: Viewer) -> None:
+    """Send a viewer the pieces; all viewers get the same bytes, not compressed."""
+    while True:
+        await socket.send_frame(await viewer.unsent.get(), WSMsgType.TEXT)
+
+
 async def _file(path: Path, request: web.Request) -> web.FileResponse:
     return web.FileResponse(path)
+
+
+async def _picture(request: web.Request) -> web.FileResponse:
+    return web.FileResponse(results_dir() / request.match_info["folder"] / request.match_info["picture"])
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:

@@ -2,17 +2,16 @@
 
 import asyncio
 import json
-import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from im_core.clock import monotonic
 from im_pnt_display.page.state import Change, DisplayState
 
 GATHERED_S = 0.05
 """Shortest time between two pieces [s]."""
-MOST_UNSENT = 2**22
-"""Bytes that wait for a slow viewer; then it misses changes, and gets the state once these bytes are sent."""
+MOST_UNSENT = 100
+"""Pieces that wait for a slow viewer; then it misses changes, and gets the state once these pieces are sent."""
 END_OF_PIECE = b"\n\n"
 """Ends each piece on the link between two processes."""
 VALUES = "values"
@@ -25,32 +24,19 @@ Audience = Callable[[int, int], None]
 """Takes the numbers of viewers, and of viewers of the cell; called in the server's thread."""
 
 
-def websocket_frame(text: bytes) -> bytes:
-    """Return a text message of a server for any number of web sockets (RFC 6455, section 5.2)."""
-    length = len(text)
-    if length < 126:
-        return bytes((0x81, length)) + text
-    return (struct.pack("!BBH", 0x81, 126, length) if length < 2**16 else struct.pack("!BBQ", 0x81, 127, length)) + text
-
-
-def link_frame(text: bytes) -> bytes:
-    """Return a piece for the link between two processes."""
-    return text + END_OF_PIECE
-
-
 @dataclass(eq=False, slots=True)
 class Viewer:
     """Somebody who looks at the display.
 
     Attributes:
-        transport: Leads to the viewer.
         at_cell: Whether it shows the cell, too.
         late: Whether changes are left out, until it can take the state instead.
+        unsent: Pieces to be sent.
     """
 
-    transport: asyncio.WriteTransport
     at_cell: bool = False
     late: bool = False
+    unsent: asyncio.Queue[bytes] = field(default_factory=lambda: asyncio.Queue(MOST_UNSENT))
 
 
 class Viewers:
@@ -61,18 +47,11 @@ class Viewers:
 
     Args:
         state: What is shown to whoever comes.
-        framed: Makes of a piece the bytes for a transport.
         audience: Takes each change of the numbers of viewers.
     """
 
-    def __init__(
-        self,
-        state: DisplayState,
-        framed: Callable[[bytes], bytes],
-        audience: Audience = lambda viewers, of_cell: None,
-    ) -> None:
-        self.state = state
-        self._framed, self._audience = framed, audience
+    def __init__(self, state: DisplayState, audience: Audience = lambda viewers, of_cell: None) -> None:
+        self.state, self._audience = state, audience
         self._snapshot: str | None = None
         self._viewers: set[Viewer] = set()
         self._changes: dict[object, tuple[str, bool]] = {}
@@ -82,11 +61,11 @@ class Viewers:
     def __len__(self) -> int:
         return len(self._viewers)
 
-    def enter(self, transport: asyncio.WriteTransport, *, at_cell: bool = False) -> Viewer:
+    def enter(self, *, at_cell: bool = False) -> Viewer:
         """Enter a viewer, also of the cell or not; the state comes first."""
         self.send()
-        viewer = Viewer(transport, at_cell)
-        transport.write(self._framed(self.snapshot_text().encode()))
+        viewer = Viewer(at_cell)
+        viewer.unsent.put_nowait(self.snapshot_text().encode())
         self._viewers.add(viewer)
         self._tell()
         return viewer
@@ -98,7 +77,7 @@ class Viewers:
         self.send()
         viewer.at_cell = at_cell
         if parts := self._cell_text(viewer):
-            viewer.transport.write(self._framed(parts.encode()))
+            self._put(viewer, parts.encode())
         self._tell()
 
     def snapshot_text(self) -> str:
@@ -146,24 +125,26 @@ class Viewers:
         changes, self._changes = self._changes.values(), {}
         self._sent_s = monotonic()
         pieces = {
-            at_cell: self._framed("\n".join(lines).encode())
+            at_cell: "\n".join(lines).encode()
             for at_cell in {viewer.at_cell for viewer in self._viewers}
             if (lines := [line for line, of_cell in changes if at_cell or not of_cell])
         }
         for viewer in self._viewers:
-            unsent = viewer.transport.get_write_buffer_size()
-            if viewer.transport.is_closing():
-                continue
-            if viewer.late and not unsent:
+            if viewer.late and viewer.unsent.empty():
                 viewer.late = False
                 parts = filter(None, (self.snapshot_text(), self._cell_text(viewer)))
-                viewer.transport.write(self._framed("\n".join(parts).encode()))
-            elif unsent > MOST_UNSENT:
-                viewer.late = True
+                viewer.unsent.put_nowait("\n".join(parts).encode())
             elif not viewer.late and viewer.at_cell in pieces:
-                viewer.transport.write(pieces[viewer.at_cell])
+                self._put(viewer, pieces[viewer.at_cell])
         if any(viewer.late for viewer in self._viewers):
             self._send_in(GATHERED_S)
+
+    def _put(self, viewer: Viewer, piece: bytes) -> None:
+        if viewer.unsent.full():
+            viewer.late = True
+            self._send_in(GATHERED_S)
+        else:
+            viewer.unsent.put_nowait(piece)
 
     def _send_in(self, pause_s: float) -> None:
         if self._due is None:

@@ -14,7 +14,7 @@ from contextlib import suppress
 
 from im_pnt_display.page.site import Site
 from im_pnt_display.page.state import DisplayState
-from im_pnt_display.page.viewers import END_OF_PIECE, Viewers, websocket_frame
+from im_pnt_display.page.viewers import END_OF_PIECE, Viewers
 
 _LONGEST_PIECE = 2**30
 """Longest piece on the link, a snapshot of all nets [bytes]."""
@@ -39,7 +39,7 @@ async def answer_visitors(host: str, link: socket.socket, listening: Sequence[so
     def count(*numbers: int) -> None:
         operate({"net": "", "request": "audience", "argument": json.dumps(numbers)})
 
-    viewers = Viewers(DisplayState(), websocket_frame, count)
+    viewers = Viewers(DisplayState(), count)
     token = (await reader.readline()).decode().strip()
     site = Site(host, viewers, operate, token=token)
     stop = asyncio.Event()

@@ -11,6 +11,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from im_core.errors import DataError, ImError, StateError
+from im_core.names import results_dir
 from im_core.ros import qos
 from im_core.ros.calls import call, wait
 from im_core.ros.guard import GuardedActionClient
@@ -19,6 +20,7 @@ from im_core.text.bounded_json import read_json
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, GroupCommand, ListCommands
+from im_pnt_display.page.messages import result_pictures
 
 ANSWER_S = 5.0
 LOOK_S = 0.5
@@ -145,15 +147,7 @@ class DispatcherClient:
                 for each in listed.commands
             ],
         )
-        ended = [
-            {
-                **_heading(each),
-                "success": each.state == "done",
-                "results": read_json(dict[str, str], each.results, "results"),
-            }
-            for each in listed.ended
-        ]
-        self._show("ended", ended)
+        self._show("ended", [_ended(each) for each in listed.ended])
 
     def _know(self, message: String) -> None:
         self._show("known", read_json(dict[str, Any], message.data, "/dispatcher/commands").get("commands", []))
@@ -162,6 +156,12 @@ class DispatcherClient:
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name)
         return self._clients[name]
+
+
+def _ended(told: CommandState) -> dict[str, object]:
+    results = read_json(dict[str, str], told.results, "results")
+    pictures = result_pictures(results, results_dir())
+    return {**_heading(told), "success": told.state == "done", "results": results, "pictures": pictures}
 
 
 def _heading(told: CommandState) -> dict[str, object]:

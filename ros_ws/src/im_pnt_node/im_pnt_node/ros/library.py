@@ -13,10 +13,10 @@ from im_core.ros.node import ManagedNode
 from im_core.ros.qos import MOST_NETS
 from im_msgs.msg import NetDescription
 from im_pnt.description import read_net
-from im_pnt.errors import MissingPartsError, NetError
+from im_pnt.errors import NetError
 from im_pnt.model.groups import group_of, nets_by_name
 from im_pnt.model.net import Net
-from im_pnt.netfile import load_net, yaml_text
+from im_pnt.netfile import load_net, load_present, yaml_text
 from im_pnt.verification import Verifier
 from im_pnt_node.journal.journal import fingerprint
 
@@ -73,12 +73,7 @@ class Library:
             NetError: Two files have nets of the same name.
         """
         files = [self._as_it_was(name, *known) for name, known in found.items()] if found else self.files
-        nets = []
-        for file in files:
-            try:
-                nets.append(load_net(file))
-            except MissingPartsError as error:
-                self.left_out[file.stem] = error.message
+        nets, self.left_out = load_present(files)
         return list(nets_by_name(nets).values())
 
     def keep(self, nets: Iterable[Net]) -> None:

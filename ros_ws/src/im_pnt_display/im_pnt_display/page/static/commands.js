@@ -155,11 +155,14 @@ export class Commands {
   }
 
   end(ended) {
-    byId("ended").replaceChildren(...ended.toReversed().map(({ number, symbol, success, message, results }) =>
+    const picture = (href, number) => make("a", { href, target: "_blank" },
+      make("img", { src: href, alt: `${href.split("/").pop()} of command ${number}` }));
+    byId("ended").replaceChildren(...ended.toReversed().map(({ number, symbol, success, message, results, pictures }) =>
       make("li", { className: success ? "done" : "failed" },
         make("b", { textContent: `${number} ${symbol} ${success ? "done" : "failed"}` }),
         make("p", { textContent: message }),
-        ...Object.entries(results).map(([name, value]) => make("code", { textContent: `${name}: ${value}` })))));
+        ...Object.entries(results).map(([name, value]) => make("code", { textContent: `${name}: ${value}` })),
+        ...(pictures ?? []).map((path) => picture(`results/${path}`, number)))));
   }
 
   diagnose(statuses) {

@@ -21,9 +21,9 @@ from im_core.text.bounded_json import read_json
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState
 from im_msgs.srv import ControlCommand, ListCommands
+from im_pnt.description import describe_commands
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.token_values import shown_values
-from im_pnt.model.net import Net
 from im_pnt_node.journal.ended import EndedCommand
 from im_pnt_node.ros.commands.commands import CommandOutcome, Commands, OpenCommand, ProgressListener
 
@@ -80,12 +80,8 @@ class ExecuteServer:
 
     def tell(self) -> None:
         """Publish the list of commands; call after a net has come or gone."""
-        told: dict[object, dict[str, object]] = {}
-        for executor in self._nets.values():
-            for entry in commands_of(executor.written):
-                if "needs" in entry or entry["symbol"] not in told:  # who does it tells more than who hands it on
-                    told[entry["symbol"]] = entry
-        self._list.publish(String(data=json.dumps({"commands": list(told.values()), "left_out": dict(self._left_out)})))
+        told = describe_commands((executor.written for executor in self._nets.values()), self._left_out)
+        self._list.publish(String(data=json.dumps(told)))
 
     def _list_open(self, _: ListCommands.Request, response: ListCommands.Response) -> ListCommands.Response:
         response.commands = [self._state(command) for command in self._commands.open()]
@@ -219,26 +215,6 @@ def _end_of(ended: EndedCommand) -> CommandState:
         message=ended.message,
         results=json.dumps(shown_values(ended.results)),
     )
-
-
-def commands_of(net: Net) -> list[dict[str, object]]:
-    """Return the published description of the commands of a net.
-
-    Symbol, net and description of each; where the net declares it, also the JSON schema of its arguments; and where it
-    needs what there is once, ``needs``, ``busy`` and ``priority``.
-    """
-    return [_command_of(net, symbol) for symbol in net.symbols()]
-
-
-def _command_of(net: Net, symbol: str) -> dict[str, object]:
-    told: dict[str, object] = {"symbol": symbol, "net": net.name, "description": net.description}
-    declared = net.commands.get(symbol)
-    if declared is None:
-        return told
-    told |= {"description": declared.description or net.description, "arguments": declared.arguments.json_schema()}
-    if declared.needs:
-        told |= {"needs": list(declared.needs), "busy": declared.busy.value, "priority": declared.priority}
-    return told
 
 
 def read_arguments(text: str) -> dict[str, object]:
