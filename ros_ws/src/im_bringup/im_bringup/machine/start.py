@@ -21,7 +21,7 @@ from im_bringup.tasks.deployment import Deployment
 from im_bringup.tasks.middleware import reach
 from im_core import clock, config, names, unfinished_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
-from im_core.executables import path_of
+from im_core.executables import INTERRUPTED, path_of
 from im_core.files import read_text
 from im_core.options import NumberParser, seconds, whole
 from im_core.output import complain, say
@@ -32,8 +32,6 @@ from im_core.processes.startup import START_TIMEOUT, START_TIMEOUT_S
 FOXGLOVE_PORT = 8765
 #: What is in the user's folder is none of ours.
 _SUPERVISOR = (sys.executable, "-P", "-m", "im_bringup.machine.supervisor")
-#: Exit code of a start that Ctrl-C has ended.
-INTERRUPTED = 130
 _POLL_S = 0.05
 #: How often a machine in the foreground is looked at, besides its end [s].
 _LOOK_S = 1.0

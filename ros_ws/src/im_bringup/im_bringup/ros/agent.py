@@ -33,6 +33,7 @@ from im_bringup.tasks.signed_link import (
 )
 from im_bringup.tasks.upkeep import Upkeep
 from im_core import clock, names
+from im_core.executables import INTERRUPTED
 from im_core.message_paths import MORE_FOLDERS, handed_over
 from im_core.processes.agent_socket import TaskReport
 from im_core.processes.startup import START_TIMEOUT, StartupPhase
@@ -162,7 +163,10 @@ def main() -> int:
 
     os.environ.pop(ENCLAVE_OVERRIDE, None)  # that is of clients
     enclave = enclave_arguments(arguments.host, AGENT)
-    return run.main(make_node, args=enclave, at_end=AgentNode.shut_down)
+    try:
+        return run.main(make_node, args=enclave, at_end=AgentNode.shut_down)
+    except KeyboardInterrupt:  # it waited for a link
+        return INTERRUPTED
 
 
 def _await_link(address: str) -> None:
