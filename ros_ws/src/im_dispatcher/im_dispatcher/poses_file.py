@@ -98,11 +98,9 @@ class PosesFile(Model):
         return value
 
     @pydantic.model_validator(mode="after")
-    def _joints_where_free(self) -> Self:
+    def _joints_fit(self) -> Self:
         names = load_cell().joints_of(self.group)
         for pose in self.poses:
-            if pose.joints is None and self.order == "free":
-                raise ValueError(f"pose '{pose.name}' has no joints; poses in free order have them")
             if pose.joints is not None and len(pose.joints) != len(names):
                 raise ValueError(f"pose '{pose.name}' has {len(pose.joints)} joints; {self.group} has {len(names)}")
         return self

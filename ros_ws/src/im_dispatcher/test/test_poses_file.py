@@ -92,7 +92,7 @@ def test_poses_that_are_read_again_and_again_stay_the_same() -> None:
         each.model_copy(update={"orientation_xyzw": tuple(np.round(each.orientation_xyzw, 4))}) for each in drawn
     ]
     for poses in (own.poses, drawn, [WristPose(**each.model_dump()) for each in rounded]):
-        file = own.model_copy(update={"poses": tuple(poses), "order": "given"})
+        file = own.model_copy(update={"poses": tuple(poses)})
         again = PosesFile.model_validate_json(file.model_dump_json())
         assert again == file
         assert PosesFile.model_validate_json(again.model_dump_json()) == file
