@@ -245,12 +245,14 @@ class CandidatePose(Model):
         name: Its name.
         position_m: Origin of the wrist in the base frame [m].
         orientation_xyzw: Unit quaternion wrist -> base.
+        joints: Positions of the group's joints there [rad or m]; not needed here.
         J_joint: Derivatives of the LED position by the joints, three rows [m/rad]; needed with joint offsets only.
     """
 
     name: str
     position_m: tuple[float, float, float]
     orientation_xyzw: tuple[float, float, float, float]
+    joints: tuple[float, ...] | None = None
     J_joint: tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]] | None = None
 
     @field_validator("orientation_xyzw")
@@ -268,12 +270,14 @@ class PoseFile(Model):
         group: Group of joints that reaches them.
         frame: Frame of the poses; the base of the data set.
         other_joints: Where the other arm must stand [rad or m]; not needed here.
+        order: Whether the poses are visited as listed; not needed here.
         poses: The poses.
     """
 
     group: str = ""
     frame: Literal["world", "base"]
     other_joints: tuple[float, ...] | None = None
+    order: Literal["given", "free"] = "given"
     poses: Annotated[tuple[CandidatePose, ...], Field(min_length=1)]
 
 
