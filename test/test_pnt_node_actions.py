@@ -112,7 +112,7 @@ transitions:
      await: {name: /hardware/state, type: std_msgs/msg/String, latched: true, handle: heard}}
   last:
     {in: idle, out: ready, symbol: last, on_failure: trouble, timeout: 30.0,
-     await: {name: /hardware/stream, type: std_msgs/msg/String, latched: true, handle: heard}}
+     await: {name: /hardware/fresh, type: std_msgs/msg/String, latched: true, handle: heard}}
   until:
     {in: idle, out: ready, symbol: until, on_failure: trouble, timeout: 30.0, result: {heard: "${answers.until.data}"},
      await: {name: /hardware/events, type: std_msgs/msg/String, until: "${answers.until.data in command.symbol}"}}
@@ -610,7 +610,7 @@ def test_a_topic_that_is_not_latched_is_heard_all_the_same_where_that_was_asked_
     _, outcomes = begin_or_ended(node, "last")
 
     def came():
-        hardware.stream.publish(String(data="next"))
+        hardware.fresh.publish(String(data="next"))
         return outcomes
 
     assert wait_until(came, "the next message")[0].results == {"heard": "next"}

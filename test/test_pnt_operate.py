@@ -444,7 +444,7 @@ def test_files_of_nets_that_came_later_are_kept_as_far_as_somebody_may_need_them
             assert walker.load(WALKER.replace("go_done", "[go_done, walked]"), patience_s=60.0) == ""
     (kept,) = {path.parent for path in (Path(net.written.source) for net in nets_of(walker)) if "nets" in path.parts}
     files = sorted(kept.glob("*.yaml"))
-    assert len(files) == 4, "the newest three, and the one that runs"
+    assert len(files) == 5, "the newest three, and the others that run"
     assert {Path(net.written.source) for net in nets_of(walker) if net.net.name != "bin"} <= set(files)
 
 

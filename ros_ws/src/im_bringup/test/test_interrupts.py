@@ -66,3 +66,24 @@ except KeyboardInterrupt:
 
 def test_a_command_that_ignores_interrupts_comes_to_its_end():
     assert said("ignore_interrupts(); send('SIGINT', 'SIGTERM', 'SIGHUP'); print('done')") == ["done"]
+
+
+def test_a_signal_while_the_interpreter_ends_is_ignored_though_a_thread_of_a_library_does_not_block_it():
+    """As numpy has: it takes the signal, and the handlers of Python are gone by then."""
+    script = """
+import os, signal, sys, threading
+from im_bringup.machine.interrupts import ignore_interrupts
+
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid(), signals=(signal.SIGTERM, signal.SIGINT, signal.SIGHUP)):
+        for number in signals:
+            kill(pid, number)
+        os.write(1, b"last")
+
+signal.signal(signal.SIGTERM, lambda *_: None)
+threading.Thread(target=threading.Event().wait, daemon=True).start()
+last = Last()
+ignore_interrupts()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60.0, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "last", "")

@@ -122,7 +122,7 @@ def next_best_poses(
 
 
 class PoseDesign:
-    """Choice of poses by their information for the time of a visit: D-optimal design, one pose after the other.
+    """Choice of poses by information for the time of a visit: D-optimal design, one pose after the other.
 
     Args:
         predicted: The poses, as of :func:`predicted_problem`.
@@ -156,7 +156,7 @@ class PoseDesign:
         self._covariance = (covariance + covariance.T) / 2.0
 
     def best(self, seconds: Array, allowed: NDArray[np.bool_]) -> int | None:
-        """Return the pose whose visit tells most for its time; None if none is left.
+        """Return the pose with the most information for the time of a visit; None without an allowed one.
 
         Args:
             seconds: Time of a visit of each pose, shape (m,) [s].
@@ -180,7 +180,7 @@ def unknowns_of(calibration: Calibration, poses: int) -> Unknowns:
 def unknowns_as_drawn(
     models: Sequence[CameraModel], poses: int, led_offset_error: Array | None = None, joint_offsets: Array | None = None
 ) -> Unknowns:
-    """Return cameras as a value of all unknowns; offsets that are not given are 0."""
+    """Return cameras as a value of all unknowns; missing offsets are 0."""
     return Unknowns(
         tuple(m.lens for m in models),
         intrinsics_of(models),
@@ -233,7 +233,7 @@ def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Un
 
 
 def predicted_problem(problem: CalibrationProblem, unknowns: Unknowns) -> CalibrationProblem:
-    """Return a problem with its spots at the places expected of the unknowns, not detected outside of the images."""
+    """Return a problem with spots at the places expected of the unknowns, not detected outside of the images."""
     pixels = image(unknowns, unknowns.robot_positions(problem))
     return replace(problem, spots=np.where(inside(pixels, problem.image_sizes)[..., None], pixels, np.nan))
 

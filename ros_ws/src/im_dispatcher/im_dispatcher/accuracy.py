@@ -1,4 +1,4 @@
-"""Visits of a calibration to a stated accuracy: the solver's covariance says how many, their information says which.
+"""Visits of a calibration to a stated accuracy: as many as the solver's covariance asks for, by information.
 
 A visit is some looks at one pose: their noise is averaged, and costs no motion. Before a calibration is possible, poses
 are chosen for the cameras as drawn; then for those calibrated so far.
@@ -104,7 +104,7 @@ def next_visits(
 
 
 def accuracy_reached(solver: Mapping[str, Any], asked_m: float, visits: Sequence[int]) -> dict[str, object]:
-    """Return for the report what was asked for, what is expected, and a sentence where that is more.
+    """Return for the report the accuracy asked for, the expected one, and a sentence about a miss.
 
     Args:
         solver: What the calibration reports.

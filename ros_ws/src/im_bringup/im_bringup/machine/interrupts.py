@@ -41,8 +41,10 @@ def interrupts_held() -> Iterator[None]:
 def ignore_interrupts() -> None:
     """Ignore interrupts until the end of the command; for commands of at most a few seconds."""
     for number in END_SIGNALS:
-        signal.signal(number, no_action)  # not SIG_IGN: Python complains of a signal that came just before
-    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)  # also while the interpreter ends, when handlers are gone
+        signal.signal(number, no_action)  # not yet SIG_IGN: Python complains of a signal that came just before
+    signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+    for number in END_SIGNALS:  # handlers are gone while the interpreter ends, and threads of libraries block nothing
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _raise(number: int, frame: FrameType | None = None) -> NoReturn:

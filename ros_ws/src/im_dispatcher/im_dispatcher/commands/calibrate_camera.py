@@ -210,7 +210,7 @@ class CalibrateCamera:
         ctx.progress(f"pose {ctx.memory['looked']} is visited again: {_reason(ctx)}", loop.looked_progress)
 
     async def assess(self, ctx: ActionContext) -> None:
-        """Compare the expected error with the accuracy asked for, and plan further visits while it is larger."""
+        """Compare the expected error with the accuracy asked for, and plan further visits after a miss."""
         await self._plan_visits(ctx)
 
     async def skip_pose(self, ctx: ActionContext) -> None:
@@ -303,7 +303,7 @@ class CalibrateCamera:
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _plan_visits(self, ctx: ActionContext) -> None:
-        """Add the next visits to those of a command with an accuracy, if any is needed and left."""
+        """Add the next visits to a command with an accuracy, if any is needed and left."""
         loop, visits, file = _loop(ctx), _visits(ctx), await self._poses(ctx)
         names, left_out = _visits_of(ctx, file), {skip["pose"] for skip in await self._skipped(ctx)}
         observed: dict[int, list[Mapping[str, object]]] = {}
@@ -487,7 +487,7 @@ def _pose_of(ctx: ActionContext, number: int) -> int:
 
 
 def _name_of(ctx: ActionContext, number: int, pose: str) -> str:
-    """Return the name of a visit: that of the pose, with the number of the look where there are several."""
+    """Return the name of a visit: the pose, with the number of the look among several."""
     if "accuracy" not in ctx.memory:
         return pose
     visits = _visits(ctx)

@@ -41,7 +41,7 @@ def hulls_around(link: UrdfLink, urdf: Path) -> list[Hull]:
 
 
 def simplified(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Return some corners of the convex hull of points, and a margin that makes up for the others.
+    """Return some corners of the convex hull of points, and a margin for the missing corners.
 
     The corners are the outermost ones, then always the one farthest outside the hull of those before.
 
@@ -76,7 +76,7 @@ def _distance(hull: coal.Convex, point: coal.Sphere, at: NDArray[np.float64]) ->
 
 
 def enclosing_hulls(cell: Cell) -> list[Hull]:
-    """Return the hulls around the links of a cell that have meshes or boxes.
+    """Return the hulls around the links of a cell with meshes or boxes.
 
     Raises:
         DataError: A mesh cannot be used.

@@ -96,7 +96,7 @@ class ClosedForm:
             yield q1, _about(h1, p1, -q1) * moved
 
     def _triangle(self, start: Array, end: Array, here: Array) -> Iterator[tuple[float, float]]:
-        """Positions of joints 2 and 3 that bring a point to another place."""
+        """Positions of joints 2 and 3 for bringing a point to another place."""
         h, p2, p3 = self.axes[1], self.points[1], self.points[2]
         arm, back, way = start - p3, p2 - p3, end - p2
         for q3 in _turns(h, arm, back, float(arm @ arm + back @ back - way @ way) / 2.0, here[2]):
@@ -124,7 +124,7 @@ class ClosedForm:
 
 
 def _meeting(axes: Array, points: Array) -> Array | None:
-    """Return the point in which axes meet, shape (3,) [m]; None where they are parallel or pass each other."""
+    """Return the common point of axes, shape (3,) [m]; None for parallel or passing axes."""
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     whole = across.sum(axis=0)
     if np.linalg.norm(np.cross(axes[:-1], axes[1:]), axis=1).min() < _PARALLEL:
@@ -153,7 +153,7 @@ def _turns(axis: Array, vector: Array, along: Array, part: float, free: float) -
 
 
 def _angle(axis: Array, rotation: Array) -> float:
-    """Return the angle of a rotation about its axis [rad]."""
+    """Return the angle of a rotation about a known axis [rad]."""
     sine = axis @ [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
     return float(np.arctan2(sine, np.trace(rotation) - 1.0))
 

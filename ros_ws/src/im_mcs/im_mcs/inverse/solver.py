@@ -158,7 +158,7 @@ class InverseKinematics:
     def attempts(
         self, target: pin.SE3, q_all: NDArray[np.float64], starts: Sequence[NDArray[np.float64]]
     ) -> Iterator[IkAttempt]:
-        """Solutions in closed form, the nearest to the first start first; without them, an attempt from each start.
+        """Solutions in closed form, the nearest to the first start first; else an attempt from each start.
 
         Args:
             target: Wanted pose of the wrist in ``world``.

@@ -185,7 +185,7 @@ class McsAccess:
         return np.array([self.model.index(joint) for joint in group.joints], dtype=np.intp)
 
     def lead_joints(self, group: str) -> list[str]:
-        """Return the joints that move the first wrist of a pair, in the order of the group; [] of any other group."""
+        """Return the joints below the first wrist of a pair, in the order of the group; [] of any other group."""
         described = self.group(group)
         if not described.pair:
             return []

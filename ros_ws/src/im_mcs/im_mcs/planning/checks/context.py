@@ -44,7 +44,7 @@ class PlanContext:
 
     @cached_property
     def lead(self) -> NDArray[np.intp]:
-        """Return the joints of the group that move the first of its wrists, among all, shape (k,)."""
+        """Return ranks of the joints below the first wrist of the group, among all joints, shape (k,)."""
         return self.index[np.isin(self.index, self.model.joints_below(self.frames[0]))]
 
     @cached_property

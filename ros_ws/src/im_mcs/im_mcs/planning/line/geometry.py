@@ -39,7 +39,7 @@ class PathPlace:
 
 @dataclass(frozen=True)
 class _Share:
-    """Progress on one leg: ``way`` from the anchoring corner [m], negative: before it, and its two derivatives."""
+    """Progress on one leg: ``way`` from the anchoring corner [m], negative before, and two derivatives."""
 
     leg: int
     way: float
@@ -48,7 +48,7 @@ class _Share:
 
 
 class WristPath(ABC):
-    """Path of a wrist: legs between corners, with one path parameter for all that moves along them.
+    """Path of a wrist: legs between corners, with one path parameter for all moving joints.
 
     A rounded corner mixes the directions of both legs, its parameter within ``blend`` of the corner on either side:
     continuous to the second derivative, nowhere faster than the legs.
@@ -143,7 +143,7 @@ class _Straight:
 
 @dataclass(frozen=True)
 class _Arc:
-    """Even way of a point on a circle, over a leg of a size: spokes from the centre to its ends, and its turn."""
+    """Even way of a point on a circle, over a leg of a size: spokes from the centre to both ends, and the turn."""
 
     begin: NDArray[np.float64]
     end: NDArray[np.float64]
@@ -256,7 +256,7 @@ class JointWay(WristPath):
 
 
 class CarriedPath(WristPath):
-    """Path of a wrist given in the frame of another one that moves.
+    """Path of a wrist given in the frame of another, moving wrist.
 
     Args:
         lead: Path of the other wrist in ``world``, with the carriers of this one.

@@ -1,4 +1,4 @@
-"""Routes of wrists: the ends of their legs, the runs between two rests, and the paths along them."""
+"""Routes of wrists: ends of legs, runs between two rests, and paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -123,7 +123,7 @@ class Route:
         return CarriedPath(lead, LinePath(relative, carriers, self._blend, self._lever, sizes=sizes), self._blend)
 
     def joint_path(self, stops: Sequence[Stop], carriers: NDArray[np.intp]) -> JointWay:
-        """Return the path of the first wrist along stops with joint positions; its carriers are among the joints."""
+        """Return the path of the first wrist along stops with joint positions, carriers among the joints."""
         points = np.array([stop.q for stop in stops])
         return JointWay(self._tracker, points, points[:, carriers], self._blend, self._sizes(stops))
 

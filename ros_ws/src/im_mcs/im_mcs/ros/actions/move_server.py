@@ -86,7 +86,7 @@ class MoveServer:
         return {"group": group, "path": path, "policy": policy, "speed_scale": scale, "until_force": force}
 
     def _lead(self, group: str, goal: Move.Goal) -> list[str]:
-        """Return the joints that move the first wrist of a pair, if a path is given for them alone."""
+        """Return the joints below the first wrist of a pair, if a path is given for these joints alone."""
         lead = self._mcs.lead_joints(group) if goal.path.points else []
         return lead if goal.relative or set(goal.path.joint_names) == set(lead) else []
 
