@@ -156,6 +156,7 @@ class Hardware(ManagedNode):
         self.code = self.followed = 0
         self.events = self.create_publisher(String, "/hardware/events", qos.EVENTS)
         self.stream = self.create_publisher(String, "/hardware/stream", qos.SENSOR)
+        self.fresh = self.create_publisher(String, "/hardware/fresh", qos.SENSOR)  # no message of another test is late
         self.state = self.create_publisher(String, "/hardware/state", qos.LATCHED)
         ActionServer(self, Move, "/hardware/move", self._move, cancel_callback=self._may_cancel)
 
