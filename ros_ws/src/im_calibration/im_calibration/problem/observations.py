@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError, NotFoundError
 
 Array = NDArray[np.float64]
+
+#: Successive observations are of an arm that has stayed, where it is no farther off [m], nor turned more [rad].
+_STAYED_M, _STAYED_RAD = 1e-4, 2e-4
 
 
 @dataclass(frozen=True)
@@ -94,8 +98,22 @@ def problem_of(
         led_offset_prior_sd=prior_sd,
         led_offset_nominal=nominal,
         pose_names=tuple(o.pose for o in observations),
+        readings=_readings(observations),
         lengths=_lengths(cameras, lengths, known) if lengths else None,
     )
+
+
+def _readings(observations: Sequence[Observation]) -> tuple[str, ...]:
+    """Label successive observations of an arm that stayed as one reading of the robot; empty without such ones.
+
+    The error of the arm is the same in all of them, and only the noise of their spots is averaged.
+    """
+    labels = [observations[0].pose]
+    for before, now in pairwise(observations):
+        way = np.linalg.norm(now.position - before.position)
+        turn = np.linalg.norm(now.rotation - before.rotation)
+        labels.append(labels[-1] if way < _STAYED_M and turn < _STAYED_RAD else now.pose)
+    return tuple(labels) if len(set(labels)) < len(labels) else ()
 
 
 def observation_of(message: Any) -> Observation:
