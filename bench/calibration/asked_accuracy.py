@@ -4,13 +4,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from im_calibration import Observation, SeenSpot, calibrate, problem_of
+from im_calibration import Observation, SeenSpot, calibrate
 from im_calibration.estimation.unknowns import rotation_exp
 from im_cell.calibration_error import evaluate
 from im_cell.camera_model import CameraModel, nominal
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
 from im_dispatcher.accuracy import next_visits, seconds_to
+from im_dispatcher.job import problem_of_light
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
 CAMERAS = ("ceiling_left", "ceiling_right")
@@ -40,10 +41,8 @@ def asked_accuracy(seed: int, accuracy_m: float) -> Reached:
             seconds += float(seconds_to(file, here)[pose - 1])
             here = np.array(file.poses[pose - 1].joints)
             observed[pose] = [_seen(rng, file, pose, look, truth, offset) for look in range(visits.count(pose))]
-    cell = load_cell()
-    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
-    seen, led = [each for looks in observed.values() for each in looks], (cell.led.offset, cell.led.offset_prior_sd)
-    problem = problem_of(CAMERAS, seen, (), sizes, led, cell.cameras)
+    seen = [each for looks in observed.values() for each in looks]
+    problem = problem_of_light(CAMERAS, seen)
     calibration = calibrate(problem)
     error = evaluate([camera.model for camera in calibration.cameras], truth, problem.workspace.grid())
     expected = calibration.expected.triangulation_rms_mm

@@ -10,12 +10,12 @@ from pathlib import Path
 from random import Random
 
 from bench.chaos import history
-from bench.chaos.command import Command, Outcome
+from bench.chaos.command import Command
 from bench.chaos.faults import Fault
 from bench.chaos.hosts import Host, Network, connected
 from bench.chaos.records import Result, Verdict
 from bench.chaos.switch import Weather
-from bench.chaos.trial import HANG_S, RECOVERY_S, judge
+from bench.chaos.trial import HANG_S, judge, next_success
 from im_core import clock, names
 from im_core.config import package_file
 from im_core.errors import ImError, StateError
@@ -195,7 +195,7 @@ def run(seed: int, machine: Machine, poses: Path, steps: int, duration_s: float,
         return Result(seed, 0.0, fault.kind, str(fault), Verdict.LOST, error.message, None)
     injected = clock.monotonic()
     outcome = command.outcome(HANG_S)
-    again, said = _again(machine, poses)
+    again, said = next_success(poses, machine.first)
     if again is None:
         verdict, recovery_s = Verdict.LOST, None
     else:
@@ -204,17 +204,3 @@ def run(seed: int, machine: Machine, poses: Path, steps: int, duration_s: float,
     if broken := list(history.faults(history.read(machine.events), machine.objects())):
         verdict, said = Verdict.FALSE, [*said, *broken[:3]]
     return Result(seed, 0.0, fault.kind, str(fault), verdict, "; then: ".join([outcome.said, *said]), recovery_s)
-
-
-def _again(machine: Machine, poses: Path) -> tuple[Outcome | None, list[str]]:
-    """The next command that succeeds, and what those before it said."""
-    said: list[str] = []
-    deadline = clock.monotonic() + RECOVERY_S
-    while True:
-        outcome = Command(poses, host=machine.first).outcome(HANG_S)
-        if outcome.success:
-            return outcome, said
-        said.append(outcome.said)
-        if clock.monotonic() > deadline:
-            return None, said
-        clock.sleep(1.0)

@@ -9,6 +9,7 @@ from random import Random
 from bench.chaos import machine
 from bench.chaos.command import Command, Outcome
 from bench.chaos.faults import KINDS, ROLES, Fault
+from bench.chaos.hosts import Host
 from bench.chaos.records import Result, Verdict
 from bench.chaos.safety import Watch
 from im_core import clock
@@ -79,7 +80,7 @@ def _throw(fault: Fault, draw: Random, setting: Setting, watch: Watch) -> tuple[
         return Verdict.LOST, error.message, None
     injected = clock.monotonic()
     outcome = command.outcome(HANG_S)
-    again, tries = _again(setting)
+    again, tries = next_success(setting.poses)
     if again is None:
         return Verdict.LOST, f"{outcome.said} / then {tries[-1]}", None
     recovery_s = max(0.0, again.ended - max(injected, outcome.ended) - setting.duration_s)
@@ -121,12 +122,12 @@ def leftovers(setting: Setting) -> str:
     return f"left in /dev/shm: {', '.join(sorted(files))}" if files else ""
 
 
-def _again(setting: Setting) -> tuple[Outcome | None, list[str]]:
-    """The next command that succeeds, and what those before it said."""
+def next_success(poses: Path, host: Host | None = None) -> tuple[Outcome | None, list[str]]:
+    """The next command that succeeds, and what those before it said; arguments as of :class:`Command`."""
     said: list[str] = []
     deadline = clock.monotonic() + RECOVERY_S
     while True:
-        outcome = Command(setting.poses).outcome(HANG_S)
+        outcome = Command(poses, host=host).outcome(HANG_S)
         if outcome.success:
             return outcome, said
         said.append(outcome.said)

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from im_calibration import DegenerateDataError, InconsistentDataError, Observation, calibrate, problem_of
+from im_calibration import DegenerateDataError, InconsistentDataError, Observation, calibrate
 from im_calibration.design import PoseDesign, predicted_problem, unknowns_as_drawn, unknowns_of
 from im_cell.camera_model import nominal
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
-from im_dispatcher.job import FEWEST_POSES
+from im_dispatcher.job import FEWEST_POSES, problem_of_light
 from im_dispatcher.poses_file import PosesFile
 
 #: Looks of a visit, and what a visit takes besides the motion: the arm comes to rest, and is looked at [s].
@@ -60,21 +60,19 @@ def next_visits(
         barred: Numbers of poses that are not to be visited, or not again.
     """
     cell = load_cell()
-    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
-    led = cell.led.offset, cell.led.offset_prior_sd
     seen = [each for looks in observed.values() for each in looks]
     count, expected, covariance = len(file.poses), None, None
     unknowns = unknowns_as_drawn([nominal(cell.cameras[name]) for name in cameras], count)
     if len(observed) >= FEWEST_POSES:
         try:
-            calibration = calibrate(problem_of(tuple(cameras), seen, (), sizes, led, cell.cameras))
+            calibration = calibrate(problem_of_light(cameras, seen))
         except (DegenerateDataError, InconsistentDataError):
             pass
         else:
             if calibration.success:
                 unknowns, covariance = unknowns_of(calibration, count), calibration.covariance
                 expected = 1e-3 * calibration.expected.triangulation_rms_mm
-    everywhere = problem_of(tuple(cameras), [_unseen(file, k) for k in range(count)], (), sizes, led, cell.cameras)
+    everywhere = problem_of_light(cameras, [_unseen(file, k) for k in range(count)])
     noise = np.tile(SPOT_SD**2 * np.eye(2), (len(cameras), count, 1, 1))
     for c, name in enumerate(cameras):
         if spots := [each.spots[name].covariance for each in seen if name in each.spots]:
@@ -86,8 +84,7 @@ def next_visits(
             design.add(number - 1, len(looks))
     for number in coming:
         design.add(number - 1, 1)
-    reached = expected is not None and (1e-3 * design.expected_mm if coming else expected) <= accuracy_m
-    if reached:
+    if expected is not None and (1e-3 * design.expected_mm if coming else expected) <= accuracy_m:
         return NextVisits((), expected)
     gone = {*observed, *coming, *barred}
     here = np.array(file.poses[coming[-1] - 1].joints) if coming else None

@@ -8,6 +8,7 @@ first or the thousandth.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from im_calibration import CalibrationProblem, Observation, problem_of
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_named_poses
@@ -101,6 +102,18 @@ def _check_accuracy(cameras: Sequence[str], file: PosesFile) -> None:
         raise DataError(
             f"an accuracy in metres needs two cameras or more, all fixed to the world; {told}", cameras=fixed
         )
+
+
+def problem_of_light(cameras: Sequence[str], observations: Sequence[Observation]) -> CalibrationProblem:
+    """Return the observations of the cell's light by some cameras as the problem of a calibration.
+
+    Raises:
+        ImError: As of :func:`im_calibration.problem_of`.
+    """
+    cell = load_cell()
+    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
+    led = cell.led.offset, cell.led.offset_prior_sd
+    return problem_of(tuple(cameras), observations, (), sizes, led, cell.cameras)
 
 
 @dataclass(frozen=True)

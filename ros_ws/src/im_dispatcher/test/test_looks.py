@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from bench.calibration.asked_accuracy import CAMERAS
-from im_calibration import Observation, SeenSpot, calibrate, problem_of
+from im_calibration import Observation, SeenSpot, calibrate
 from im_cell.camera_model import nominal
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
+from im_dispatcher.job import problem_of_light
 from im_dispatcher.poses_file import load_named_poses
 
 ARM_M, SPOT_PX = 3e-4, 0.02
@@ -34,22 +35,18 @@ def looked(looks: int, seed: int = 5) -> list[Observation]:
     return found
 
 
-def problem(observations):
-    cell = load_cell()
-    sizes = {name: (each.intrinsics.width, each.intrinsics.height) for name, each in cell.cameras.items()}
-    return problem_of(CAMERAS, observations, (), sizes, (cell.led.offset, cell.led.offset_prior_sd), cell.cameras)
-
-
 def test_looks_of_a_robot_that_stays_are_one_reading_and_others_are_not():
-    assert problem(looked(1)).readings == ()
-    three = problem(looked(3)).readings
+    assert problem_of_light(CAMERAS, looked(1)).readings == ()
+    three = problem_of_light(CAMERAS, looked(3)).readings
     assert [three.count(label) for label in dict.fromkeys(three)] == [3] * 40
     first, second, *_ = looked(1)
     moved = replace(first, pose="moved", position=first.position + np.array([2e-4, 0.0, 0.0]))
-    assert problem([first, moved, second]).readings == ()
+    assert problem_of_light(CAMERAS, [first, moved, second]).readings == ()
 
 
 def test_more_looks_at_the_same_poses_promise_no_better_arm():
     """Counted as positions of their own, four looks would promise half of the error."""
-    once, often = (calibrate(problem(looked(count))).expected.triangulation_rms_mm for count in (1, 4))
+    once, often = (
+        calibrate(problem_of_light(CAMERAS, looked(count))).expected.triangulation_rms_mm for count in (1, 4)
+    )
     assert often == pytest.approx(once, rel=0.15)

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from im_calibration import problem_of, write_observations
+from im_calibration import write_observations
 from im_calibration.problem.observations import observation_of
 from im_cell.robot import load_cell
 from im_core import clock
@@ -21,7 +21,7 @@ from im_core.text.bounded_json import read_json
 from im_dispatcher.accuracy import accuracy_reached, next_visits
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
-from im_dispatcher.job import PoseLoop, order_of
+from im_dispatcher.job import PoseLoop, order_of, problem_of_light
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 from im_dispatcher.report import StepTimes, failed, make_directory, succeeded, write_report
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
@@ -413,11 +413,7 @@ def _poses_text(path: str) -> str:
 
 
 def _write_observations(directory: str, cameras: list[str], observed: list[Mapping[str, object]]) -> str:
-    cell = load_cell()
-    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
-    offset = cell.led.offset, cell.led.offset_prior_sd
-    seen = [observation_of(_as_message(each)) for each in observed]
-    problem = problem_of(tuple(cameras), seen, (), sizes, offset, cell.cameras)
+    problem = problem_of_light(cameras, [observation_of(_as_message(each)) for each in observed])
     return str(write_observations(directory, problem))
 
 
