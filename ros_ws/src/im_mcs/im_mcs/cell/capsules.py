@@ -5,7 +5,7 @@ from pathlib import Path
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from im_cell.robot import Capsule, Cell
 from im_cell.robot.cell import resolved
@@ -47,7 +47,9 @@ def enclose(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     them (M. Badoiu, K.L. Clarkson, "Smaller core-sets for balls", 2003).
     """
     _, _, principal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    return min((_along(points, axis) for axis in (*principal, *np.eye(3))), key=_volume)
+    return min(
+        (_along(points, axis) for axis in (*principal, *np.eye(3))), key=lambda capsule: capsule_volume(*capsule)
+    )
 
 
 def _along(
@@ -69,9 +71,9 @@ def _along(
     return centre + low * axis, centre + high * axis, radius
 
 
-def _volume(capsule: tuple[NDArray[np.float64], NDArray[np.float64], float]) -> float:
-    start, end, radius = capsule
-    return float(np.pi * radius**2 * (np.linalg.norm(end - start) + 4.0 / 3.0 * radius))
+def capsule_volume(start: ArrayLike, end: ArrayLike, radius: float) -> float:
+    """Return the volume of a capsule around the line from ``start`` to ``end``, shape (3,) each [m3]."""
+    return float(np.pi * radius**2 * (np.linalg.norm(np.subtract(end, start)) + 4.0 / 3.0 * radius))
 
 
 def corners_of(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]:

@@ -1,17 +1,17 @@
 """``cell``: writes the first cell file of a URDF, and checks cell files."""
 
 import argparse
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from im_cell.robot import Capsule, Cell, cell_file, load_cell
+from im_cell.robot import Cell, cell_file, load_cell
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
+from im_mcs.cell.capsules import capsule_volume
 from im_mcs.cell.template import first_cell, touching_pairs
 from im_mcs.collision.bodies import hull_of
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
@@ -108,7 +108,7 @@ def _shapes(cell: Cell) -> list[str]:
     for link in hulled:
         own = [hull for hull in cell.hulls if hull.link == link]
         litres = 1e3 * sum(hull_of(np.array(hull.points)).computeVolume() for hull in own)
-        around = 1e3 * sum(_volume(body) for body in cell.bodies if body.link == link)
+        around = 1e3 * sum(capsule_volume(each.p0, each.p1, each.radius) for each in cell.bodies if each.link == link)
         corners, margin = sum(len(hull.points) for hull in own), 1e3 * max(hull.radius for hull in own)
         what = "a hull" if len(own) == 1 else f"{len(own)} hulls"
         lines.append(
@@ -116,10 +116,6 @@ def _shapes(cell: Cell) -> list[str]:
             f"{litres:.2f} l, its capsules {around:.2f} l"
         )
     return lines
-
-
-def _volume(capsule: Capsule) -> float:
-    return math.pi * capsule.radius**2 * (math.dist(capsule.p0, capsule.p1) + 4.0 / 3.0 * capsule.radius)
 
 
 def _optional(cell: Cell) -> dict[str, bool]:

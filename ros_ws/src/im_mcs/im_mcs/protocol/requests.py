@@ -161,7 +161,7 @@ class LineMove(_Path):
             raise ValueError("a line has poses, points or relative poses")
         if self.poses is not None and self.points is not None:
             raise ValueError("a line has poses or points, not both")
-        if self.arc and (self.poses is None or len(self.poses) % 2):
+        if self.arc and (self.poses is None or len(self.poses) % self.poses_a_leg):
             given = 0 if self.poses is None else len(self.poses)
             raise ValueError(f"arcs need two poses each, one on the way and one at the end; {given} are given")
         if self.relative is not None and self.ends not in (0, len(self.relative)):
@@ -169,11 +169,16 @@ class LineMove(_Path):
         return self
 
     @property
+    def poses_a_leg(self) -> int:
+        """Number of poses that are given for each leg."""
+        return 2 if self.arc else 1
+
+    @property
     def ends(self) -> int:
         """How many ends the motion of the first wrist has; 0: it stands still."""
         if self.points is not None:
             return len(self.points)
-        return 0 if self.poses is None else len(self.poses) // (2 if self.arc else 1)
+        return 0 if self.poses is None else len(self.poses) // self.poses_a_leg
 
 
 def _points(given: object, info: ValidationInfo) -> TimedPoints:

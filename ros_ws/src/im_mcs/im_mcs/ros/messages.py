@@ -40,9 +40,7 @@ def duration(seconds: float) -> Duration:
 
 def pose(placement: pin.SE3) -> Pose:
     """Return a pose from a placement."""
-    message = Pose()
-    fill_placement(message.position, message.orientation, placement)
-    return message
+    return _pose(pin.SE3ToXYZQUAT(placement).tolist())
 
 
 def group_state(state: GroupState) -> GroupStateMessage:

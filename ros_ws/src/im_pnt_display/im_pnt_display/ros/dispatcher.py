@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from rclpy.client import Client
@@ -159,9 +160,15 @@ class DispatcherClient:
 
 
 def _ended(told: CommandState) -> dict[str, object]:
-    results = read_json(dict[str, str], told.results, "results")
-    pictures = result_pictures(results, results_dir())
+    results, pictures = _results(told.results)
     return {**_heading(told), "success": told.state == "done", "results": results, "pictures": pictures}
+
+
+@lru_cache(maxsize=64)
+def _results(text: str) -> tuple[dict[str, str], list[str]]:
+    """Return results of an ended command and their pictures, read once: the list is looked at twice a second."""
+    results = read_json(dict[str, str], text, "results")
+    return results, result_pictures(results, results_dir())
 
 
 def _heading(told: CommandState) -> dict[str, object]:

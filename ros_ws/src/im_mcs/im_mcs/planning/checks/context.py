@@ -45,7 +45,11 @@ class PlanContext:
     @cached_property
     def lead(self) -> NDArray[np.intp]:
         """Return ranks of the joints below the first wrist of the group, among all joints, shape (k,)."""
-        return self.index[np.isin(self.index, self.model.joints_below(self.frames[0]))]
+        return self.below(self.frames[0])
+
+    def below(self, frame: str) -> NDArray[np.intp]:
+        """Return ranks of the joints of the group below a frame, among all joints, shape (k,)."""
+        return self.index[np.isin(self.index, self.model.joints_below(frame))]
 
     @cached_property
     def force_sensors(self) -> dict[str, int]:

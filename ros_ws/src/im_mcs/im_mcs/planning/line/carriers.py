@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from im_mcs.inverse import Arm, ArmTracker, IkAttempt, InverseKinematics
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
-from im_mcs.planning.line.geometry import LinePath, Via, parameter_length
+from im_mcs.planning.line.geometry import SAME_M, LinePath, Via, parameter_length
 
 _PLACES = 8
 _ITERATIONS_A_STEP = 4
@@ -21,7 +21,6 @@ _SINGULAR_VALUE = 0.12
 _EFFORT = 0.05
 # Any line that is passed to its end is better than one that is not.
 _FAILURE = 100.0
-_SAME_M = 1e-9
 
 
 class CarrierChoice:
@@ -67,7 +66,7 @@ class CarrierChoice:
             target: Pose of the wrist at its end.
             via: Place on the arc to it.
         """
-        if not self._moved.any() or parameter_length(self._tracker.pose(q_all), target, self._lever, via) < _SAME_M:
+        if not self._moved.any() or parameter_length(self._tracker.pose(q_all), target, self._lever, via) < SAME_M:
             return q_all
         ends = [q_all[self._arm.carriers], *self._followed(q_all, target)]
         whole = yield from self._whole_group(q_all, target)

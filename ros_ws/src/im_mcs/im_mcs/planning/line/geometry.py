@@ -16,6 +16,9 @@ from im_mcs.inverse import ArmTracker
 # Points of an arc closer to a straight line than this share of their distance have no circle.
 _STRAIGHT = 1e-6
 
+SAME_M = 1e-9
+"""Poses are one where the path parameter between them is no longer than this [m]."""
+
 Via = NDArray[np.float64] | None
 """Place that an arc passes, shape (3,) [m]; None: the way is straight."""
 

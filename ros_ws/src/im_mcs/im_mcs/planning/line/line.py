@@ -37,8 +37,7 @@ class _LineArm:
         missing = [context.model.names[i] for i in self.arm.joints if i not in context.index]
         if missing:
             raise StateError(f"a straight line of {frame} needs {', '.join(missing)}, not in the group")
-        below = context.model.joints_below(frame)
-        self.index = context.index if len(context.frames) == 1 else context.index[np.isin(context.index, below)]
+        self.index = context.index if len(context.frames) == 1 else context.below(frame)
         self.tracker = ArmTracker(context.model, self.arm, frame)
         lever = context.config.planning.line.rotation_lever_m
         self.choice = CarrierChoice(context.model, context.limits, self.index, self.arm, self.tracker, frame, lever)
@@ -129,7 +128,7 @@ class LinePreparation:
         """Return the path of the wrist of an arm, the curve of its joints, and all joints at the end."""
         is_second, own, there = arm is not self._arms[0], arm.arm.carriers, q
         if not is_second and stops[0].q is not None:
-            straight = self._route.joint_path(stops, own)
+            straight = self._route.joint_path(stops, np.zeros((len(stops), 0)))
             s = np.array(straight.edges)
             places = np.array([straight.joints(each) for each in s])[:, :, arm.index]
             curve = JointCurve(s, quintic(np.diff(s), *(places[:, k] for k in range(3))))

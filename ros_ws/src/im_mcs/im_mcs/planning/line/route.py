@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 
 from im_cell.robot import Cell
 from im_mcs.inverse import ArmTracker
-from im_mcs.planning.line.geometry import CarriedPath, JointWay, LinePath, Via, WristPath, parameter_length
+from im_mcs.planning.line.geometry import SAME_M, CarriedPath, JointWay, LinePath, Via, WristPath, parameter_length
 from im_mcs.protocol.requests import LineMove
 
-_SAME_M = 1e-9
 # A corner that can only be rounded less than this is rested in: that is quicker, and third derivatives are sound.
 _TIGHTEST_M = 1e-3
 
@@ -61,7 +60,7 @@ class Route:
     ) -> None:
         self._tracker, self._blend, self._lever = trackers[0], move.blend, lever
         self._levers = np.array([1.0 if joint.kind == "prismatic" else lever for joint in cell.joints])
-        self._poses_a_leg = 2 if move.arc else 1
+        self._poses_a_leg = move.poses_a_leg
         first, second = trackers[0].pose(start), trackers[-1].pose(start)
         self.stops = [Stop(first, None, None if move.points is None else start, first.actInv(second))]
         given = [pin.XYZQUATToSE3(np.array(values)) for values in move.poses or ()]
@@ -90,14 +89,14 @@ class Route:
         def length(a: int, b: int) -> float:
             return self._size(self.stops[a], self.stops[b])
 
-        same, last = max(_SAME_M, min(self._blend / 2.0, _TIGHTEST_M)), len(self.stops) - 1
+        same, last = max(SAME_M, min(self._blend / 2.0, _TIGHTEST_M)), len(self.stops) - 1
         passed = [0]
         for number in range(1, last):
             if length(passed[-1], number) > same:
                 passed.append(number)
         while passed[-1] > 0 and length(passed[-1], last) <= same:
             passed.pop()
-        if length(passed[-1], last) > _SAME_M:
+        if length(passed[-1], last) > SAME_M:
             passed.append(last)
         runs, before = list[list[int]](), 0.0
         for start, end in pairwise(passed):
@@ -116,23 +115,20 @@ class Route:
             carriers: Positions of the joints that carry its arm at each, shape (m, c) [rad or m].
             second: Whether it is the second wrist.
         """
-        sizes, lead = self._sizes(stops), self._lead(stops, carriers)
+        lead = self.joint_path(stops, carriers) if stops[0].q is not None else self._line_path(stops, carriers)
         if not second:
             return lead
         relative = [stop.relative for stop in stops]
-        return CarriedPath(lead, LinePath(relative, carriers, self._blend, self._lever, sizes=sizes), self._blend)
+        return CarriedPath(lead, LinePath(relative, carriers, self._blend, self._lever, sizes=lead.sizes), self._blend)
 
-    def joint_path(self, stops: Sequence[Stop], carriers: NDArray[np.intp]) -> JointWay:
-        """Return the path of the first wrist along stops with joint positions, carriers among the joints."""
+    def joint_path(self, stops: Sequence[Stop], carriers: NDArray[np.float64]) -> JointWay:
+        """Return the path of the first wrist along stops with joint positions; carriers as of :meth:`path`."""
         points = np.array([stop.q for stop in stops])
-        return JointWay(self._tracker, points, points[:, carriers], self._blend, self._sizes(stops))
+        return JointWay(self._tracker, points, carriers, self._blend, self._sizes(stops))
 
-    def _lead(self, stops: Sequence[Stop], carriers: NDArray[np.float64]) -> WristPath:
-        sizes = self._sizes(stops)
-        if stops[0].q is not None:
-            return JointWay(self._tracker, np.array([stop.q for stop in stops]), carriers, self._blend, sizes)
-        vias = [stop.via for stop in stops[1:]]
-        return LinePath([stop.pose for stop in stops], carriers, self._blend, self._lever, vias, sizes)
+    def _line_path(self, stops: Sequence[Stop], carriers: NDArray[np.float64]) -> LinePath:
+        poses, vias = [stop.pose for stop in stops], [stop.via for stop in stops[1:]]
+        return LinePath(poses, carriers, self._blend, self._lever, vias, self._sizes(stops))
 
     def _sizes(self, stops: Sequence[Stop]) -> list[float]:
         return [self._size(a, b) for a, b in pairwise(stops)]
