@@ -6,7 +6,10 @@
 #   scripts/demo.sh --factor 1          in real time
 #   scripts/demo.sh --seed 7            another seed: other cameras, other noise
 #   scripts/demo.sh --poses FILE        other poses
+#   scripts/demo.sh --perfect-arm       arms as drawn; without it the tool is off by 0.3 to 1 mm
 #   scripts/demo.sh --record            and a bag of it, into bags/
+#   scripts/demo.sh --mission handover  the other mission: calibrates the camera on the left wrist, finds a part on the
+#                                       table with it, hands it from arm to arm, sets it down; handover.png shows it
 #
 # Results: results/latest (report.json, summary.txt, pictures). The machine is stopped in any case: after Ctrl-C, SIGTERM
 # and SIGHUP, and when the terminal is closed. After kill -9 of this script the machine goes on; scripts/stop.sh ends it.
@@ -16,19 +19,30 @@ set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 if wants_help "$@"; then help; exit 0; fi
 
-factor=0 seed=1 port="" poses="" record=0
+factor=0 seed=1 port="" poses="" mission=calibration record=0 cameras=() arm=()
 while (($#)); do
   case "$1" in
-    --factor | --seed | --port | --poses)
+    --factor | --seed | --port | --poses | --mission)
       (($# > 1)) || die 2 "$1 needs a value; --help tells more"
       declare "${1#--}=$2"
       shift 2
       ;;
     --record) record=1; shift ;;
+    --perfect-arm) arm=("$1"); shift ;;
     *) die 2 "unknown argument $1; --help tells what there is" ;;
   esac
 done
 [[ -z "$poses" || -r "$poses" ]] || die 2 "there is no poses file $poses"
+case "$mission" in
+  calibration) ;;
+  handover)
+    cell="$IM_WS/src/im_cell/im_cell/cells/puma_pair"
+    export IM_OBJECTS="$cell/objects.yaml"
+    cameras=(--cameras wrist_left)
+    poses="${poses:-$cell/wrist_left_18.yaml}"
+    ;;
+  *) die 2 "there is no mission $mission; there are calibration and handover" ;;
+esac
 
 child="" recorder="" started=0 interrupted=0 again=0
 
@@ -74,15 +88,21 @@ if ((record)); then  # before the machine: what is volatile reaches only who is 
   recorder=$!
 fi
 started=1
-run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port "$port"} || {
+run "$IM_BRINGUP/start" --fresh --factor "$factor" --seed "$seed" ${port:+--port "$port"} ${arm[@]+"${arm[@]}"} || {
   code=$?
   started=0  # it says why, and has left nothing; a machine that runs already is not of this script
   exit "$code"
 }
-run "$IM_BRINGUP/run_command" calibrate_camera ${poses:+--poses-file "$(realpath -- "$poses")"}
+run "$IM_BRINGUP/run_command" calibrate_camera ${cameras[@]+"${cameras[@]}"} ${poses:+--poses-file "$(realpath -- "$poses")"}
 say ""
-say "against the truth, which only the testbed knows:"
-run "$IM_BRINGUP/truth_error"
+if [[ "$mission" == calibration ]]; then
+  say "against the truth, which only the testbed knows:"
+  run "$IM_BRINGUP/truth_error"
+else
+  run "$IM_VENV/bin/python" "$IM_ROOT/examples/handover.py" --output "$(readlink -f "$IM_RESULTS_DIR/latest")"
+  say "where it is, which only the testbed knows:"
+  run "$IM_BRINGUP/truth_error" --object part
+fi
 say ""
 latest="$(readlink "$IM_RESULTS_DIR/latest")"
 say "report    results/$latest/report.json"

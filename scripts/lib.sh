@@ -80,12 +80,21 @@ im_defaults() {
   export IM_RUN_DIR="${IM_RUN_DIR:-$IM_ROOT/.run/im$ROS_DOMAIN_ID}"
   export IM_RESULTS_DIR="${IM_RESULTS_DIR:-$IM_ROOT/results}"
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$IM_RUN_DIR/ros}"
+  # For this user alone from the first: ROS, which makes the folder of logs in it, would leave it open to others.
+  mkdir -p -m 700 "$IM_RUN_DIR" 2>/dev/null || true
   # The memory policy of our profile counts with the second variable; a profile of the user's may be silent about it.
   [[ -n "${FASTRTPS_DEFAULT_PROFILES_FILE:-}" ]] || export RMW_FASTRTPS_USE_QOS_FROM_XML=1
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$IM_WS/src/im_bringup/im_bringup/config/fastdds.xml}"
   while IFS='=' read -r name value; do
     [[ "$name" == "#"* || -n "${!name:-}" ]] || export "$name=$value"
   done <"$IM_WS/src/im_bringup/im_bringup/config/environment.txt"
+}
+
+# workspace_files ACTION...: what the workspace is built of, for find. Python files need no build: they are linked.
+workspace_files() {
+  find "$IM_WS/src" "$IM_WS/standard_msgs" \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name setup.cfg \
+    -o -name '*.pyx' -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
+    -o -path '*/moveit/*' -o -path '*/foxglove/*' \) -type f "$@"
 }
 
 # im_env: the complete environment, as every script but setup.sh needs it.
@@ -97,6 +106,10 @@ im_env() {
   read -r _ venv <"$IM_VENV/.im-installed"
   [[ "$venv" -ef "$IM_VENV" ]] ||
     die 3 "$IM_ROOT was moved, or copied, since it was set up; run scripts/setup.sh first"
+  local changed
+  changed="$(workspace_files -newer "$IM_WS/install/.im-built" -print -quit)"
+  [[ -z "$changed" ]] ||
+    warn "$(basename "$0" .sh): ${changed#"$IM_ROOT"/} is newer than what was built of it; scripts/setup.sh builds it"
   im_defaults
   if [[ -f "$IM_VENV/local_setup.bash" ]]; then leave_ros; fi  # it was set up with wheels
   local nounset=0

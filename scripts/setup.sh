@@ -197,14 +197,11 @@ installed() {
 
 make_underlay() { "$IM_VENV/bin/python" "$IM_ROOT/scripts/underlay.py" "$IM_VENV"; }
 
-# What decides whether the workspace must be built anew. Python files need no build: they are linked.
-workspace_files() {
-  find "$IM_WS/src" "$IM_WS/standard_msgs" \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name setup.cfg \
-    -o -name '*.pyx' -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
-    -o -path '*/moveit/*' -o -path '*/foxglove/*' \) -type f -print0 | LC_ALL=C sort -z
-}
 # Paths are part of the hash: a file that is added, moved or removed counts.
-workspace_hash() { { cat "$INSTALLED" "$IM_ROOT/scripts/compile_steps.py"; workspace_files | xargs -0 sha256sum; } | sha256sum | cut -d' ' -f1; }
+workspace_hash() {
+  { cat "$INSTALLED" "$IM_ROOT/scripts/compile_steps.py"; workspace_files -print0 | LC_ALL=C sort -z | xargs -0 sha256sum; } |
+    sha256sum | cut -d' ' -f1
+}
 
 # Makes the environment of a build, and nothing of another workspace that happens to be sourced.
 enter_underlay() {
@@ -363,5 +360,7 @@ if [[ "$(cat "$BUILT" 2>/dev/null)" != "$wanted" ]]; then
   step "compiling the steps of a tick" : compile_steps
   step "importing every module once" : import_modules
   write_stamp "$BUILT" "$wanted"
+else
+  touch "$BUILT"  # files that are newer are the same: scripts need not warn of them
 fi
 say "setup: ready after $(seconds_since "$began")"

@@ -5,6 +5,7 @@
 #   scripts/start.sh my_deployment.yaml          another one
 #   scripts/start.sh --factor 0 --seed 7         simulated time as fast as it goes, another seed
 #   scripts/start.sh --factor 0.5                half as fast as real time, for a computer that is slow or busy
+#   scripts/start.sh --perfect-arm               the simulated arms as drawn; else the tool is off by 0.3 to 1 mm
 #   scripts/start.sh --port 8081                 another port for the display (a web page); the next free one if in use
 #   scripts/start.sh --control                   the page may also operate the machine: commands, nets, stops
 #   scripts/start.sh --foxglove                  Foxglove may connect, to ws://localhost:8765 or another port

@@ -82,12 +82,12 @@ def own_participants():
 
 
 LONGEST = (
-    "case_study", "mission", "case_study_deaths", "hosts", "vendor_robot", "tutorials", "cells", "client",
-    "page_browser", "pnt_journal", "chaos", "scripts", "failing_disk", "vss_contention", "pick_and_place",
-    "bootstrap_node", "foreground", "dom_kills", "pose_cost", "trajectory", "motion", "recalibrate", "start_imports",
+    "case_study", "mission", "wall_clock", "case_study_deaths", "tutorials", "cells", "vendor_robot", "hosts", "client",
+    "scripts", "chaos", "page_browser", "pnt_journal", "pose_cost", "vendor_hour", "failing_disk", "vss_contention",
+    "pick_and_place", "bootstrap_node", "dom_kills", "trajectory", "motion", "recalibrate", "estop", "start_imports",
     "wrong_values", "set_up", "middleware_memory", "pnt_node", "vss_laser", "record_replay", "your_robot",
     "testbed_drivers_node", "owners", "imports", "calibrate_live", "vss_calibration_given", "vss_wrong_input",
-    "vss_known_lengths", "backlog", "vss_tutorial",
+    "vss_known_lengths", "backlog", "vss_tutorial", "urgent", "stops_first",
 )  # fmt: skip
 """Files ``test_<name>.py`` that take a third of a minute and more on a busy computer, the longest first."""
 
@@ -245,7 +245,8 @@ class VisionMachine:
 
         self.folder = folder
         parameters = ("standalone:=true", "factor:=0.0", "seed:=4", "vss:use_sim_time:=true", *parameters)
-        rclpy.init(args=["--ros-args", *(part for parameter in parameters for part in ("-p", parameter))])
+        kinds = ("-r" if ":__node:=" in each else "-p" for each in parameters)
+        rclpy.init(args=["--ros-args", *(part for pair in zip(kinds, parameters, strict=True) for part in pair)])
         self.testbed, self.client = TestbedNode(), rclpy.create_node("client")
         self.clients = {}
         self.spinners = [spin_in_thread(self.testbed, self.client)]
@@ -274,13 +275,19 @@ class VisionMachine:
         assert self.call(SetLight, "/testbed/set_light", name="left_led", on=on).success
 
     def light_at_home(self):
-        """True place of the left light at the home position, by the Denavit-Hartenberg rows of the cell [m]."""
-        from im_cell.robot import load_cell
+        """True place of the left light at the home position [m]: by Denavit-Hartenberg rows and errors of joints."""
+        import numpy as np
+
+        from im_cell.robot import kinematic_derivatives, load_cell
+        from im_cell.robot.truth import errors_of, load_truth
         from support.puma import wrist_pose
 
-        offset = json.loads((self.folder / "truth.json").read_text())["leds"]["left_led"]["offset_m"]
-        pose = wrist_pose("left", load_cell().groups["left"].home)
-        return pose[:3, :3] @ offset + pose[:3, 3]
+        cell, truth = load_cell(), load_truth(self.folder / "truth.json")
+        arm, offset = cell.groups["left"], np.array(truth.leds["left_led"].offset_m)
+        pose, home = wrist_pose("left", arm.home), dict(zip(cell.joints_of("left"), arm.home, strict=True))
+        level = {name: joint.model_copy(update={"gear_rad": (0.0,) * 4}) for name, joint in truth.joints.items()}
+        moved = kinematic_derivatives(cell, arm.tip, home, offset) @ errors_of(cell, arm.tip, level)
+        return pose[:3, :3] @ offset + pose[:3, 3] + moved
 
     def true_camera(self, name):
         """A camera as the testbed has it."""
@@ -353,7 +360,7 @@ def calibration_request():
 
 @pytest.fixture(scope="module")
 def vss_parameters():
-    """Further parameters of the :class:`VisionMachine`; for modules to override."""
+    """Further parameters of the :class:`VisionMachine`, and names of its nodes; for modules to override."""
     return ()
 
 

@@ -229,20 +229,6 @@ def test_too_few_poses_are_refused(machine, few_poses, tmp_path):
     assert "5 poses are too few" in answer.message
 
 
-def test_poses_out_of_reach_or_out_of_sight_are_skipped_and_reported(machine, few_poses, tmp_path):
-    poses = yaml.safe_load(few_poses.read_text())
-    half = math.sqrt(0.5)
-    poses["poses"][1] = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
-    poses["poses"][3] = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
-    path = tmp_path / "odd.yaml"
-    path.write_text(yaml.safe_dump(poses))
-    answer = machine.calibrate(path)
-    assert answer.success, answer.message
-    rejected = {entry["pose"]: entry["reason"] for entry in report_of(answer)["points_rejected"]}
-    assert "out of reach" in rejected["moon"]
-    assert "no camera sees the light" in rejected["down"]
-
-
 def test_a_trajectory_of_a_foreign_client_is_carried_out(machine):
     """Of one that reserves, powers and moves an arm as it would any other, while a command moves the other arm."""
     from action_msgs.msg import GoalStatus
@@ -463,10 +449,23 @@ def test_a_keystore_lets_each_process_do_what_it_does_and_nothing_else(machine, 
     assert "rt/im/task_status" not in may_publish("client")
 
 
-def test_who_changes_the_net_changes_what_happens(machine, few_poses):
+@pytest.fixture
+def odd_poses(few_poses, tmp_path):
+    """A file of few poses, of which one is out of reach and one out of sight."""
+    poses = yaml.safe_load(few_poses.read_text())
+    half = math.sqrt(0.5)
+    poses["poses"][1] = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    poses["poses"][3] = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
+    path = tmp_path / "odd.yaml"
+    path.write_text(yaml.safe_dump(poses))
+    return path
+
+
+def test_who_changes_the_net_changes_what_happens(machine, few_poses, odd_poses):
     """Without the transition light_on the light stays off, and no spot is found: there is no sequence in Python.
 
-    With it again a command runs as before, and a second one is refused meanwhile.
+    With it again a command runs as before, and a second one is refused meanwhile; it skips and reports poses that are
+    out of reach or out of sight.
     """
     from im_msgs.srv import LoadNet
 
@@ -482,13 +481,16 @@ def test_who_changes_the_net_changes_what_happens(machine, few_poses):
     assert not dark.success
     assert "light left_led is off" in dark.message
     assert machine.call(LoadNet, "/dispatcher/load_net", net_yaml=written).success
-    thread, answers = machine.in_background(few_poses)
+    thread, answers = machine.in_background(odd_poses)
     machine.wait_for_firing("calibrate_camera", "move_robot")
     second = machine.calibrate(few_poses)
     assert not second.success
     assert "already running" in second.message
     thread.join(COMMAND_S)
     assert answers[0].success, answers[0].message
+    rejected = {entry["pose"]: entry["reason"] for entry in report_of(answers[0])["points_rejected"]}
+    assert "out of reach" in rejected["moon"]
+    assert "no camera sees the light" in rejected["down"]
 
 
 def test_a_net_that_can_get_stuck_is_refused_with_the_way_there(machine):

@@ -40,7 +40,7 @@ def test_without_a_configured_mcs_the_command_says_so(machine, few_poses):
     assert (recovered.returncode, "MCS is unconfigured; configure" in recovered.stdout) == (0, True), recovered.stderr
 
 
-def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_servo(machine, few_poses):
+def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_servo(machine):
     """The commands of the tests that follow find it as it was."""
     from im_core.ros import qos
     from im_msgs.msg import McsState
@@ -59,8 +59,8 @@ def test_one_command_brings_the_machine_back_after_the_death_of_testbed_and_serv
     # a command that begins before may end with it as its reason
     told = lambda: machine.message(McsState, "/mcs/state", profile=qos.LATCHED).state  # noqa: E731
     machine.wait_for(lambda: told() == "unconfigured", "MCS to notice")
-    answer = machine.calibrate(few_poses)  # a command brings it back by itself
-    assert answer.success, answer.message
+    homed = machine.execute("home", group="left")()  # a command brings it back by itself
+    assert homed.success, homed.status.message
 
 
 def child_of(module):
@@ -138,5 +138,5 @@ def test_an_estop_ends_the_command_with_its_reason_and_reset_mends_it(machine, f
     assert not refused.success
     assert "reset" in refused.message
     assert machine.trigger("/mcs/reset").success
-    again = machine.calibrate(few_poses)
-    assert again.success, again.message
+    again = machine.execute("home", group="left")()
+    assert again.success, again.status.message

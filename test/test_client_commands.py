@@ -10,6 +10,7 @@ import time
 import pytest
 from rclpy.action.client import ActionClient
 from rclpy.action.server import CancelResponse, GoalResponse
+from rclpy.parameter import Parameter
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.task import Future
 
@@ -19,10 +20,12 @@ from im_core import clock
 from im_core.processes.startup import STATUS_TOPIC
 from im_core.ros import qos
 from im_core.ros.guard import GuardedActionServer, GuardedNode
+from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.msg import CommandState, TaskStatus
 from im_msgs.srv import ListCommands, LoadNet
 from support.forgetful import forget
+from support.loop import in_loop
 
 RESULTS = {"directory": "/results/1"}
 
@@ -35,7 +38,7 @@ class Dispatcher(GuardedNode):
         self.begun, self.attached, self.numbers = [], [], [3]  # of which the first was an older command
         self.incarnation, self.cancelled, self.open = 7, [], []
         self.silent = False
-        self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
+        self._status = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.LATCHED)
         self.create_timer(0.1, self._beat)
         self.create_service(ListCommands, "/dispatcher/list_commands", self._list)
         GuardedActionServer(
@@ -93,6 +96,15 @@ def machine(ros):
         each.close()
 
 
+def test_a_client_hears_the_last_heartbeat_of_a_task_and_waits_for_no_other(ros, wait_until):
+    task = ManagedNode("dispatcher", parameter_overrides=[Parameter("standalone", value=True)])
+    ros(task)
+    wait_until(lambda: task.ready, "the task")
+    in_loop(task, task._heartbeat.cancel)
+    with Machine.connect(timeout=30.0) as client:
+        assert client.tasks == {"dispatcher": TaskStatus.READY}
+
+
 def test_a_step_and_the_words_that_it_tells_at_once_are_one_line():
     command = Command.__new__(Command)
     command._told = queue.SimpleQueue()
@@ -102,6 +114,20 @@ def test_a_step_and_the_words_that_it_tells_at_once_are_one_line():
     told = [str(each) for each in command.progress()]
     assert told == [f"[ 50 %] {words}" for words in ("go", "to the door", "through it", "back")]
     assert list(command.progress()) == [], "the end is told again"
+
+
+class Walking(Dispatcher):
+    """Tells the number of a command first, and then its step, as the Dispatcher does."""
+
+    async def _do(self, handle):
+        for step in ("", "walk"):
+            handle.publish_feedback(ExecuteCommand.Feedback(command_id=4, progress=-1.0, step=step, state="running"))
+        return await super()._do(handle)
+
+
+def test_who_prints_the_progress_prints_no_empty_line(machine):
+    command = machine(Walking()).run("go", wait=False)
+    assert [str(progress) for progress in command] == ["walk"]
 
 
 class Loading(Dispatcher):

@@ -37,7 +37,7 @@ def test_each_call_of_the_disk_fails_in_turn(store, library, folder):
         text=True,
         check=False,
         env=environment,
-        timeout=300,
+        timeout=900,
     )
     assert done.returncode == 0, done.stderr[-2500:]
     assert int(done.stdout) > 80

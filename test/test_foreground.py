@@ -31,13 +31,14 @@ def test_the_machine_gives_its_processes_what_the_scripts_give_to_tools(tmp_path
 
 
 @pytest.fixture
-def foreground(process, tmp_path, monkeypatch, wait_until):
-    """A machine that is ready, in the foreground of a process without what the scripts set."""
+def foreground(process, tmp_path, monkeypatch, small_deployment, wait_until):
+    """A machine of two tasks that is ready, in the foreground of a process without what the scripts set."""
     for name in GIVEN_BY_SCRIPTS:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path / "run"))
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path / "results"))
-    started = process(path_of("im_bringup", "start"), "--foreground", "--factor=0", f"--port={free_port()}")
+    options = ("--foreground", "--factor=0", f"--port={free_port()}")
+    started = process(path_of("im_bringup", "start"), small_deployment, *options)
     wait_until(lambda: "start: ready after" in started.out.read_text() or started.poll() is not None, "a start", 120.0)
     assert started.poll() is None, started.out.read_text()
     return started

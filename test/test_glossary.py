@@ -1,6 +1,7 @@
 """Words of class and module names are terms of the glossary, or plain English (docs/glossary.md)."""
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -14,18 +15,20 @@ def words(text):
     return {word.lower() for word in re.findall(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+", text)}
 
 
+@functools.cache
 def names():
     """Names of all modules and classes of the packages, each with its file."""
+    found = []
     sources = ROOT / "ros_ws" / "src"
     for path in sorted([*sources.glob("im_*/im_*/**/*.py"), *sources.glob("im_*/im_*/**/*.pyi")]):
         package, top, *_ = path.relative_to(ROOT / "ros_ws" / "src").parts
         if package != top:
             continue
         if not path.stem.startswith("__"):
-            yield path, path.stem
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                yield path, node.name
+            found.append((path, path.stem))
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        found += [(path, node.name) for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+    return found
 
 
 def test_names_have_words_of_the_glossary():

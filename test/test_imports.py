@@ -182,14 +182,15 @@ OPEN_FILES = {
     "im_bag/storage.py": "a private copy of a file of a bag, for SQLite to take up its log",
     "im_bag/files.py": "record by record, of limited size; the delivery of a topic, out of its own file",
     "im_bag/writer.py": "what it writes itself",
-    "im_bringup/ros/interruptible.py": "standard output of the program",
+    "im_bringup/ros/client_output.py": "standard output of the program",
     "im_pnt_node/journal/ended.py": "what it writes itself",
     "im_pnt_node/journal/strategies.py": "a folder, to lock what it writes itself",
     "im_bringup/tasks/upkeep.py": "logs of the machine's own processes",
     "im_core/processes/process.py": "logs and standard input of children",
     "im_core/processes/procfs.py": "/proc",
     "im_bringup/machine/members.py": "/proc",
-    "im_bringup/machine/leftovers.py": "/proc, locks of Fast DDS",
+    "im_bringup/machine/leftovers.py": "/proc",
+    "im_core/shm_names.py": "locks of Fast DDS",
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_coordinators/path_search.py": "standard input, from its parent; the log of its own child",
     "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",
@@ -379,9 +380,29 @@ def test_what_nets_need_is_what_pip_installs(package):
     assert needed & set(PACKAGES) <= set(ALONE)
 
 
-def test_the_page_installs_all_of_them():
-    page = (SOURCES.parents[1] / "docs" / "install.md").read_text(encoding="utf-8")
-    assert tuple(re.findall(r" \./(im_\w+)", page)) == ALONE
+def test_one_build_holds_all_that_pip_installs(tmp_path):
+    """``pip install ./nets``: each module and file of the packages, their commands, and nothing beside."""
+    folder = SOURCES.parents[1] / "nets"
+    built, about = tmp_path / "lib", tmp_path / "im_nets.egg-info"
+    command = [sys.executable, "setup.py", "--quiet", "build", "--build-base", str(tmp_path), "egg_info", "--egg-base"]
+    subprocess.run([*command, str(tmp_path)], cwd=folder, check=True, timeout=300, capture_output=True)
+
+    def held(root: Path) -> set[str]:
+        return {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file() and path.suffix != ".pyc"}
+
+    assert held(built) == {f"{package}/{name}" for package in ALONE for name in held(SOURCES / package / package)}
+    needed = "".join((SOURCES / package / "setup.py").read_text() for package in ALONE)
+    assert set((about / "requires.txt").read_text().split()) == (
+        {
+            name
+            for told in re.findall(r"install_requires=\[(.*?)\]", needed, re.DOTALL)
+            for name in re.findall(r'"(.+?)"', told)
+        }
+        - {*ALONE, "setuptools"}
+    )
+    assert sorted(re.findall(r"^\w+ = im_\S+", (about / "entry_points.txt").read_text(), re.MULTILINE)) == sorted(
+        re.findall(r'"(\w+ = im_[^"]+)"', needed)
+    )
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def use(node):
     print("one", flush=True)
     print("two")
     print("waited to the end", file=sys.stderr)
-    return interruptible.DONE
+    return 0
 sys.exit(interruptible.talk(lambda: interruptible.InterruptibleNode("talker"), use, "talker"))
 """
 NO_ROOM = "talker: standard output cannot be written: No space left on device\n"

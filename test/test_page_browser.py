@@ -12,6 +12,7 @@ import socketserver
 import threading
 import urllib.request
 from pathlib import Path
+from types import SimpleNamespace
 from urllib.parse import urlsplit
 
 import pytest
@@ -22,7 +23,7 @@ from im_pnt.netfile import load_net, parse_net
 from im_pnt_analysis.recorded.timeline import recording_of
 from im_pnt_analysis.simulation.replay import FiringSequence
 from im_pnt_display import DisplayServer
-from im_pnt_display.page.messages import drawn_counterexample
+from im_pnt_display.page.messages import drawn_counterexample, firing_content, net_content
 from im_pnt_display.page.recorded_cell import RecordedCell
 from im_pnt_display.page.recording import RecordedNets
 from support.bag_with_cell import write_bag_with_cell
@@ -353,6 +354,41 @@ def test_the_pictures_that_a_command_left_are_shown_and_open_whole(tab, tmp_path
     with each.page.expect_popup() as opened:
         each.page.click("#ended img")
     assert opened.value.url == f"{server.url}results/7/residuals.png"
+    server.stop()
+
+
+LINE = """
+net: line
+places: {free: 1, given: }
+transitions:
+  begin: {in: free, out: given, symbol: go}
+  end: {in: given, out: free, emit: go_done}
+"""
+
+
+def test_a_new_tab_shows_the_net_of_the_newest_command_and_not_the_one_that_gave_it_on(tab):
+    """Of either it knows the last firings: of the net at work those in the middle, of the other one the end alone."""
+    server = DisplayServer(port=0)
+    server.start()
+    for text, node in ((LINE, "/dispatcher"), (STEPS, "/dispatcher")):
+        net = parse_net(text)
+        server.state.enter(server.state.net(net.name, node, net_content(net)))
+    for net, transition, symbol in (("steps", "walk", ""), ("steps", "end", "go_done"), ("line", "end", "go_done")):
+        firing = SimpleNamespace(
+            net=net,
+            transition=transition,
+            symbol=symbol,
+            phase=2,
+            sequence=1,
+            command_id=1,
+            duration=0.0,
+            progress=0.5,
+            message="",
+        )
+        server.state.enter(server.state.firing(firing_content(1.0, firing)))
+    each = tab(server.url)
+    each.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net at work")
+    assert each.page.query_selector("[aria-label^='transition, begin']") is None
     server.stop()
 
 

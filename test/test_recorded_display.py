@@ -36,7 +36,7 @@ def test_firings_lead_to_each_marking_that_was_recorded(name):
                 assert before.tokens == marking.tokens, f"{marking.net} at {moment.at_s:.3f} s"
                 compared += 1
         recording.advance(states, moment)
-    assert 2 * compared > all_markings > 50
+    assert 3 * compared > all_markings > 50
     assert {state.description for state in states.values()} == set(range(len(recording.descriptions)))
 
 
@@ -95,7 +95,7 @@ def test_a_viewer_learns_of_the_whole_recording(shown):
     overview = json.loads(asked(server, "state.json")[1])["recording"]
     mission = mission_of(BAGS / "faults")
     assert (overview["name"], overview["firings"]) == ("faults", recording.firings)
-    assert len(overview["drawings"]) == len(recording.descriptions) == 16
+    assert len(overview["drawings"]) == len(recording.descriptions) == 19
     assert overview["gaps"] == []
     bars = {(overview["rows"][row], begin, end, failed) for row, begin, end, failed, _ in overview["bars"]}
     assert bars == {

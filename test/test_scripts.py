@@ -68,6 +68,16 @@ def test_ctrl_c_ends_a_subcommand_without_a_traceback_from_its_first_moment():
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
+def test_the_first_program_of_a_domain_leaves_its_folder_to_this_user_alone(tmp_path, monkeypatch):
+    """ROS makes the folder of its logs, and those above it, open to others."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path / "run"))
+    monkeypatch.delenv("ROS_LOG_DIR")
+    done = im("topic", "list")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "run" / "ros").is_dir()
+    assert oct((tmp_path / "run").stat().st_mode & 0o777) == "0o700"
+
+
 def test_a_node_helps_and_starts_with_nothing_it_does_not_know(script):
     done = script("run", "im_mcs", "mcs", "--help")
     assert (done.returncode, done.stderr) == (0, "")
@@ -95,6 +105,7 @@ def test_scripts_are_executable_bash(name):
         ("demo", ["--cameras"], "demo: unknown argument --cameras"),
         ("demo", ["--seed"], "demo: --seed needs a value"),
         ("demo", ["--poses", "none.yaml"], "demo: there is no poses file none.yaml"),
+        ("demo", ["--mission", "dance"], "demo: there is no mission dance; there are calibration and handover"),
         ("start", ["none.yaml"], "none.yaml: cannot be read"),
         ("start", ["--factor", "-1"], "start: clock_factor: -1: Input should be greater than or equal to 0"),
         ("start", ["--calibration", "none"], "/none: no calibration: there is no such folder"),
@@ -230,6 +241,23 @@ def test_a_clone_that_was_copied_or_moved_is_set_up_anew_before_it_runs(tmp_path
     assert computer.run("shell", "basename", "a/b").stdout == "b\n"
 
 
+def test_a_source_that_is_newer_than_what_was_built_of_it_is_named(tmp_path):
+    computer = Computer(tmp_path)
+    computer.add_compilers()
+    computer.add_python("python3.11")
+    source = computer.root / "ros_ws" / "src" / "Any.msg"
+    source.touch()
+    assert computer.run("setup").returncode == 0
+    assert computer.run("shell", "basename", "a/b").stderr == ""
+    built = computer.root / "ros_ws" / "install" / ".im-built"
+    os.utime(built, (source.stat().st_mtime - 10.0,) * 2)
+    done = computer.run("shell", "basename", "a/b")
+    told = "ros_ws/src/Any.msg is newer than what was built of it; scripts/setup.sh builds it"
+    assert (done.returncode, done.stdout, done.stderr) == (0, "b\n", f"shell: {told}\n")
+    assert computer.run("setup").returncode == 0  # it is the same as before
+    assert computer.run("shell", "basename", "a/b").stderr == ""
+
+
 def test_a_clone_may_be_entered_by_a_link(tmp_path):
     computer = Computer(tmp_path)
     computer.add_compilers()
@@ -243,7 +271,7 @@ def test_a_clone_may_be_entered_by_a_link(tmp_path):
 SPEAKS = """
 import sys
 from pathlib import Path
-from im_bringup.ros.interruptible import own_output
+from im_bringup.ros.client_output import own_output
 try:
     with own_output():
         print("progress", flush=True)

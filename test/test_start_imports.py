@@ -30,6 +30,8 @@ LAUNCH = "im_bringup.ros.launch"
 COMMAND = "im_bringup.machine.start"
 #: The bootstrap has it tell whether the nets may run together, which mostly was proved before.
 VERIFY = "im_pnt_analysis.cli.verify"
+#: A client of the machine: a command line waits for it.
+CLIENT = "im_bringup.ros.run_command"
 USED_TYPE = "import im_core.ros.qos; from std_msgs.msg import String; type(String).__import_type_support__()"
 POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zeros(3), numpy.eye(3))"
 
@@ -42,10 +44,11 @@ POSE = "import numpy; from im_vss.ros.messages import to_pose; to_pose(numpy.zer
         (f"import {COMMAND}", ("im_cell", "numpy", "rclpy", "scipy")),
         (f"import {LAUNCH}, importlib; [*map(importlib.import_module, {LAUNCH}.COMMON)]", ("rclpy", *LATER)),
         (f"import {VERIFY}", ("numpy", "im_pnt_analysis.search.reachability")),
+        (f"import {CLIENT}", ("asyncio", "pydantic", "im_core.ros.guard")),
         (USED_TYPE, ("em", "lark")),
         (POSE, LATER),  # each camera's pose, before the machine is ready
     ],
-    ids=["nodes", "supervisor", "command", "launch", "verify", "type of ROS", "poses"],
+    ids=["nodes", "supervisor", "command", "launch", "verify", "client", "type of ROS", "poses"],
 )
 def test_nothing_is_loaded_at_the_start_that_is_used_later(start, later):
     code = f"import sys; {start}; print(*(name for name in {later} if name in sys.modules))"

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,10 +21,10 @@ from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
 from im_core import clock
 from im_core.ros import qos
-from im_core.ros.calls import call_blocking
 from im_msgs.msg import Observation, Spot
-from im_msgs.srv import Calibrate, Snap, SpotFind, SpotFindStereo
+from im_msgs.srv import Calibrate, Snap, SpotFind, SpotFindStereo, VisionCancel
 from im_sim.cameras.bank import STEPS
+from support.flood import Flood
 
 CEILING = ["ceiling_left", "ceiling_right"]
 
@@ -288,17 +287,6 @@ def test_calibrate_applies_and_writes(machine, tmp_path):
     assert "wrist_left saw the LED in 0 poses, at least 7 are needed" in answer.status.message
 
 
-def test_many_clients_at_once_are_all_answered(machine):
-    clients = [machine.client.create_client(SpotFind, "/vss/spot_find") for _ in range(30)]
-    machine.until(lambda: all(client.service_is_ready() for client in clients))
-    request = SpotFind.Request(cameras=CEILING)
-    with ThreadPoolExecutor(len(clients)) as pool:
-        answers = list(pool.map(lambda client: call_blocking(client, request, 60.0, "spot_find"), clients))
-    assert all(answer.success for answer in answers), {answer.status.message for answer in answers}
-    stamps = sorted(answer.spots[0].stamp.sec * 10**9 + answer.spots[0].stamp.nanosec for answer in answers)
-    assert len(set(stamps)) == len(clients)
-
-
 def test_a_dead_camera_process_is_named_and_replaced(machine):
     os.kill(machine.vss._source._child.pid, signal.SIGKILL)
     first = machine.call(Snap, "/vss/snap", cameras=["wall"])
@@ -356,7 +344,7 @@ def test_markers_show_the_targets_and_hundred_times_what_a_calibration_leaves(ma
     told = machine.listen(MarkerArray, "/markers", qos.LATCHED)
     spots = np.array([[100.0, 200.0], [np.nan, np.nan], [320.0, 240.0]])
     residuals = np.array([[0.02, -0.01], [np.nan, np.nan], [0.0, 0.03]])
-    machine.vss._outputs.residuals("wall", spots, residuals)
+    machine.vss._book.residuals["wall"] = spots, residuals
 
     entry = machine.vss._book["wall"]
 
@@ -373,3 +361,14 @@ def test_markers_show_the_targets_and_hundred_times_what_a_calibration_leaves(ma
     assert lines.text == "0.026 px rms of 2 spots"  # sqrt((0.02^2 + 0.01^2 + 0.03^2) / 2)
     plates = [(m.pose.position.x, m.pose.position.y, m.pose.position.z, m.scale.x) for m in newest("objects", "world")]
     assert plates == [(*target.position, target.plate) for target in load_cell().targets]
+
+
+def test_a_cancellation_is_taken_before_ten_thousand_messages(machine, wait_until):
+    flood, cancel = Flood(machine.vss, machine.client), machine.client.create_client(VisionCancel, "/vss/cancel")
+    assert cancel.wait_for_service(60.0)
+    flood.fill(wait_until)
+    answer = cancel.call_async(VisionCancel.Request(request="spot_find #0"))
+    answer.add_done_callback(flood.stopped)
+    flood.let_go(wait_until)
+    flood.end()
+    assert "spot_find #0" in answer.result().status.message

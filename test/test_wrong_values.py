@@ -45,8 +45,13 @@ TRUTH = {
 REPORT = {
     "success": True,
     "cameras": [{"name": "eye", **LENS}],
+    "light": "left_led",
     "led_offset_m": [0.0, 0.0, 0.1],
     "expected_error": {"workspace_low_m": [-1.0, -1.0, 0.5], "workspace_high_m": [1.0, 1.0, 1.5]},
+}
+OBSERVATIONS = {
+    "J_arm": [[[0.0] * 86] * 3] * 4,
+    "trials": [{"x_base_m": [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, 1.0, 1.5]]}],
 }
 RECORD = {"pid": 77, "start": 5, "state": "ready", "phase": "START", "tasks": 3, "run_dir": "/run", "deployment": "d"}
 RECORD |= {"clock_factor": 1.0, "seed": 1, "port": 8080, "missing": ["a"]}
@@ -74,7 +79,8 @@ def own(package, file):
 
 
 def truth_error(path):
-    return add_to_report(path, load_truth(written(path.parent / "truth.json", TRUTH)))
+    written(path.parent / "observations.json", OBSERVATIONS)
+    return add_to_report(path, load_truth(written(path.parent / "truth.json", TRUTH)), CELL)
 
 
 def problem():
@@ -132,11 +138,14 @@ ASKED = [
     ("motion_coordinator", "find_pos", {"group": "left"}),
     ("path_planning_coordinator", "plan_path", {"group": "left", "destination": "destination"}),
     ("path_planning_coordinator", "validate_path", {"group": "left", "path": "given"}),
+    ("path_planning_coordinator", "check_reach",
+     {"group": "left", "position": [1.0, 2.0, 0.5], "orientation": [0.0, 0.0, 1.0], "frame": "world"}),
     ("vision_coordinator", "light_on", {"light": "left_led"}),
     ("vision_coordinator", "light_off", {"light": "left_led"}),
     ("vision_coordinator", "look", {"cameras": ["wall"], "light": "left_led", "longer": True}),
     ("vision_coordinator", "find_spot", {"cameras": ["wall"], "light": "left_led", "exposure": 0.01, "look": "7"}),
     ("vision_coordinator", "keep_observation", {"number": 1, "pose": "p1"}),
+    ("vision_coordinator", "find_object", {"name": "part", "camera": "wrist_left"}),
     ("vision_coordinator", "calibrate",
      {"cameras": ["a"], "observations": [1], "rejected": {"p": "why"}, "directory": "d"}),
     ("gripper_coordinator", "open_gripper", {"gripper": "left_gripper", "width": 0.05, "force": 10}),

@@ -3,14 +3,17 @@
 Nothing of a detector is used: the pattern is a function of the place on the target, and the lens is inverted per ray.
 """
 
+import ctypes
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
+import pupil_apriltags
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from im_calibration.targets.target import CalibrationTarget
+from im_calibration.targets.target import STANDARD_TAGS, CalibrationTarget
 from im_cell.camera_model import CameraModel
 
 Array = NDArray[np.float64]
@@ -50,6 +53,8 @@ def brightness(target: CalibrationTarget, place: Array) -> Array:
         pitch, first = (size, 0.0) if target.kind == "circles" else (2.0 * size, (j % 2) * size)
         i = np.clip(np.rint((x - first) / pitch), 0, columns - 1)
         return np.where(np.hypot(x - first - pitch * i, y - size * j) < radius, _DARK, _BRIGHT)
+    if target.dictionary == STANDARD_TAGS:
+        return _standard_tags(target, x, y)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{target.dictionary}"))
     cells = dictionary.markerSize + 2
     found = np.full(x.shape, _BRIGHT)
@@ -81,6 +86,29 @@ def brightness(target: CalibrationTarget, place: Array) -> Array:
         here = marked & (index == number)
         found[here] = np.where(bits[v[here], u[here]], _BRIGHT, _DARK)
     return found
+
+
+def _standard_tags(target: CalibrationTarget, x: Array, y: Array) -> Array:
+    """Return the brightness of tags whose border is 5 of 9 cells wide, drawn by the library of their makers."""
+    pitch, cell = target.size + target.part, target.size / 5.0
+    i, j = np.rint((x - 0.5 * target.size) / pitch), np.rint((y - 0.5 * target.size) / pitch)
+    u, v = (np.floor((at - n * pitch) / cell).astype(int) + 2 for at, n in ((x, i), (y, j)))
+    on_board = (i >= 0) & (j >= 0) & (i < target.columns) & (j < target.rows)
+    marked = on_board & (u >= 0) & (v >= 0) & (u < 9) & (v < 9)
+    found, index = np.full(x.shape, _BRIGHT), j * target.columns + i
+    for number in np.unique(index[marked]):
+        here = marked & (index == number)
+        found[here] = np.where(_standard_bits(int(number))[v[here], u[here]], _BRIGHT, _DARK)
+    return found
+
+
+@cache
+def _standard_bits(number: int) -> NDArray[np.bool_]:
+    detector = pupil_apriltags.Detector(families="tagStandard41h12")
+    draw = detector.libc.apriltag_to_image
+    draw.restype, draw.argtypes = ctypes.POINTER(pupil_apriltags.bindings._ImageU8), [ctypes.c_void_p, ctypes.c_int]
+    image = draw(ctypes.cast(detector.tag_families["tagStandard41h12"], ctypes.c_void_p), number).contents
+    return np.asarray(np.ctypeslib.as_array(image.buf, (image.height, image.stride))[:9, :9] > 127)
 
 
 def render(

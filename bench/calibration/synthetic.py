@@ -13,6 +13,9 @@ from im_cell.workspace import Workspace
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_TURNS_RAD, _SHIFT_M, _GEAR_RAD = (3e-4, 3e-4, 1e-3), 2e-4, 3e-4
+"""Usual errors of a joint: about the axes of its frame, the last its own, along them, and of its gear [rad, m, rad]."""
+
 OUTLIER_KINDS = ("blob", "bias", "stale")
 """A blob anywhere in the image; a spot displaced by 2 to 10 px; a joint reading of another moment, 3 to 10 cm off."""
 
@@ -200,7 +203,7 @@ def _spoil(rng: np.random.Generator, kind: str, i: int, spots: Array, measured: 
         outliers[camera, i] = True
 
 
-def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> SyntheticScene:
+def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int, *, kinematics: bool = False) -> SyntheticScene:
     """Bend the arm of a scene: positions with a smooth error, which the problem states as if it were noise.
 
     Args:
@@ -209,6 +212,7 @@ def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> Syntheti
             ``gears``, joints that are off by a sine of one or two periods a turn.
         size_m: RMS error of each coordinate, but for what shifts or turns all positions alike [m].
         seed: Seed of the draw.
+        kinematics: Whether the kinematics of the arm are given, and its noise is stated as 1 um.
     """
     rng, positions = np.random.default_rng((seed, 2)), scene.problem.positions
     away = positions - positions.mean(axis=0)
@@ -220,15 +224,30 @@ def bent(scene: SyntheticScene, kind: str, size_m: float, seed: int) -> Syntheti
     rigid = np.column_stack((turned, np.tile(np.eye(3), (len(away), 1))))
     error = error - (rigid @ np.linalg.lstsq(rigid, error.ravel(), rcond=None)[0]).reshape(-1, 3)
     error *= size_m / np.sqrt((error**2).mean())
-    noise = np.tile(size_m**2 * np.eye(3), (len(positions), 1, 1))
-    return replace(scene, problem=replace(scene.problem, positions=positions + error, position_covariances=noise))
+    noise = np.tile((1e-6 if kinematics else size_m) ** 2 * np.eye(3), (len(positions), 1, 1))
+    problem = replace(scene.problem, positions=positions + error, position_covariances=noise)
+    if kinematics:
+        problem = replace(problem, arm_jacobians=_kinematics(away, scene.problem.wrist_rotations))
+    return replace(scene, problem=problem)
+
+
+def _kinematics(away: Array, wrists: Array) -> Array:
+    """Return the derivatives of the positions by turns, shifts and gears of joints, each of its usual size [m]."""
+    angles, frames, origins = _joints(away, wrists)
+    blocks = []
+    for j in range(frames.shape[1]):
+        turns = np.cross(np.swapaxes(frames[:, j], 1, 2), (away - origins[:, j])[:, None, :])
+        waves = [wave(periods * angles[:, j]) for periods in (1, 2) for wave in (np.sin, np.cos)]
+        gear = _GEAR_RAD * turns[:, 2, :, None] * np.stack(waves, axis=1)[:, None, :]
+        blocks += [np.swapaxes(turns, 1, 2) * _TURNS_RAD, frames[:, j] * _SHIFT_M, gear]
+    return np.concatenate(blocks, axis=2)
 
 
 def _links(rng: np.random.Generator, away: Array, angles: Array, frames: Array, origins: Array) -> Array:
     """Displace each link by a small turn and shift, the zero of a joint more than the direction of its axis."""
     error = np.zeros_like(away)
     for j in range(angles.shape[1]):
-        turn, shift = rng.normal(size=3) * (3e-4, 3e-4, 1e-3), 2e-4 * rng.normal(size=3)
+        turn, shift = rng.normal(size=3) * _TURNS_RAD, _SHIFT_M * rng.normal(size=3)
         error += frames[:, j] @ shift + np.cross(frames[:, j] @ turn, away - origins[:, j])
     return error
 

@@ -51,10 +51,12 @@ def shown_firing(rings: int, length: int, per_s: float) -> Iterator[DisplayServe
     try:
         server.show(state.net(NAME, "/rings", net_content(parse_net(rings_text(rings, length)))))
         firing.start()
-        yield server
+        try:
+            yield server
+        finally:
+            end.set()
+            firing.join()
     finally:
-        end.set()
-        firing.join()
         server.stop()
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from bench.machine.command import accuracy_lines, machine_lines
 from bench.machine.deadlines import deadline_lines
+from bench.machine.handover import handover_lines
 from bench.machine.hosts import host_lines
 from bench.machine.pairs import pair_lines
 from bench.machine.rest import rest_lines
@@ -18,6 +19,8 @@ GROUPS = {
     "real-time": "the same with one command in real time, for the servo's period and missed deadlines",
     "accuracy": "true errors over expected ones, of one command for each of some seeds",
     "pairs": "two moves at once against the longer one alone, in simulated time",
+    "handover": "hand-overs of a part from random places: how many succeed, and how far off the part is at rest",
+    "handover-faults": "the same with a process killed in every tenth step",
     "deadlines": "missed deadlines of the servo in real time",
     "hosts": "time to READY over one, two and three hosts, and what crosses between these at rest",
     "frames": "frames a second of /vss/snap, and where the time goes",
@@ -34,7 +37,7 @@ def main() -> int:
     part = Part("machine", _ABOUT, GROUPS, USUAL)
     add = part.parser.add_argument
     add("--runs", type=positive(int), default=2, help="commands in a row of 'command' (default: %(default)d)")
-    add("--seeds", type=positive(int), default=10, help="of 'accuracy' and of 'pairs' (default: %(default)d)")
+    add("--seeds", type=positive(int), default=10, help="of 'accuracy', 'pairs' and 'handover' (default: %(default)d)")
     add("--renderer", choices=("auto", "egl", "tiny"), default="auto", help="of 'frames' and 'services'")
     add("--seed", type=int, default=1, help="of the testbed (default: %(default)d)")
     add("--port", type=int, default=8080, help="of the display (default: %(default)d)")
@@ -50,6 +53,8 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
         "real-time": lambda: machine_lines(1.0, seed, port, 1),
         "accuracy": lambda: accuracy_lines(options.seeds, port),
         "pairs": lambda: pair_lines(options.seeds, 0.0, port),
+        "handover": lambda: handover_lines(options.seeds, port),
+        "handover-faults": lambda: handover_lines(options.seeds, port, faults=True),
         "deadlines": lambda: deadline_lines(seed, port),
         "hosts": lambda: list(host_lines()),
         "frames": lambda: vision_lines("frames", options.renderer, seed, port),

@@ -17,11 +17,12 @@ from bench.figures import Line
 from bench.machine.limit import bare_cost, limit_lines
 from bench.machine.truth import get_truth
 from bench.usage import cpu_s, memory_mib
-from im_bringup.calibration.truth import truth_error
+from im_bringup.calibration.truth import add_to_report
 from im_bringup.machine import leftovers, stop
 from im_bringup.machine.start import start
 from im_bringup.ros.interruptible import InterruptibleNode
 from im_bringup.tasks import deployment as deployments
+from im_cell.robot import load_cell
 from im_core import clock
 from im_core.errors import StateError
 from im_core.message_paths import hand_over
@@ -163,14 +164,14 @@ def accuracy_lines(seeds: int, port: int) -> list[Line]:
             rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             bench = Bench()
             with Spinner([bench]):
-                report = bench.command().report
-                error = truth_error(report, get_truth(bench))
+                path = bench.command().folder / "report.json"
+                report = add_to_report(path, get_truth(bench), load_cell())
         finally:
             rclpy.try_shutdown()
             stop.stop(say=lambda _: None)
         chi2.append(report["chi2_per_dof"])
         for name, values in ratios.items():
-            values.append(error[name] / report["expected_error"][name])
+            values.append(report["truth_error"][name] / report["expected_error"][name])
     lines = [
         Line(f"{name}, true/expected, {seeds} seeds", math.sqrt(statistics.fmean(v * v for v in values)), "", bar=1.2)
         for name, values in ratios.items()

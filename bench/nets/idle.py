@@ -11,9 +11,9 @@ from bench.figures import Line
 from bench.nets.serving import serve
 from bench.nets.workers import number, own
 from im_core.clock import cpu, monotonic, sleep
-from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
+from im_pnt.execution.runner import FunctionRunner
 from im_pnt.model.action import FunctionAction
 from im_pnt.model.net import Net, Place, Transition
 from im_pnt_node.distributed.exchange import Exchange

@@ -9,6 +9,7 @@ from bench.nets.workers import Worker, number, own
 from im_core.errors import LinkError
 
 MOST_TIMES_BARE = 1.5
+MOST_TIMES_SPUN = 1.0
 IDLE_SUBSCRIPTIONS = (0, 100)
 _PATIENCE_S = 60.0
 
@@ -48,7 +49,7 @@ class Trips:
 
 
 def lines(trips: int, rounds: int, folder: Path) -> list[Line]:
-    """Round trips of a token and of a bare message, in turns, without and with idle subscriptions.
+    """Round trips of a token and of a bare message with two executors, in turns, without and with idle subscriptions.
 
     Args:
         trips: Round trips of a turn.
@@ -60,35 +61,40 @@ def lines(trips: int, rounds: int, folder: Path) -> list[Line]:
     """
     found: list[Line] = []
     for idle in IDLE_SUBSCRIPTIONS:
-        token, topic = _measure(trips, rounds, idle, folder / f"idle_{idle}")
+        token, topic, spun = _measure(trips, rounds, idle, folder / f"idle_{idle}")
         suffix = f", {idle} idle subscriptions" if idle else ""
         name = f"remote token, round trip{suffix}"
         found += [
             Line(name, token.quantile(0.5), "µs", topic.quantile(0.5), "bare topic", MOST_TIMES_BARE),
+            Line(
+                "  beside rclpy.spin", token.quantile(0.5), "µs", spun.quantile(0.5), "its bare topic", MOST_TIMES_SPUN
+            ),
             Line("  99th percentile", token.quantile(0.99), "µs", topic.quantile(0.99), "bare topic"),
             Line("  CPU of one of the nodes", token.cpu(), "µs", topic.cpu(), "bare topic"),
         ]
     return found
 
 
-def _measure(trips: int, rounds: int, idle: int, folder: Path) -> tuple[Trips, Trips]:
+def _measure(trips: int, rounds: int, idle: int, folder: Path) -> tuple[Trips, Trips, Trips]:
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
 
         def start(module: str, side: str, *options: str) -> Worker:
             return stack.enter_context(own(f"bench.nets.nodes.{module}", side, str(idle), *options))
 
-        start("bare", "pong")
-        bare = start("bare", "ping")
+        for spin in ("events", "rclpy"):
+            start("bare", "pong", spin)
+        bare, plain = (start("bare", "ping", spin) for spin in ("events", "rclpy"))
         pong, ball = (start("ball", side, str(folder)) for side in ("pong", "ping"))
-        for worker in (bare, pong, ball):
+        for worker in (bare, plain, pong, ball):
             failed = worker.ask("ready", patience=_PATIENCE_S).get("failed")
             if failed:
                 raise LinkError(f"{worker.name} does not start: {failed}", worker=worker.name)
-        for worker in (bare, ball):
+        for worker in (bare, plain, ball):
             Trips().add(worker, max(20, trips // 10))
-        token, topic = Trips(), Trips()
+        token, topic, spun = Trips(), Trips(), Trips()
         for _ in range(rounds):
             token.add(ball, trips)
             topic.add(bare, trips)
-    return token, topic
+            spun.add(plain, trips)
+    return token, topic, spun

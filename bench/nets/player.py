@@ -9,11 +9,12 @@ from bench.nets.families import ACTION, philosophers, ring
 from bench.nets.serving import serve
 from im_core.clock import cpu
 from im_core.errors import StateError
-from im_pnt.execution.actions import FunctionRunner, Runner
+from im_pnt.execution.actions import Runner
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Command
 from im_pnt.execution.notification import Firing, Observer
+from im_pnt.execution.runner import FunctionRunner
 from im_pnt.model.net import Guard, Net, Place, Transition
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.distributed.link import Link

@@ -19,11 +19,11 @@ from bench.figures import Line
 from bench.part import Part, Work
 from im_core.errors import ImError, StateError
 from im_core.files import write_whole
-from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions, woken_by
 from im_pnt.execution.jobs import Command
 from im_pnt.execution.notification import Observer, StrategyChosen
+from im_pnt.execution.runner import FunctionRunner
 from im_pnt.netfile import parse_net
 from im_pnt_node.distributed.exchange import Exchange
 

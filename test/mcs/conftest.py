@@ -30,7 +30,7 @@ from im_sim.ros.node import TestbedNode
 from support.mcs_config import write_mcs_config
 from support.stranger import Stranger
 
-#: So long a thousand goals take on a slow computer, whose states rclpy tells again with each that ends [s].
+#: So long hundreds of goals may take on a slow computer, whose states rclpy tells again with each that ends [s].
 PATIENCE_S = 600.0
 
 #: A short way of an arm on its cart, or of an arm alone [m or rad].

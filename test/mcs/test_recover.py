@@ -196,8 +196,14 @@ def test_two_reservations_at_once_after_the_testbed_was_lost(client, lose_testbe
     client.until(lambda: reserved(client) == {"left", "right"})
 
 
-def test_an_operator_who_stops_after_a_loss_is_not_overruled(client, lose_testbed):
+def test_an_operator_who_stops_after_a_loss_is_not_overruled(client, lose_testbed, monkeypatch):
     lose_testbed()
+    keeper = client.mcs._mcs.keeper
+    assert keeper.lost
+    with monkeypatch.context() as patch:
+        patch.setattr(client.mcs, "spawn", lambda work: work.close())  # the loop comes to it after the answer
+        keeper.estop("the operator")
+        assert not keeper.lost
     assert client.trigger("estop").success
     assert "is refused in state estopped" in reserve(client).message
     assert client.trigger("reset").success

@@ -27,8 +27,9 @@ from support.mcs_config import mcs_text
 
 DRIVER = "im_mcs.testbed.joint_state:JointStateDriver"
 
-#: Every joint a mass of its own that gravity pulls. Its time passes with the commands, a tick each, so that the loop is
-#: as good on a busy computer; a joint that a command leaves out is held.
+#: Every joint a mass of its own that gravity pulls, unless it is told where to be or how fast to move. Its time passes
+#: with the commands, a tick each, so that the loop is as good on a busy computer; a joint that a command leaves out is
+#: held.
 ROBOT = """
     import sys
     import numpy as np
@@ -37,6 +38,8 @@ ROBOT = """
     from im_cell.robot import load_cell
     from im_core.ros import qos, run
     from im_mcs.model import CellModel
+
+    PERIOD_S = float(sys.argv.pop())
 
     class Robot(Node):
         def __init__(self):
@@ -51,14 +54,22 @@ ROBOT = """
 
         def obey(self, message):
             driven = [self.names.index(name) for name in message.name]
+            if message.position:
+                self.q[driven] = message.position
+            elif message.velocity:
+                self.q[driven] += np.array(message.velocity) * PERIOD_S
+            else:
+                self.push(driven, message.effort)
+            self.tell()
+
+        def push(self, driven, torques):
             effort, held = np.zeros(18), np.ones(18, dtype=bool)
-            effort[driven], held[driven] = message.effort, False
+            effort[driven], held[driven] = torques, False
             dt = 0.0045 / 4
-            for _ in range(4):
+            for _ in range(round(PERIOD_S / dt)):
                 self.v += (effort - self.model.gravity(self.q)) / self.inertia * dt
                 self.v[held] = 0.0
                 self.q = self.q + self.v * dt
-            self.tell()
 
         def tell(self):
             self.publisher.publish(JointState(name=self.names, position=self.q.tolist()))
@@ -68,8 +79,9 @@ ROBOT = """
 
 
 @pytest.fixture
-def robot():
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(ROBOT)])
+def robot(request):
+    period_s = getattr(request, "param", 0.0045)
+    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(ROBOT), str(period_s)])
     yield process
     process.kill()
     process.wait()
@@ -101,6 +113,59 @@ def config(tmp_path):
     return path
 
 
+#: What each group of the preset ``3x6`` takes, and its law; torques move the carts.
+KINDS = {
+    "left": ("position", {"controller": "im_mcs.control.setpoints:SetpointPosition"}),
+    "right": (
+        "velocity",
+        {
+            "controller": "im_mcs.control.setpoints:SetpointVelocity",
+            "parameters": {"gain_1_s": 2.0, "rest_deadband": 1e-4},
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("robot", [0.018], indirect=True)  # three messages a tick are much for a busy computer
+def test_one_robot_takes_positions_velocities_and_torques_at_once(robot, config, without_testbed):
+    data = yaml.safe_load(config.read_text())
+    data |= {"preset": "3x6", "presets": {"3x6": data["presets"]["3x6"]}}
+    data["group_control"] = {group: law for group, (_, law) in KINDS.items()}
+    for slot in data["slots"]:
+        moved_by = next(group for group, given in data["presets"]["3x6"].items() if slot["name"] in given["joints"])
+        slot["interface"] = KINDS.get(moved_by, ("effort",))[0]
+    data["servo"]["period_s"] = data["testbed"]["drivers"]["robot"]["settings"]["period_s"] = 0.018
+    data["servo"]["velocity_bandwidth_rad_s"] = 10  # positions that come in bunches look like speed
+    config.write_text(yaml.safe_dump(data))
+    client = without_testbed(config=config, use_sim_time=False)
+    heard = client.listen(JointState, "/robot/command", qos.SENSOR)
+    groups = data["presets"]["3x6"]
+    for group in groups:
+        assert client.call(ReserveGroup, "reserve", group=group).success
+    for step in ("power_on", "enable_motion"):
+        answer = client.trigger(step)
+        assert answer.success, answer.message
+    starts = {group: np.array(client.group_state(group).q) for group in groups}
+    ends = {group: client.start_move(q + 0.05, group=group, speed_scale=0.1)[1] for group, q in starts.items()}
+    for group, end in ends.items():
+        assert (result := end()).success, result.status.message
+        np.testing.assert_allclose(client.group_state(group).q, starts[group] + 0.05, atol=0.01)
+    for group, given in groups.items():
+        kind, others = KINDS.get(group, ("effort",))[0], {"position", "velocity", "effort"}
+        told = [message for message in heard if set(message.name) <= set(given["joints"])]
+        assert told
+        for message in told:
+            assert {field for field in others if getattr(message, field)} == {kind}
+
+    heard.clear()
+    assert client.trigger("estop").success
+    clock.sleep(1.0)  # longer than joints are told to stand
+    speeds, places = ([m for m in heard if getattr(m, kind)] for kind in ("velocity", "position"))
+    assert not any(speeds[-1].velocity)
+    np.testing.assert_allclose(places[-1].position, client.group_state("left").q, atol=1e-6)
+    assert client.trigger("reset").success  # an emergency stop outlives its machine
+
+
 def bridge_pid():
     """Process id of the bridge; None if there is none."""
     for entry in Path("/proc").glob("[0-9]*"):
@@ -130,12 +195,21 @@ def test_a_bridge_that_was_stopped_publishes_no_effort_from_before_the_emergency
     assert not [stamp for stamp in stamps if stamp.sec + stamp.nanosec * 1e-9 > stopped]
 
 
-def test_a_bridge_that_died_is_started_again(robot, config, without_testbed):
+def test_a_bridge_that_died_is_started_again(robot, config, without_testbed, monkeypatch):
     client = without_testbed(config=config, use_sim_time=False)
     client.to_motion()
+    servo = client.mcs._mcs.keeper.client()
+    heard = servo._on_state
+
+    def late(*told):  # the snapshot shows the state long before its cause is heard: never one without the other
+        clock.sleep(2.0)
+        heard(*told)
+
+    monkeypatch.setattr(servo, "_on_state", late)
     os.kill(bridge_pid(), signal.SIGKILL)
     client.until(lambda: client.state() == "estopped")
     assert "the process im_mcs.ros.topic_channels of topic '/robot/state' ended" in client.states[-1].reason
+    monkeypatch.undo()
     client.to_motion()
     client.trigger("estop")
     assert client.trigger("reset").success

@@ -209,29 +209,37 @@ def test_a_velocity_at_the_end_is_followed_by_rest_where_that_is_allowed(ready, 
     np.testing.assert_allclose(behind[1:], 0.0, atol=1e-4)
 
 
-def put_constraint(client, name, value):
-    """The outcome of setting a parameter below ``constraints``."""
-    parameters = [Parameter(f"constraints.{name}", value=value).to_parameter_msg()]
+def put(client, name, value):
+    """The outcome of setting a parameter."""
+    parameters = [Parameter(name, value=value).to_parameter_msg()]
     return client.call(SetParameters, "set_parameters", parameters=parameters).results[0]
 
 
 @pytest.fixture
-def constrain(ready):
-    """``constrain(name, value)``: set a parameter below ``constraints``; 0 in the end."""
+def bound(ready):
+    """``bound(name, value)``: set a parameter; 0 in the end."""
     names = []
 
-    def constrain(name, value):
+    def bound(name, value):
         names.append(name)
-        assert put_constraint(ready, name, value).successful
+        assert put(ready, name, value).successful
 
-    yield constrain
+    yield bound
     for name in names:
-        assert put_constraint(ready, name, 0.0).successful
+        assert put(ready, name, 0.0).successful
 
 
-def test_tolerances_of_parameters_hold_where_a_trajectory_names_none(ready, constrain):
+def test_bounds_of_rest_are_those_of_the_parameters(ready, bound):
+    bound("settle.timeout_s", 1e-3)
+    assert "did not settle" in ready.move(ready.home + 0.05 * np.eye(9)[0]).status.message
+    bound("settle.timeout_s", 0.0)
+    result = ready.move(ready.home)
+    assert result.success, result.status.message
+
+
+def test_tolerances_of_parameters_hold_where_a_trajectory_names_none(ready, bound):
     target = ready.home + 0.2 * np.eye(9)[0]
-    constrain("left_track.trajectory", 1e-9)
+    bound("constraints.left_track.trajectory", 1e-9)
     answer = ready.follow(goal(ready, (2.0, target)))[1]().result
     assert answer.error_code == Result.PATH_TOLERANCE_VIOLATED
     assert "left_track: error" in answer.error_string
@@ -241,10 +249,10 @@ def test_tolerances_of_parameters_hold_where_a_trajectory_names_none(ready, cons
     assert answer.status == SUCCEEDED, answer.result.error_string
 
 
-def test_a_goal_of_parameters_is_missed_after_its_time(ready, constrain):
+def test_a_goal_of_parameters_is_missed_after_its_time(ready, bound):
     target = ready.home + 0.2 * np.eye(9)[0]
-    constrain("left_track.goal", 1e-9)
-    constrain("goal_time", 0.5)
+    bound("constraints.left_track.goal", 1e-9)
+    bound("constraints.goal_time", 0.5)
     answer = ready.follow(goal(ready, (2.0, target)))[1]().result
     assert answer.error_code == Result.GOAL_TOLERANCE_VIOLATED
     assert "left_track: error" in answer.error_string
@@ -252,7 +260,7 @@ def test_a_goal_of_parameters_is_missed_after_its_time(ready, constrain):
 
 def test_a_tolerance_that_is_none_is_refused_with_the_reason(client):
     for value in (-1.0, 11.0, math.nan):
-        answer = put_constraint(client, "left_track.goal", value)
+        answer = put(client, "constraints.left_track.goal", value)
         assert not answer.successful
         assert answer.reason
 

@@ -7,7 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TOOLS = """
 awk basename bash cat cp cut df dirname env find flock grep head ls mkdir mktemp mv nproc rm sed sha256sum sort tail
-uname wc xargs
+touch uname wc xargs
 """
 
 

@@ -6,7 +6,6 @@ is carried out with each allocation of memory failing in turn. A failure may be 
 acknowledged must be there afterwards, whole. Prints how many stories were told; ends with 1 at the first that is wrong.
 """
 
-import _testcapi
 import ctypes
 import errno
 import json
@@ -20,7 +19,7 @@ from pathlib import Path
 from im_core.errors import ImError
 
 Say = Callable[[object], None]
-_ALLOCATIONS = 60
+_ALLOCATIONS = 200
 """Of a story so many fail, spread over all of them."""
 
 
@@ -212,8 +211,8 @@ STORES = {kind.__name__.lower(): kind for kind in (Dom, Journal, Bag, Results, E
 
 def in_child(
     arm: Callable[[], None], tell: Callable[[Path, Say], None], folder: Path
-) -> tuple[list[list[object]], int]:
-    """Carry a story out in a child process; return what it has said, and its last word, a number of calls."""
+) -> tuple[list[list[object]], tuple[int, int]]:
+    """Carry a story out in a child process; return what it has said, and how many calls and allocations it made."""
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -226,18 +225,19 @@ def in_child(
         except MemoryError:
             code = 0
         except BaseException:
-            _testcapi.remove_mem_hooks()
+            disk().failing_memory_arm(0)
             os.write(writing, json.dumps(["broken", traceback.format_exc()]).encode() + b"\n")
             code = 1
-        _testcapi.remove_mem_hooks()
-        os.write(writing, json.dumps(["calls", disk().failing_disk_count()]).encode() + b"\n")
+        made = disk().failing_memory_count()
+        disk().failing_memory_arm(0)
+        os.write(writing, json.dumps(["calls", [disk().failing_disk_count(), made]]).encode() + b"\n")
         os._exit(code)
     os.close(writing)
     with os.fdopen(reading, "rb") as pipe:
         said = [json.loads(line) for line in pipe.read().splitlines() if line.endswith(b"]")]
     os.waitpid(child, 0)
-    calls = next((count for how, count in said if how == "calls"), 0)
-    return [each for each in said if each[0] != "calls"], calls
+    counts = next((counts for how, counts in said if how == "calls"), (0, 0))
+    return [each for each in said if each[0] != "calls"], counts
 
 
 def disk() -> ctypes.CDLL:
@@ -248,24 +248,29 @@ def disk() -> ctypes.CDLL:
 def stories(kind: type, folder: Path) -> Iterator[str]:
     """Carry all stories of a store out, and check each; yields what was done in each."""
 
-    def story(name: str, arm: Callable[[], None], may_be_told: bool) -> int:
+    def story(name: str, arm: Callable[[], None], may_be_told: bool) -> tuple[int, int]:
         place = folder / "place"
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        said, calls = in_child(arm, kind.tell, place)
+        said, counts = in_child(arm, kind.tell, place)
         broken = [why for how, why in said if how == "broken"]
         assert may_be_told or not broken, f"{kind.__name__}, {name}: {broken[0]}"
         try:
             kind.check(place, [each for each in said if each[0] != "broken"])
         except Exception as error:
             raise AssertionError(f"{kind.__name__}, {name}, after {said}: {error}") from error
-        return calls
+        return counts
 
     warm = folder / "warm"
     warm.mkdir()
     kind.tell(warm, lambda _: None)  # what it loads and makes once is there in each child
     place = str(folder / "place").encode()
-    calls = story("nothing fails", lambda: disk().failing_disk_arm(place, ctypes.c_long(0), 0, 0), False)
+
+    def arm_nothing() -> None:
+        disk().failing_disk_arm(place, ctypes.c_long(0), 0, 0)
+        disk().failing_memory_arm(ctypes.c_long(0))
+
+    calls, allocations = story("nothing fails", arm_nothing, False)
     assert calls > 5, f"only {calls} calls of the disk were seen"
     for nth in range(1, calls + 1):
         for onwards in (0, 1):
@@ -273,12 +278,10 @@ def stories(kind: type, folder: Path) -> Iterator[str]:
             arm = lambda nth=nth, on=onwards: disk().failing_disk_arm(place, ctypes.c_long(nth), errno.EIO, on)  # noqa: E731
             story(name, arm, False)
             yield name
-    nth, step = 1, 1
-    for _ in range(_ALLOCATIONS):
-        name = f"allocation {nth} fails"
-        story(name, lambda nth=nth: _testcapi.set_nomemory(nth, nth + 1), True)
+    for nth in range(1, allocations + 1, 1 + allocations // _ALLOCATIONS):
+        name = f"allocation {nth} of {allocations} fails"
+        story(name, lambda nth=nth: disk().failing_memory_arm(ctypes.c_long(nth)), True)
         yield name
-        nth, step = nth + step, step + 1 + step // 8
 
 
 if __name__ == "__main__":

@@ -5,10 +5,10 @@ from typing import Any
 
 from im_core.errors import StateError
 from im_core.store_mark import SeenStore
-from im_pnt.execution.actions import FunctionRunner, Perform
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions, GuardFunction
 from im_pnt.execution.notification import Observer
+from im_pnt.execution.runner import FunctionRunner, Perform
 from im_pnt.model.net import Net
 from im_pnt_node.distributed.exchange import RETURN_TIMEOUT_S, Exchange
 from im_pnt_node.distributed.link import Link

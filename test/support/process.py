@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 
 from im_core.clock import monotonic
 from im_core.errors import ImError, StateError
-from im_pnt.execution.actions import ActionOwner, FunctionRunner, Perform, Spawn
+from im_pnt.execution.actions import ActionOwner
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, ActionFunction, AskFunction, Functions, GuardFunction
@@ -12,6 +12,7 @@ from im_pnt.execution.jobs import Activity, Command, CommandResult, Job
 from im_pnt.execution.journal_entries import Record
 from im_pnt.execution.notification import Firing, Observer, Phase, StrategyChosen
 from im_pnt.execution.operator import Mode
+from im_pnt.execution.runner import FunctionRunner, Perform, Spawn
 from im_pnt.execution.strategies import StrategyBook
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import Action, FunctionAction

@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 SEED = 3
 FEW = 14
 """Poses of :func:`write_few_poses`; with four less the cameras are still calibrated."""
-COMMAND_S = 240.0
+COMMAND_S = 600.0
 EACH = package_file("im_bringup", "deployments/each.yaml")
 """The deployment in which every task has a process of its own."""
 
@@ -128,8 +128,8 @@ class Machine:
         self.wait_for(sent.done, f"{symbol} to be taken")
         ended = sent.result().get_result_async()
 
-        def result():
-            self.wait_for(ended.done, f"{symbol} to end", COMMAND_S)
+        def result(seconds=COMMAND_S):
+            self.wait_for(ended.done, f"{symbol} to end", seconds)
             return ended.result().result
 
         result.told = told
@@ -171,7 +171,21 @@ class Machine:
             fired = [f for f in self.firings[begin:] if (f.net, f.transition) == (net, transition)]
             return len(fired) >= count
 
-        self.wait_for(seen, f"{count} firings of {net}.{transition}")
+        try:
+            self.wait_for(seen, f"{count} firings of {net}.{transition}")
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {self.under_way(begin)}") from error
+
+    def under_way(self, begin):
+        """What the machine tells where nothing happens: firings heard since ``begin``, commands, state of MCS."""
+        from im_core.ros import qos
+        from im_msgs.msg import McsState
+        from im_msgs.srv import ListCommands
+
+        heard = [f"{f.net}.{f.transition}" for f in self.firings[begin:]]
+        listed = self.call(ListCommands, "/dispatcher/list_commands", 10.0)
+        state = self.message(McsState, "/mcs/state", 10.0, qos.LATCHED)
+        return f"heard {len(heard)} firings, last {heard[-5:]}; commands {listed.commands}; MCS {state}"
 
     def message(self, kind, topic, seconds=60.0, profile=None):
         from im_core.ros import qos

@@ -1,18 +1,20 @@
 """The baseline of remote tokens: a small message that two bare nodes send back and forth.
 
-``python -m bench.nets.nodes.bare ping|pong IDLE_SUBSCRIPTIONS``
+``python -m bench.nets.nodes.bare ping|pong IDLE_SUBSCRIPTIONS events|rclpy``
 """
 
 import sys
 import threading
+from functools import partial
 from itertools import pairwise
 
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
-from bench.nets.nodes.loop import PATIENCE_S, run, wait_until
+from bench.nets.nodes.loop import PATIENCE_S, RclpySpin, run, wait_until
 from bench.nets.serving import Handler
 from im_core.clock import cpu, monotonic
+from im_core.ros.run import Spinner
 
 DEPTH = 10
 
@@ -20,19 +22,20 @@ DEPTH = 10
 class Pong(Node):
     """Sends back what comes; reliable, with the default depth."""
 
-    def __init__(self) -> None:
-        super().__init__("bench_bare_pong")
-        self._publisher = self.create_publisher(UInt64, "/bench/pong", DEPTH)
-        self.create_subscription(UInt64, "/bench/ping", self._publisher.publish, DEPTH)
+    def __init__(self, name: str) -> None:
+        super().__init__(f"bench_{name}_pong")
+        self._publisher = self.create_publisher(UInt64, f"/bench/{name}/pong", DEPTH)
+        self.create_subscription(UInt64, f"/bench/{name}/ping", self._publisher.publish, DEPTH)
 
 
 class Ping(Node):
     """Sends a message as soon as the last one is back, and notes when that was."""
 
-    def __init__(self) -> None:
-        super().__init__("bench_bare_ping")
-        self._publisher = self.create_publisher(UInt64, "/bench/ping", DEPTH)
-        self.create_subscription(UInt64, "/bench/pong", self._hear, DEPTH)
+    def __init__(self, name: str) -> None:
+        super().__init__(f"bench_{name}_ping")
+        self._pong = f"/bench/{name}/pong"
+        self._publisher = self.create_publisher(UInt64, f"/bench/{name}/ping", DEPTH)
+        self.create_subscription(UInt64, self._pong, self._hear, DEPTH)
         self._trips = 0
         self._times: list[float] = []
         self._done = threading.Event()
@@ -48,7 +51,7 @@ class Ping(Node):
         """Waits for the other side."""
 
         def matched() -> bool:
-            return self._publisher.get_subscription_count() > 0 and self.count_publishers("/bench/pong") > 0
+            return self._publisher.get_subscription_count() > 0 and self.count_publishers(self._pong) > 0
 
         wait_until(matched, "the other node")
         return {}
@@ -74,5 +77,6 @@ def _handlers(node: Node) -> dict[str, Handler]:
 
 
 if __name__ == "__main__":
-    side, subscriptions = sys.argv[1:]
-    run(Ping if side == "ping" else Pong, _handlers, int(subscriptions))
+    side, subscriptions, spin = sys.argv[1:]
+    make = partial(Ping if side == "ping" else Pong, f"bare_{spin}")
+    run(make, _handlers, int(subscriptions), spin=RclpySpin if spin == "rclpy" else Spinner)

@@ -22,6 +22,7 @@ setup(
         "console_scripts": [
             "recalibrate = im_vss.ros.recalibrate:main",
             "vss = im_vss.ros.launch:main",
+            "vss_apart = im_vss.ros.apart:main",
             "vss_run = im_vss.ros.vss_run:main",
         ]
     },

@@ -1,6 +1,5 @@
 """Commands of the Dispatcher: begun, followed through the death of the Dispatcher, and ended."""
 
-import asyncio
 import contextlib
 import json
 import math
@@ -208,18 +207,20 @@ class Command:
         self._told.put(None)
 
     def __iter__(self) -> Iterator[Progress]:
-        """Iterate over the progress until the end.
+        """Iterate over the progress that has something to tell, until the end.
 
         Raises:
             MachineError: As of :attr:`result`.
         """
         with self._cancelled_by_interrupt():
-            yield from self.progress()
+            yield from filter(str, self.progress())
         _ = self.result
 
     async def __aiter__(self) -> AsyncIterator[Progress]:
         """Iterate over the progress until the end, without blocking the loop."""
-        each = self.progress()
+        import asyncio
+
+        each = filter(str, self.progress())
         while (progress := await asyncio.to_thread(next, each, None)) is not None:
             yield progress
         _ = self.result
@@ -229,6 +230,8 @@ class Command:
         return self._awaited().__await__()
 
     async def _awaited(self) -> Any:
+        import asyncio  # a tenth of the start of a client, few of which use it
+
         try:
             while not self.ended:
                 await asyncio.sleep(_LOOK_S)

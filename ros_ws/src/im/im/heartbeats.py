@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from im.connection import PATIENCE_S, Connection
 from im.errors import UnreachableError
@@ -41,7 +41,8 @@ class Heartbeats:
     def __init__(self, connection: Connection, watch: Watch | None = None) -> None:
         self._heard: dict[str, _Heard] = {}
         self._domain, self._watch = connection.domain, watch
-        connection.subscribe(TaskStatus, TOPIC, self.hear, QoSProfile(depth=50))
+        profile = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # the last one of each, at once
+        connection.subscribe(TaskStatus, TOPIC, self.hear, profile)
 
     def tasks(self) -> dict[str, int]:
         """Return the phase of each task, as in ``im_msgs/msg/TaskStatus``."""

@@ -165,7 +165,7 @@ class Machine:
         """The unfinished commands."""
         return list(self.connection.call(ListCommands, "/dispatcher/list_commands").commands)
 
-    def run(self, name: str, wait: bool = True, priority: int = 0, **arguments: object) -> Command:
+    def run(self, name: str, /, wait: bool = True, priority: int = 0, **arguments: object) -> Command:
         """Run a command.
 
         Args:

@@ -181,8 +181,8 @@ class BagWriter:
             return
         if self._file.path in self._parts:
             return  # the next could not be begun
-        self._file.close()
         try:
+            self._file.close()
             if not self._file.is_empty():
                 complete_file(self._file.path)
                 write_metadata(self.path, [*self._parts, self._file.path])
@@ -227,8 +227,8 @@ class BagWriter:
             write_metadata(self.path, [*self._parts, self._file.path])
 
         self._attempt(finish)
-        self._file.close()
         self._parts.append(self._file.path)
+        self._attempt(self._file.close)
 
 
 @cache

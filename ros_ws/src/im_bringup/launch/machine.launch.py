@@ -24,6 +24,7 @@ VALUES = {
     "timeout": "longest wait for the machine [s]; empty: 60",
 }
 SWITCHES = {
+    "perfect_arm": "let the simulated arms be as drawn, not off by 0.3 to 1 mm",
     "control": "let the display operate nets",
     "unproved": "start even if the verification of the nets ends without a verdict",
     "resume": "resume all unfinished commands at once",
@@ -48,7 +49,7 @@ def _start(context: LaunchContext) -> list[ExecuteProcess]:
     deployment = given.pop("deployment")
     command = [str(Path(get_package_prefix("im_bringup")) / "lib" / "im_bringup" / "start"), "--foreground"]
     command += [f"--{name}={given[name]}" for name in VALUES if given.get(name)]
-    command += [f"--{name}" for name in SWITCHES if given[name] == "true"]
+    command += [f"--{name.replace('_', '-')}" for name in SWITCHES if given[name] == "true"]
     command += [deployment] if deployment else []
     ended = Shutdown(reason="the machine has ended")
     return [ExecuteProcess(cmd=command, output="screen", sigterm_timeout=END_S, sigkill_timeout=END_S, on_exit=ended)]

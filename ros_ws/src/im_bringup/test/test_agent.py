@@ -208,6 +208,8 @@ def test_a_process_of_several_tasks_gets_the_parameters_of_each(tmp_path, monkey
     shared = str(tmp_path / "lib" / "im_bringup" / "shared_process")
     assert kitchen.argv[:3] == [shared, "lab/oven", "lab/scale"]
     assert bar.argv[:2] == [str(tmp_path / "lib" / "lab" / "scale"), "--ros-args"]
+    assert bar.argv[-4:-2] == ["-r", "scale:__node:=mixer"]
+    assert "-r" not in kitchen.argv
     assert kitchen.log == tmp_path / "log" / "kitchen.log"
     given = {"use_sim_time": True, "introspection": "contents"}
     assert yaml.safe_load(Path(kitchen.argv[-1]).read_text()) == {

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+import yaml
 
 from im_bringup.machine import start
 from im_bringup.tasks import agent, deployment
@@ -60,6 +61,35 @@ def test_moving_a_task_is_moving_its_line():
     assert tasks_of(there.on_host("far")) == {"b": ["two"]}
     with pytest.raises(NotFoundError, match="no host of the deployment 'fat'; did you mean 'far'"):
         there.on_host("fat")
+
+
+@pytest.mark.parametrize("name", ["default", "each", "two_hosts", "three_hosts"])
+def test_each_task_of_a_shipped_file_moves_to_each_process_and_keeps_what_it_is(name):
+    """Only what shares memory stays on one host, and so do all tasks of a process that has it."""
+    text = deployment.default_path().with_name(f"{name}.yaml").read_text()
+    shipped = parsed(text)
+    moved = refused = 0
+    for task in shipped.tasks():
+        for host, process in [(host, process) for host, each in shipped.hosts.items() for process in each]:
+            content = yaml.safe_load(text)
+            line = content["hosts"][task.host][task.process].pop(task.name)
+            content["hosts"][host][process][task.name] = line
+            content["hosts"] = {  # headings that have nothing left go with it
+                at: {name: tasks for name, tasks in each.items() if tasks} for at, each in content["hosts"].items()
+            }
+            content["hosts"] = {at: each for at, each in content["hosts"].items() if each}
+            if task.name in SIMULATED and host != "localhost":
+                with pytest.raises(ConfigError, match=r"shares? .*memory|is on host"):
+                    parsed(yaml.safe_dump(content, sort_keys=False))
+                refused += 1
+                continue
+            there = {each.name: each for each in parsed(yaml.safe_dump(content, sort_keys=False)).tasks()}
+            assert there[task.name].task == task.task
+            assert (there[task.name].host, there[task.name].process) == (host, process)
+            moved += 1
+    others = [process for host, each in shipped.hosts.items() if host != "localhost" for process in each]
+    assert refused == len(SIMULATED) * len(others)
+    assert moved == sum(1 for _ in shipped.tasks()) * sum(map(len, shipped.hosts.values())) - refused
 
 
 def tasks_of(processes):
@@ -188,7 +218,7 @@ def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
         ({"localhost": {"a": {}}}, "process 'a' of host 'localhost' has no task"),
         (
             {"localhost": {"a": {"one": '{x: "${sed}"}'}}},
-            "refers to '${sed}'; known are calibration, clock_factor, commands, control, period, port, seed",
+            "'${sed}'; known are calibration, clock_factor, commands, control, perfect_arm, period, port, seed",
         ),
         ({"localhost": {"a": {"one": '{x: ["${seed}", "${nix}"]}'}}}, "parameter 'x' of task 'one' refers to '${nix}'"),
         ({"localhost": {"a": {"one": '{x: "${ period }"}'}}}, "refers to '${ period }'; known are"),

@@ -226,6 +226,7 @@ def _predicted(problem: CalibrationProblem, candidates: Candidates, unknowns: Un
         spots=np.zeros((len(problem.camera_names), m, 2)),
         spot_covariances=candidates.spot_covariances,
         joint_jacobians=candidates.joint_jacobians,
+        arm_jacobians=None,
         pose_names=candidates.names,
         readings=(),
     )

@@ -30,11 +30,11 @@ class MeasuredRest:
     rotation: Array
     since_ns: int
 
-    def light_covariance(self, offset: Array) -> Array:
-        """Return the covariance of the light's position, following from the covariance of the joints.
+    def point_covariance(self, offset: Array) -> Array:
+        """Return the covariance of the position of a point on the wrist, from the covariance of the joints.
 
         Args:
-            offset: Nominal position of the light in the wrist frame, shape (3,) [m].
+            offset: Position of the point in the wrist frame, shape (3,) [m].
 
         Returns:
             Covariance in the world frame, shape (3, 3) [m^2].

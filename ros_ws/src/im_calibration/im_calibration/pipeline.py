@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.errors import InconsistentDataError
-from im_calibration.estimation.arm import Explanation, with_arm_error
+from im_calibration.estimation.arm import Explanation, with_arm_error, with_usual_arm
 from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated
 from im_calibration.estimation.noise import NoiseFactors, noise_factors
@@ -19,6 +19,7 @@ from im_calibration.judgement.agreement import CameraAgreement, camera_agreement
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, TargetPlace, chance_of
 from im_calibration.judgement.causes import find_cause, find_slip
 from im_calibration.judgement.checks import Checks, check
+from im_calibration.judgement.curvature import parameter_curvature
 from im_calibration.judgement.expected import expected_error, image_error
 from im_calibration.judgement.lenses import LensFault, lens_faults
 from im_calibration.judgement.neighbours import Neighbours, compare_neighbours
@@ -81,8 +82,8 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
         explanation = found.explanation
         cause = find_cause(stated) if _nonsense(explanation) else find_slip(stated)
     else:
-        ordered = stated.taking(order)
-        explanation = Explanation(ordered, layout, first_explanation(ordered, layout))
+        ordered = with_usual_arm(stated.taking(order))
+        explanation = Explanation(ordered, of_all := ParameterLayout.of(ordered), first_explanation(ordered, of_all))
         bent = with_arm_error(explanation.gated, explanation.problem)
         if bent.problem.arm_error is not None and not _nonsense(bent):
             explanation = bent
@@ -90,7 +91,7 @@ def _calibrate(stated: CalibrationProblem) -> Calibration:
             cause = find_cause(stated) if _nonsense(explanation) else ""
             hopeless = explanation.gated.scale > _HOPELESS and len(stated.positions) >= REDUNDANT_SPOTS
             if not cause and not hopeless:
-                gated = best_explanation(explanation.problem, layout, explanation.gated)
+                gated = best_explanation(explanation.problem, explanation.layout, explanation.gated)
                 explanation = bent if gated is explanation.gated else with_arm_error(gated, explanation.problem)
     sorted_problem, layout, gated = explanation.problem, explanation.layout, explanation.gated
     if not np.isfinite(gated.fit.chi2):
@@ -160,7 +161,10 @@ def _describe(
         block = layout.camera_slice(c)
         rms_px = rms(np.linalg.norm(residuals[c][used[c]], axis=1))
         model = _camera_model(unknowns, c, problem.image_sizes[c])
-        cameras.append(CameraEstimate(name, model, covariance.matrix[block, block], int(used[c].sum()), rms_px))
+        known, seen = covariance.matrix[block, block], used[c]
+        weights = np.linalg.inv(spread[c][seen])
+        curvature = parameter_curvature(unknowns, layout, c, known, robot_positions[seen], weights)
+        cameras.append(CameraEstimate(name, model, known, int(seen.sum()), rms_px, curvature))
     prior = layout.prior(unknowns)
     dof = _freedom(fit, used, layout)
     calibration = Calibration(

@@ -1,6 +1,7 @@
 """``im calibrate --images``: from folders of rendered images to files of cameras, and what is told of bad ones."""
 
 import contextlib
+import io
 import json
 import re
 import shlex
@@ -14,8 +15,13 @@ from scipy.spatial.transform import Rotation
 from bench.calibration.boards import Sensor, render
 from bench.calibration.target_views import transform
 from im_calibration.commands.calibrate_dataset import main
+from im_calibration.reporting import results
+from im_calibration.reporting.plots import plot_overlay
+from im_calibration.targets.detection import detect
 from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 TARGET = "chessboard:8x5:30mm"
 D = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
@@ -94,6 +100,21 @@ def test_intrinsics_and_a_pair(guide):
     assert np.all(np.abs(off) < 6.0 * deviations(right, "tx", "ty", "tz"))
     assert (guide / "left" / "left.yaml").is_file()
     assert "frame_id: left" in (guide / "pair" / "extrinsics.yaml").read_text()
+
+
+def test_the_overlay_shows_a_view_of_each_camera(scene, tmp_path, monkeypatch):
+    def overlay(calibration, problem, shown):
+        for c, name in enumerate(("left", "right")):
+            view, image = shown[name]
+            of_view = [i for i, pose in enumerate(problem.pose_names) if pose.startswith(f"{view} point ")]
+            np.testing.assert_array_equal(detect(image, target_of(TARGET)).points, problem.spots[c][of_view])
+        plot_overlay(calibration, problem, shown, picture := io.BytesIO())
+        return {"overlay.png": picture.getvalue()}
+
+    monkeypatch.setattr(results, "_pictures", overlay)
+    assert calibrate(scene / "images", tmp_path, cameras=("left", "right")) == 0
+    height, width = cv2.imread(str(tmp_path / "overlay.png")).shape[:2]
+    assert height > 0.7 * width  # two cameras, one below the other
 
 
 def test_the_same_observations_give_the_same_cameras(guide):

@@ -24,6 +24,8 @@ from im_calibration.targets.target import target_of
 from im_cell.camera_model import CameraModel
 from im_core.errors import DataError
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
 TARGET = "chessboard:8x5:30mm"

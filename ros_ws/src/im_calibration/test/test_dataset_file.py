@@ -16,12 +16,13 @@ DESIGN = Design(
 
 
 def test_a_problem_comes_back_from_its_data_set():
-    written = replace(make_scene(DESIGN, 3).problem, led_offset_nominal=(0.0, 0.06, 0.05))
+    arm = np.random.default_rng(3).normal(size=(DESIGN.poses, 3, 36)) * 1e-3
+    written = replace(make_scene(DESIGN, 3).problem, led_offset_nominal=(0.0, 0.06, 0.05), arm_jacobians=arm)
     (read,) = problems(json.loads(json.dumps(dataset_of(written), allow_nan=False)))
     for name in ("camera_names", "pose_names", "image_sizes", "led_offset_prior_sd", "joint_offset_prior_sd"):
         assert getattr(read, name) == getattr(written, name)
     assert (read.led_offset_nominal, read.workspace) == (written.led_offset_nominal, written.workspace)
-    for name in ("positions", "position_covariances", "wrist_rotations", "spots", "joint_jacobians"):
+    for name in ("positions", "position_covariances", "wrist_rotations", "spots", "joint_jacobians", "arm_jacobians"):
         np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
     np.testing.assert_allclose(read.spot_covariances, written.spot_covariances, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(read.lengths.spots, written.lengths.spots)

@@ -63,8 +63,9 @@ def test_a_model_that_fits_is_not_doubted(lens, view):
         assert calibration.success, calibration.message
 
 
-@pytest.mark.parametrize("kind", ["quadratic", "links"])
-@pytest.mark.parametrize(("size_m", "seed"), [(3e-4, 0), (1e-3, 1), (2e-3, 0)])
+@pytest.mark.parametrize(
+    ("kind", "size_m", "seed"), [("links", 3e-4, 0), ("quadratic", 1e-3, 1), ("links", 1e-3, 1), ("quadratic", 2e-3, 0)]
+)
 def test_the_error_of_an_arm_is_not_blamed_on_the_lens(kind, size_m, seed):
     design = LensDesign(60.0, 80, cameras=1, depth_m=0.6, sigma_m=5e-5, lens="barrel")
     problem = bent(make_lens_scene(design, seed), kind, size_m, seed).problem

@@ -20,7 +20,7 @@ def test_covariance_agrees_with_sampling_of_a_turning_wrist() -> None:
     jacobian[0, 0] = 1.0
     jacobian[5, 1] = 1.0
     deviations = np.array([1e-3, 2e-3])
-    covariance = rest(jacobian, np.diag(deviations**2), rotation).light_covariance(offset)
+    covariance = rest(jacobian, np.diag(deviations**2), rotation).point_covariance(offset)
     samples = np.random.default_rng(1).normal(size=(40_000, 2)) * deviations
     half, zero = 0.5 * (0.7 + samples[:, 1]), np.zeros(len(samples))
     points = matrix_of_quaternion(np.stack((zero, zero, np.sin(half), np.cos(half)), axis=1)) @ offset
@@ -30,9 +30,9 @@ def test_covariance_agrees_with_sampling_of_a_turning_wrist() -> None:
 
 def test_wrong_sizes_and_infinities_are_refused() -> None:
     with pytest.raises(DataError, match=r"\(6, 3\) does not fit"):
-        rest(np.zeros((6, 3)), np.eye(2)).light_covariance(np.zeros(3))
+        rest(np.zeros((6, 3)), np.eye(2)).point_covariance(np.zeros(3))
     with pytest.raises(DataError, match="not finite"):
-        rest(np.full((6, 2), np.nan), np.eye(2)).light_covariance(np.zeros(3))
+        rest(np.full((6, 2), np.nan), np.eye(2)).point_covariance(np.zeros(3))
 
 
 def test_an_exposure_before_the_rest_is_refused() -> None:

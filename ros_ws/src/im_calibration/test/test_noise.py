@@ -118,6 +118,8 @@ def test_noise_that_is_stated_too_large_is_told(stated, words):
 def test_noise_that_is_stated_too_small_is_a_misfit_and_told():
     calibration = calibrate(make_scene(Design(), 25).problem.with_noise(1.0 / 3.0, 1.0 / 3.0))
     assert [verdict.kind for verdict in calibration.verdicts] == ["MISFIT"]
+    assert calibration.p_value < 1e-3
+    assert calibration.cause == ""
     assert "If nothing else is wrong: The stated noise is about" in calibration.message
     assert "too small" in calibration.message
     assert holds(calibration.noise.factors.common, 3.0)

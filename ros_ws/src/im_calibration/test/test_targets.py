@@ -41,6 +41,8 @@ def seen(text, sensor=LINEAR, turn=(0.25, -0.2, 0.15), distance=0.5):
         ("tags:4x3:60mm:18mm:APRILTAG_36H11", Sensor(), 0.03),
         ("tags:4x3:60mm:18mm:tag25h9", Sensor(gamma=2.2), 0.03),
         ("tags:4x3:60mm:18mm:tag16h5", Sensor(), 0.03),
+        ("tags:3x2:60mm:60mm:tagStandard41h12", Sensor(), 0.1),
+        ("tags:2x2:60mm:60mm:Standard41h12", Sensor(noise=0.02), 0.15),
         ("circles:7x5:35mm", Sensor(), 0.06),
         ("asymmetric_circles:4x9:22mm", Sensor(), 0.06),
     ],

@@ -58,6 +58,8 @@ def test_a_set_that_the_first_start_misses_is_found_and_no_start_explains_more()
     scene = make_scene(CROWDED, 1057)
     layout = ParameterLayout.of(scene.problem)
     first = first_explanation(scene.problem, layout)
+    # whether the first start misses by itself is a matter of the last digits: here its gates have shut on half of all
+    first = replace(first, used=first.used & (np.arange(len(scene.problem.positions)) < 7))
     best = best_explanation(scene.problem, layout, first)
     assert unexplained(best, scene.problem) < unexplained(first, scene.problem)
     assert not (scene.outliers & best.used).any()

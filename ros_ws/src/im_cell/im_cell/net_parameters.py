@@ -23,11 +23,19 @@ def net_parameters() -> Mapping[str, object]:
 @cache
 def _of(_named: str | None) -> Mapping[str, object]:
     cell = load_cell()
+    tips = {group.tip: arm for arm, group in cell.groups.items()}
+    riding = {name: tips[camera.parent] for name, camera in cell.cameras.items() if camera.parent in tips}
     joints = [len(cell.joints_of(arm)) for arm in cell.groups]
     return {
         **cell.kinds,
         "lit_arms": [arm for arm, group in cell.groups.items() if group.light],
         "gripping_arms": [arm for arm, group in cell.groups.items() if group.gripper],
+        "hand_cameras": list(riding),
+        "looking_arms": list(riding.values()),
+        "printed": [
+            *(target.name for target in cell.targets if target.kind == "fiducial"),
+            *(body.name for body in cell.objects if body.fiducial is not None),
+        ],
         "turned": [_turned(cell, arm) for arm in cell.groups],
         "fewest_joints": min(joints),
         "most_joints": max(joints),

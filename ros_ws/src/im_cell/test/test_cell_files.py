@@ -1,9 +1,5 @@
 """Cells of any URDF: what is read, what is assumed, and what is refused in one sentence."""
 
-import sys
-from types import SimpleNamespace
-from xml.dom import minidom
-
 import numpy as np
 import pytest
 
@@ -70,17 +66,39 @@ def test_a_urdf_in_a_package_is_found(tmp_path, monkeypatch):
         load_cell(tmp_path / "cell.yaml")
 
 
-def test_a_xacro_is_expanded_where_xacro_is_installed(read, tmp_path, monkeypatch):
-    text, cell = robot(), CELL.replace("robot.urdf", "robot.urdf.xacro")
-    (tmp_path / "robot.urdf.xacro").write_text("<robot/>")
-    monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(ConfigError, match=r"xacro is not installed here; where it is, `xacro robot.urdf.xacro >"):
-        read("", cell)
-    monkeypatch.setitem(sys.modules, "xacro", SimpleNamespace(process_file=lambda _: minidom.parseString("<robot")))
-    with pytest.raises(ConfigError, match="xacro cannot expand it"):
-        read("", cell)
-    monkeypatch.setitem(sys.modules, "xacro", SimpleNamespace(process_file=lambda _: minidom.parseString(text)))
-    assert read("", cell).joint_names == ("a", "b")
+XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:macro name="limb" params="name joint parent">
+  <link name="${name}"/>
+  <joint name="${joint}" type="revolute"><parent link="${parent}"/><child link="${name}"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 ${0.1 * 3}"/><limit lower="${-pi / 2}" upper="${pi / 2}" velocity="2" effort="10"/></joint>
+</xacro:macro>
+<link name="base"/><xacro:limb name="one" joint="a" parent="base"/><xacro:limb name="tool" joint="b" parent="one"/>
+</robot>"""
+
+
+def test_a_xacro_is_expanded(read, tmp_path):
+    cell = CELL.replace("robot.urdf", "robot.urdf.xacro")
+    (tmp_path / "robot.urdf.xacro").write_text(XACRO)
+    found = read("", cell)
+    assert found.joint_names == ("a", "b")
+    assert found.joints[1].xyz == pytest.approx((0.0, 0.0, 0.3))
+    assert found.per_joint("limits.upper") == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("<xacro:limb", "<xacro:leg", "xacro cannot expand it: unknown macro name: xacro:leg"),
+        ("0.1 * 3", "1 / 0", "xacro cannot expand it: division by zero"),
+        ("</robot>", "", "xacro cannot expand it: no element found"),
+        ('xmlns:xacro="http://www.ros.org/wiki/xacro"', "", "xacro cannot expand it: unbound prefix"),
+        ('<link name="base"/>', "", "joint a names the link 'base', which is not there"),
+    ],
+)
+def test_a_xacro_that_cannot_be_expanded_is_refused(read, tmp_path, before, after, message):
+    (tmp_path / "robot.urdf.xacro").write_text(XACRO.replace(before, after))
+    with pytest.raises(ConfigError, match=message):
+        read("", CELL.replace("robot.urdf", "robot.urdf.xacro"))
 
 
 def test_links_that_are_fixed_are_one_body_and_joints_of_no_group_stand_where_they_are_told(read):
@@ -106,7 +124,8 @@ def test_shapes_of_the_urdf_are_enclosed_by_capsules(read):
 
 
 def test_continuous_joints_have_a_turn_to_both_sides_and_that_is_said(read):
-    cell = read(robot(first=joint("a", "base", "one", "continuous", '<limit velocity="2" effort="10"/>')))
+    limit = '<limit lower="0" upper="0" velocity="2" effort="10"/>'
+    cell = read(robot(first=joint("a", "base", "one", "continuous", limit)))
     assert cell.joints[0].kind == "revolute"
     assert cell.joints[0].limits.upper == pytest.approx(2.0 * np.pi)
     assert "a: no range; a turn to both sides" in cell.assumed
@@ -125,6 +144,9 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
 
 @pytest.mark.parametrize(("text", "cell", "message"), [
     ("<robot", CELL, "robot.urdf: is not XML: "),
+    ("<robot/>", CELL, "it has no links"),
+    (robot(second=joint("b", "one", "two", content=LIMIT.replace("-1", "-1e16"))), CELL,
+     "b: lower: '-1e16' is not 1 number below 1e9"),
     ("<sdf/>", CELL, "its outermost element is <sdf>, not <robot>"),
     (robot(link("stray")), CELL, "2 links are roots: base, stray; one link, which nothing carries, must carry all"),
     (robot(joint("c", "base", "two")), CELL, "link two hangs on two joints, b and c: a closed chain"),
@@ -136,8 +158,10 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
      CELL.replace("tip: tool,", "tip: tool, joints: [a, b],"), "joint b follows b .mimic.; such joints"),
     (robot(second=joint("b", "one", "two", "prismatic", '<limit velocity="1" effort="1"/>')), CELL,
      "joint b slides without a range; drives.b.range can say one"),
+    (robot(second=joint("b", "one", "two", content='<limit lower="0" upper="0" velocity="1" effort="1"/>')), CELL,
+     "joint b has the range 0 to 0; drives.b.range can say one"),
     (robot(second=joint("b", "one", "two", xyz="0 0 300")), CELL, "joint b is 300 m off its parent: .*millimetres"),
-    (robot(second=joint("b", "one", "two", xyz="0 zero 0")), CELL, "b: '0 zero 0' is not 3 finite numbers"),
+    (robot(second=joint("b", "one", "two", xyz="0 zero 0")), CELL, "b: '0 zero 0' is not 3 numbers below 1e9"),
     (robot(second=joint("b-1", "one", "two")), CELL, "joint 'b-1': ROS takes no such name; letters, digits and _"),
     (robot(link("hand", MESH), joint("h", "two", "hand", "fixed", "")), CELL,
      "shape of link hand for collision is the mesh package://x/y.stl, and the cell has no capsules; `im cell new`"),

@@ -1,4 +1,4 @@
-"""Packages above the cell name no part of the default cell, nor do their nets and settings."""
+"""Packages above the cell name no part, side or count of the default cell, nor do their nets and settings."""
 
 import re
 from pathlib import Path
@@ -15,6 +15,11 @@ NAMES = {*CELL.joint_names, *CELL.cameras, *CELL.partitions, *PARTS, *CELL.descr
 }  # fmt: skip
 NAMES |= {f"{group}_{part}" for group in CELL.groups for part in ("arm", "cart")}
 NAMED = re.compile(rf"\b({'|'.join(sorted(NAMES))})\b")
+#: Sides in quotes or in names of parts, and the number of joints.
+SIDE_OR_COUNT = re.compile(
+    r"""(?<!side=)["'](left|right)["']|\(18,\)|range\((18|9)\)|[!=<>]= (18|9)\b|:(18|9)\]"""
+    r"""|\b(18|9|eighteen|nine) (joints|slots)"""
+)
 
 
 @pytest.mark.parametrize("package", ["im_mcs", "im_coordinators", "im_dispatcher", "im_vss"])
@@ -25,6 +30,6 @@ def test_no_file_names_a_part_of_the_default_cell(package):
         for pattern in ("*.py", "*.yaml")
         for path in sorted((folder / package).rglob(pattern))
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
-        if NAMED.search(line) or "(18,)" in line
+        if NAMED.search(line) or SIDE_OR_COUNT.search(line)
     ]
     assert not found

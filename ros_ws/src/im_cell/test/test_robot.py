@@ -143,6 +143,15 @@ def test_collision_shapes_of_the_arms_are_the_same_for_planners_and_physics():
         assert here == there
 
 
+def test_capsules_are_sheer_where_hulls_are_compared():
+    ur5 = load_cell("ur5")
+    limits = {joint.name: joint.limits for joint in ur5.joints}
+    assert "forearm_link" in {hull.link for hull in ur5.hulls}
+    for tree, opacity in ((ET.fromstring(robot_description(ur5, limits)), 0.35), (ET.fromstring(urdf(ur5)), 1.0)):
+        colors = tree.find("link[@name='forearm_link']").findall("visual/material/color")
+        assert {numbers(color.get("rgba"))[3] for color in colors} == {opacity}
+
+
 @pytest.mark.parametrize("side", list(CELL.groups))
 def test_the_joint_of_a_gripper_is_its_opening(side):
     driven, follower = (DESCRIPTION.find(f"joint[@name='{side}_{name}']") for name in ("gripper", "jaw"))

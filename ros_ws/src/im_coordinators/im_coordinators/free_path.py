@@ -60,7 +60,7 @@ class FreeSpace:
         self._pairs = np.flatnonzero(levers.any(axis=1))
         self._levers = levers[self._pairs]
         self._all = np.arange(len(self._pairs))
-        self._least = clearance_m + _MARGIN_M
+        self._least = np.full(len(self._pairs), clearance_m + _MARGIN_M)
         self._whole, self._index = q_all.copy(), index
         self.lower, self.upper = lower, upper
         self.checks = 0
@@ -75,11 +75,21 @@ class FreeSpace:
         self._whole[self._index] = q
         self._bodies.place(self._whole)
         found = np.empty(len(pairs))
-        for rank, pair in enumerate(self._pairs[pairs].tolist()):
-            found[rank] = room = self._bodies.distance(pair) - self._least
+        for rank, pair in enumerate(pairs.tolist()):
+            found[rank] = room = self._bodies.distance(int(self._pairs[pair])) - self._least[pair]
             if room <= 0.0:
                 return None
         return found
+
+    def leave(self, q: Array) -> None:
+        """Let pairs too close at ``q``, shape (n,), but without contact, stay as close.
+
+        The collision watch stops arms closer to each other than a path may lead: they must be able to leave.
+        """
+        self._whole[self._index] = q
+        self._bodies.place(self._whole)
+        apart = np.array([self._bodies.distance(int(pair)) for pair in self._pairs]) - _MARGIN_M
+        self._least = np.where(apart > 0.0, np.minimum(self._least, apart), self._least)
 
     def free(self, q: Array) -> bool:
         """Whether ``q``, shape (n,), is free."""
@@ -129,7 +139,9 @@ def find_path(space: FreeSpace, start: Array, goal: Array, seed: int) -> FreePat
     Raises:
         ImError: Start or goal is not free, or no path was found (code ``collision``).
     """
-    for name, q in (("start", start), ("goal", goal)):
+    for name, q in (("goal", goal), ("start", start)):
+        if q is start:
+            space.leave(start)
         if not space.free(q):
             text = f"the {name} of the path is too close to something; no path is free there"
             raise ImError(text, code="collision", end=name)

@@ -1,7 +1,7 @@
 """Decisions of the Motion Coordinator: target of an arm, state of an arm, validity of a position."""
 
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from im_core.errors import DataError, StateError
 
@@ -102,12 +102,12 @@ def note_end(memory: MutableMapping[str, object], positions: Sequence[float]) ->
 
     Args:
         memory: Of the request.
-        positions: Joint positions at its end, shape (n,) [rad, m].
+        positions: Joint positions at its end, shape (n,) [rad, m]; of a line position [m] and quaternion of the wrist.
     """
     memory["leads_to"] = [float(position) for position in positions]
 
 
-def end_noted(memory: Mapping[str, object]) -> object:
+def end_noted(memory: Mapping[str, object]) -> Any:
     """Return the end of the path followed for a request, None without a path or without need for the end.
 
     Args:

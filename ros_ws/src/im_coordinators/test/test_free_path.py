@@ -139,3 +139,29 @@ def _wrist_at(q):
     whole[:9] = q
     pin.framesForwardKinematics(MODEL.pin, data, whole)
     return data.oMf[MODEL.frame_id("left_wrist")].act(np.array([0.0, 0.0, 0.1]))
+
+
+def test_arms_that_the_watch_has_stopped_close_to_each_other_part_and_come_no_closer():
+    index = np.array([CELL.joint_names.index("left_track")])
+    checker = CollisionChecker(MODEL, CLEARANCE)
+    q = CELL.home.copy()
+    q[CELL.joint_names.index("right_track")] = 0.5
+    free, near = float(q[index[0]]), 0.5
+    for _ in range(40):
+        q[index] = middle = 0.5 * (free + near)
+        free, near = (middle, near) if checker.closest(q).distance > 0.6 * CLEARANCE else (free, middle)
+    start, away = q[index].copy(), CELL.home[index]
+    assert 0.0 < checker.closest(q).distance < CLEARANCE
+    path = find_path(space_of(q, index), start, away, seed=1)
+    assert checker.check_path(q, index, np.vstack([start, path.points])) > 0.5 * CLEARANCE
+    for goal in (start + 0.003, start + 0.3):
+        with pytest.raises(ImError, match="goal of the path is too close"):
+            find_path(space_of(q, index), start, goal, seed=1)
+        with pytest.raises(ImError, match="is the least allowed"):
+            checker.check_path(q, index, np.vstack([start, goal]))
+    q[index] = start + 0.1
+    assert checker.closest(q).distance < 0.0
+    with pytest.raises(ImError, match="at the start"):
+        checker.check_path(q, index, np.vstack([q[index], away]))
+    with pytest.raises(ImError, match="start of the path is too close"):
+        find_path(space_of(q, index), q[index], away, seed=1)

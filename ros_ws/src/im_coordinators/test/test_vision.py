@@ -79,6 +79,7 @@ def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(ans
     net = load_net(package_file("im_coordinators", "nets/vision_coordinator.yaml"))
     functions = dict.fromkeys(("light_on", "light_as_found", "forget_light", "look_exposure", "nominal_exposure"), hold)
     functions |= dict.fromkeys(("longer_exposure", "store_spots", "keep_observation", "store_calibration"), hold)
+    functions |= dict.fromkeys(("wanted_print", "locate_object"), hold)
     process = Process(
         [net, parse_net(ASKS)],
         actions={**functions, "calibration_problem": lambda ctx: {}},

@@ -7,7 +7,7 @@ import stat
 from collections.abc import Sequence
 from pathlib import Path
 
-from im_core.errors import DataError, StoreError, printable
+from im_core.errors import DataError, ImError, StoreError, printable
 from im_core.ownership import check_owner, require_own
 
 MEBIBYTE = 2**20
@@ -133,15 +133,16 @@ def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
             the disk failed when the new one had its name, and a loss of power decides which of them is there.
         LinkError: It must belong to this user, and does not.
     """
-    target = path.resolve() if path.is_symlink() and path.exists() and not own else path
-    if own:
-        require_own(path)
-    elif target.exists() and not target.is_file():
-        raise StoreError(f"{path} cannot be written: it is no regular file", file=str(path), reason="no regular file")
-    # a name that nobody can foresee, and none that is taken: through a link of that name another file were written
-    beside = target.with_name(f".{target.name[:100]}.{os.urandom(8).hex()}")
-    data = content.encode() if isinstance(content, str) else content
+    data, beside = content.encode() if isinstance(content, str) else content, None
     try:
+        target = path.resolve() if path.is_symlink() and path.exists() and not own else path
+        if own:
+            require_own(path)
+        elif target.exists() and not target.is_file():
+            reason = "no regular file"
+            raise StoreError(f"{path} cannot be written: it is {reason}", file=str(path), reason=reason)
+        # a name that nobody can foresee, and none that is taken: through a link of that name another file were written
+        beside = target.with_name(f".{target.name[:100]}.{os.urandom(8).hex()}")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         with os.fdopen(os.open(beside, flags, 0o600 if own else 0o666), "wb") as file:
             file.write(data)
@@ -152,9 +153,10 @@ def write_whole(path: Path, content: str | bytes, *, own: bool = False) -> Path:
         os.replace(beside, target)
         synchronise_names(target.parent)
     except BaseException as error:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
-        if isinstance(error, OSError):
+        if beside is not None:
+            with contextlib.suppress(OSError):
+                beside.unlink(missing_ok=True)
+        if isinstance(error, OSError) and not isinstance(error, ImError):
             raise StoreError.of("written", path, error) from error
         raise
     return path

@@ -1,5 +1,7 @@
 """Names of shared memory, outliving killed processes; without the mapping code and numpy."""
 
+import fcntl
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,3 +30,19 @@ def remove_all(prefix: str) -> list[str]:
 def left(prefix: str) -> list[Path]:
     """Return the ``/dev/shm`` files still to be removed by :func:`remove_all`, files being written included."""
     return sorted(path for path in SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))
+
+
+def lock(path: Path) -> int:
+    """Lock a file for the present process; return the descriptor. No link is followed, no FIFO waited for.
+
+    Raises:
+        FileNotFoundError: There is none.
+        OSError: A process holds the lock, or the file cannot be opened.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor

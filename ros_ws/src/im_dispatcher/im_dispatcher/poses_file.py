@@ -140,10 +140,10 @@ class PosesFile(Model):
 
 
 def load_named_poses(path: str) -> PosesFile:
-    """Read a poses file named by a message; that of the cell, or one below the folders allowed for messages.
+    """Read a poses file named by a message; one of the cell, or one below the folders allowed for messages.
 
     Args:
-        path: The file; empty for the cell's own.
+        path: The file; empty for the cell's own; a name without a folder also for one beside that.
 
     Raises:
         DataError: It is outside of those folders.
@@ -154,6 +154,9 @@ def load_named_poses(path: str) -> PosesFile:
         raise ConfigError("the cell file names no poses; give poses_file (`scripts/run.sh im_mcs poses` finds poses)")
     if path in ("", own):
         return load_poses(own)
+    for beside in Path(own).parent.glob("*.yaml") if own else ():
+        if path == beside.name:
+            return load_poses(beside)
     folders = message_folders()
     return load_model(resolve_below(path, folders, "poses_file"), PosesFile, within=folders)
 

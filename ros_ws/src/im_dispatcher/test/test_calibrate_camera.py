@@ -70,7 +70,8 @@ class Play:
     def __init__(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path))
         self.host, self.now = Host(), lambda: 7.0
-        self.job = Job(Command(1, SYMBOL, {"cameras": [], "poses_file": "", "group": "left"}), {})
+        arguments: dict[str, object] = {"cameras": [], "poses_file": "", "group": "left"}
+        self.job = Job(Command(1, SYMBOL, arguments), arguments)
         self._poses = load_named_poses("").poses
         self.restart()
 
@@ -324,7 +325,13 @@ def observed(number: int) -> dict[str, object]:
     spot |= {"found": True, "stamp": {"sec": number, "nanosec": 5}}
     wrist = {"position": {"x": 0.1 * number, "y": 0.0, "z": 1.0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
     lost = {**spot, "camera": "ceiling_right", "found": False}
-    return {"pose": f"p{number:02}", "wrist": wrist, "position_covariance": [0.0] * 9, "spots": [spot, lost]}
+    return {
+        "pose": f"p{number:02}",
+        "wrist": wrist,
+        "position_covariance": [0.0] * 9,
+        "arm_jacobian": [],
+        "spots": [spot, lost],
+    }
 
 
 def test_what_was_observed_before_a_failure_or_a_cancellation_is_kept(play: Play) -> None:

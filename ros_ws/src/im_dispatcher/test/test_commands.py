@@ -88,17 +88,17 @@ def test_every_command_that_is_shipped_says_what_it_takes_and_needs_what_the_cel
         assert all(symbol in needs and declared.description for symbol, declared in net.commands.items())
 
 
-GRIPPING = {"close_gripper", "open_gripper", "pick", "place", "hand_over", "gripper_coordinator"}
+GRIPPING = {"close_gripper", "open_gripper", "pick", "place", "hand_over", "handover", "gripper_coordinator"}
 
 
 @pytest.mark.parametrize(
     ("cell", "lacking"),
     [
         ("puma_pair", set()),
-        ("ur5", {"demo", "look_laser", *GRIPPING}),
-        ("ur_pair", {"look_laser", *GRIPPING}),
-        ("panda", {"demo", "hand_over", "look_laser"}),
-        ("so101", {"demo", "look_laser", *GRIPPING}),
+        ("ur5", {"check_camera", "demo", "find", "look_laser", *GRIPPING}),
+        ("ur_pair", {"check_camera", "find", "look_laser", *GRIPPING}),
+        ("panda", {"check_camera", "demo", "find", "hand_over", "handover", "look_laser"}),
+        ("so101", {"check_camera", "demo", "find", "look_laser", *GRIPPING}),
     ],
 )
 def test_the_nets_that_are_shipped_fit_every_cell_that_has_their_parts(
@@ -117,6 +117,11 @@ def test_the_nets_that_are_shipped_fit_every_cell_that_has_their_parts(
     needs = Needs([net for net in there if net.commands], resources_of(load_cell()))
     groups = [variant.choice["group"] for variant in needs.variants.values() if variant.symbol == "home"]
     assert groups == list(load_cell().groups)
+    forms = [declared.arguments.json_schema() for net in there for declared in net.commands.values()]
+    fields = [(name, one["enum"]) for form in forms for name, one in form["properties"].items() if "enum" in one]
+    offered = {"group": list(load_cell().groups), "camera": list(load_cell().cameras)}
+    assert {name for name, _ in fields} >= offered.keys(), "fields of the page's forms"
+    assert all(enum == offered[name] for name, enum in fields if name in offered)
 
 
 def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:

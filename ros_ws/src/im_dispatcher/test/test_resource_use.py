@@ -47,14 +47,14 @@ class Played:
 
     def fail(self) -> None:
         if self.dice.random() < 0.15:
-            raise ImError("no", code=self.dice.choice(["no", "begun_anew"]))
+            raise ImError("no", code=self.dice.choice(["no", "begun_anew", "collision"]))
 
     def made(self, ctx: ActionContext) -> dict[str, object]:
         """Returns what a function of the nets that makes the arguments of a request could."""
         self.fail()
         asked, group = ctx.request_arguments, ctx.request_arguments.get("group", "left")
         match ctx.transition:
-            case "plan_path":
+            case "plan_path" | "plan_in_turn":
                 return {"group": group, "joints": [0.0] * 9}
             case "validate_path":
                 return {"group": group, "path": asked["path"]}
@@ -103,7 +103,7 @@ def test_what_is_done_for_a_command_is_within_what_it_needs() -> None:
     dice = random.Random(13)
     played = Played(dice)
     symbols = sorted({variant.symbol for variant in played.needs.variants.values()})
-    for _ in range(120):
+    for _ in range(240):
         for symbol in symbols:
             played.run(symbol)
     assert len(played.process.results) == len(played.asked)

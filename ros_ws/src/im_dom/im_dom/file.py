@@ -155,9 +155,12 @@ class StoreFile:
             DataError: It cannot be opened.
             StoreError: It cannot be moved aside.
         """
-        _undo_begun(path)
-        listed = read_list(path.with_name(path.name + _LIST))
-        fault = _fault(path, listed)
+        try:
+            _undo_begun(path)
+            listed = read_list(path.with_name(path.name + _LIST))
+            fault = _fault(path, listed)
+        except OSError as error:
+            raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         if not fault.text:
             return None
         aside = _set_aside(path)

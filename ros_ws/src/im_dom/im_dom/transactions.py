@@ -16,6 +16,7 @@ import json
 import os
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -102,7 +103,8 @@ class TransactionList:
 
     def close(self) -> None:
         """Close the file."""
-        os.close(self._descriptor)
+        with suppress(OSError):  # it is closed all the same
+            os.close(self._descriptor)
 
     def _write(self, line: bytes) -> None:
         self._unwritten += line

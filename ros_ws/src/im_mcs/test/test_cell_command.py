@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 import yaml
+from matplotlib.patches import Polygon
 from scipy.optimize import nnls
 
 from im_cell.robot import cell_file, load_cell
@@ -15,8 +16,10 @@ from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclose
 from im_mcs.cell.command import main
 from im_mcs.cell.hulls import simplified
+from im_mcs.cell.picture import draw, outline
 from im_mcs.cell.template import first_cell
 from im_mcs.collision import Bodies, CollisionChecker, lever_bounds
+from im_mcs.collision.bodies import faces_of
 from im_mcs.limits.configuration import load_config
 from im_mcs.model import CellModel
 
@@ -50,6 +53,28 @@ def test_a_hull_of_few_corners_holds_all_points_and_little_more(count):
         assert {tuple(each) for each in corners} <= {tuple(each) for each in np.round(points, 4)}
         assert max(away_from_hull(corners, point) for point in points) <= margin + 1e-6
         assert margin < 0.15 * np.ptp(points, axis=0).max()
+
+
+def test_a_corner_may_have_hundreds_of_neighbours():
+    """As of a finely drawn cylinder, whose flat ends are cut into triangles that share a corner."""
+    turns = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    circle = np.column_stack([0.05 * np.cos(turns), 0.05 * np.sin(turns)])
+    points = np.vstack([np.column_stack([circle, np.full(len(turns), height)]) for height in (0.0, 0.2)])
+    corners, margin = simplified(np.vstack([points, [(0.0, 0.0, 0.25)]]))
+    assert len(corners) <= 32
+    assert margin < 5e-3
+
+
+def test_a_joint_may_have_the_name_of_a_link(tmp_path):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    (tmp_path / "ur5.urdf").write_text(text.replace('"elbow_joint"', '"tool0"').replace('"wrist_1_joint"', '"arm_1"'))
+    text = cell_file("ur5").read_text().replace("elbow_joint", "tool0").replace("wrist_1_joint", "arm_1")
+    (tmp_path / "cell.yaml").write_text(re.sub("poses: .*", "", text))
+    cell, same = load_cell(tmp_path / "cell.yaml"), load_cell("ur5")
+    model, usual = CellModel(cell), CellModel(same)
+    q = cell.home + 0.1
+    np.testing.assert_allclose(model.pose(q, "tool0"), usual.pose(q, "tool0"), atol=1e-15)
+    assert CollisionChecker(model, 0.0).closest(q).distance == CollisionChecker(usual, 0.0).closest(q).distance
 
 
 def test_corners_in_one_plane_but_one_are_enough():
@@ -119,8 +144,35 @@ def test_a_mesh_is_compared_as_its_hull(robot, capsys):
         lowest = min(pose.act(np.array(corner))[2] for corner in hull.points)
         if lowest > hull.radius:
             assert checker.closest(q).distance == pytest.approx(lowest - hull.radius, abs=1e-6)
+    faces = faces_of(np.array(hull.points))
+    assert len(faces) == 12
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    assert np.linalg.norm(normals, axis=1).sum() / 2.0 == pytest.approx(2.0 * 0.1**2 + 4.0 * 0.1 * 0.6), "all faces"
+    assert (np.einsum("ij,ij->i", normals, faces[:, 0]) > 0.0).all(), "counter-clockwise from outside"
     bound = lever_bounds(model, Bodies(model))[0, 2]
     assert bound == pytest.approx(np.hypot(0.05, 0.3), abs=1e-3)  # from the elbow's axis to an edge
+
+
+def test_an_outline_is_what_a_margin_leaves_of_the_points():
+    """A square with a margin has the area of the square, four strips and a circle."""
+    points = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0), (1.0, 1.3)])
+    x, y = outline(points, 0.1).T
+    area = (x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0
+    assert area == pytest.approx(4.0 + 4 * 2.0 * 0.1 + np.pi * 0.1**2, abs=2e-3)
+
+
+def test_a_picture_shows_hulls_and_the_capsules_of_other_links(robot, monkeypatch):
+    cell = load_cell("so101")
+    alone = cell.hulls[:1]
+    monkeypatch.setattr("im_mcs.cell.picture.Polygon", lambda corners, **_: drawn.append(corners) or Polygon(corners))
+    drawn, counts = [], {}
+    for number, hulls in enumerate((cell.hulls, alone)):
+        drawn.clear()
+        draw(cell.model_copy(update={"hulls": hulls}), robot.with_name(f"{number}.png"))
+        counts[number] = len(drawn)
+    links = {hull.link for hull in cell.hulls}
+    assert counts[0] == 3 * (len(cell.hulls) + sum(body.link not in links for body in cell.bodies))
+    assert counts[1] == 3 * (1 + sum(body.link != alone[0].link for body in cell.bodies))
 
 
 def test_a_mesh_without_thickness_keeps_its_capsule(robot):
@@ -151,6 +203,29 @@ def test_fingers_stand_still_and_the_frame_between_them_is_the_tip():
     text = first_cell(cell_file("panda").with_name("panda.urdf"))
     assert "tip: panda_hand_tcp" in text
     assert "finger" not in text.partition("capsules:")[0]
+
+
+def test_a_jaw_by_its_name_is_no_joint_of_the_arm_and_links_need_no_shapes(tmp_path):
+    def joint(name, parent, child, limit='<limit lower="-1" upper="1" velocity="1" effort="9"/>'):
+        return (f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+                f'<origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>{limit}</joint>')  # fmt: skip
+
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "one", "two", "claw"))
+    joints = joint("a", "base", "one") + joint("b", "one", "two") + joint("Jaw", "two", "claw")
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot.urdf"))
+    assert load_cell(tmp_path / "cell.yaml").joint_names == ("a", "b")
+
+
+def test_links_that_are_in_the_way_everywhere_are_named(tmp_path):
+    text = cell_file("ur5").with_name("ur5.urdf").read_text()
+    for link, size in (("base_link", 0.3), ("forearm_link", 0.3), ("wrist_3_link", 2.0)):
+        shape = f'<collision><geometry><sphere radius="{size}"/></geometry></collision>'
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{shape}', 1)
+    (tmp_path / "robot.urdf").write_text(text)
+    (tmp_path / "robot.srdf").write_text('<robot name="r"/>')
+    with pytest.raises(DataError, match=r": (base_link|wrist_3_link|floor) and (wrist_3_link|floor) meet most often"):
+        first_cell(tmp_path / "robot.urdf", tmp_path / "robot.srdf")
 
 
 def test_each_of_two_arms_is_a_group():

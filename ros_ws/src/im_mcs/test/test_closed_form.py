@@ -229,3 +229,39 @@ def test_an_arm_of_five_joints_meets_a_pose_but_for_a_small_turn_about_one_axis(
         pose.rotation = pin.exp3(0.3 * axis / np.linalg.norm(axis)) @ pose.rotation
         *_, end = solver.descent(pose, cell.home, q)
         assert end.reached == (np.linalg.norm(pin.log3(pose.rotation @ model.pose(end.q, tip).rotation.T)) < 0.0175)
+
+
+@pytest.mark.parametrize("name", ["so101", "panda", "puma_pair"])
+def test_a_place_beyond_the_stretched_chain_is_known_without_a_search(name, monkeypatch):
+    """No position of the joints is beyond; of a place that is, a few starts tell where the nearest solution is."""
+    cell = load_cell(name)
+    model, group = CellModel(cell), next(iter(cell.groups))
+    tip, index = cell.groups[group].tip, np.array([cell.joint_names.index(j) for j in cell.joints_of(group)])
+    limits = JointLimits(cell, load_config(cell=cell).limits)
+    solver, random = InverseKinematics(model, limits, index, tip), np.random.default_rng(3)
+    for _ in range(50):
+        q = cell.home.copy()
+        q[index] = random.uniform(limits.lower[index], limits.upper[index])
+        assert not solver._is_beyond(model.pose(q, tip), cell.home)
+    begun, descent = [], solver.descent
+    monkeypatch.setattr(solver, "descent", lambda *given, **more: begun.append(given) or descent(*given, **more))
+    far = model.pose(cell.home, tip)
+    far.translation = far.translation + np.array([9.0, 0.0, 0.0])
+    with pytest.raises(DataError, match="out of reach: the nearest solution is at"):
+        solver.solve(far, cell.home, cell.home[index])
+    assert len(begun) == 8
+
+
+def test_a_start_that_leads_nowhere_ends_early():
+    """An arm of five joints cannot yaw its tip in its place: its first joint alone yaws."""
+    cell = load_cell("so101")
+    model, index, tip = CellModel(cell), np.arange(5), cell.groups["arm"].tip
+    solver = InverseKinematics(model, JointLimits(cell, load_config(cell=cell).limits), index, tip)
+    wanted = model.pose(cell.home, tip)
+    wanted.rotation = pin.exp3(np.array([0.0, 0.0, 1.2])) @ wanted.rotation
+    lengths = []
+    for start in solver._starts(cell.home[index])[:8]:
+        *way, end = solver.descent(wanted, cell.home, start, patient=False)
+        assert not end.reached
+        lengths.append(len(way) + 1)
+    assert np.mean(lengths) < 70.0, "of 100"

@@ -1,8 +1,8 @@
 import pytest
 from pydantic import ValidationError
 
+from im_core.config import FieldError
 from im_core.errors import ConfigError, NotFoundError
-from im_mcs.client.kinematics import Kinematics
 from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
 from support.mcs_config import mcs_text
@@ -31,25 +31,6 @@ def test_presets_partition_all_joints(config, cell):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda slots: slots[:6], "joint slot 7 is None, and joint 7 of the cell is left_j4"),
-        (
-            lambda slots: [slots[1], slots[0], *slots[2:]],
-            "joint slot 1 is left_rotation, and joint 1 of the cell is left_t",
-        ),
-        (
-            lambda slots: [slots[0].model_copy(update={"name": "shoulder_pan_joint"}), *slots[1:]],
-            "joint slot 1 is shoulder_pan_joint, and joint 1 of the cell is left_track; joint slots have the names",
-        ),
-    ],
-)
-def test_slots_of_another_cell_are_refused(config, cell, change, message):
-    with pytest.raises(ConfigError, match=message):
-        JointLimits(cell, config.limits, change(list(config.slots)))
-
-
-@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("velocity: 0.95", "velocity: -1", r"mcs.yaml:\d+: limits.velocity: -1: .*greater than 0"),
@@ -68,6 +49,36 @@ def test_slots_of_another_cell_are_refused(config, cell, change, message):
             "joints: [left_track, left_rotation",
             "joints: [right_track, left_rotation",
             r"mcs.yaml:\d+: presets.2x9.right.joints\[0\]: 'right_track' is already in group 'left'",
+        ),
+        (
+            "{name: left_track, driver: testbed, channel: 0}",
+            "{name: left_trak, driver: testbed, channel: 0}",
+            r"mcs.yaml:\d+: slots\[0\].name: 'left_trak' is not a joint of the cell \(did you mean 'left_track'",
+        ),
+        (
+            "{name: left_rotation, driver: testbed, channel: 1}\n  - {name: left_tilt, driver: testbed, channel: 2}",
+            "{name: left_tilt, driver: testbed, channel: 1}\n  - {name: left_rotation, driver: testbed, channel: 2}",
+            r"mcs.yaml:\d+: slots\[1\].name: where left_rotation is expected is the slot of left_tilt; ",
+        ),
+        (
+            "  - {name: right_j6, driver: testbed, channel: 17}\n",
+            "",
+            r"mcs.yaml:\d+: slots: where right_j6 is expected is missing",
+        ),
+        (
+            "{name: right_gripper, kind",
+            "{name: right_griper, kind",
+            r"mcs.yaml:\d+: slots\[19\].name: 'right_griper' is not a gripper of the cell \(did you mean 'right_g",
+        ),
+        (
+            "wrist: left_wrist",
+            "wrist: left_wirst",
+            r"mcs.yaml:\d+: presets.2x9.left.wrist: there is no frame 'left_wirst' \(did you mean 'left_wrist'",
+        ),
+        (
+            "law_processes: ",
+            "group_control:\n  lift: {controller: 'im_mcs.control.pid:Pid'}\nlaw_processes: ",
+            r"mcs.yaml:\d+: group_control.lift: there is no group 'lift' \(did you mean 'left'",
         ),
         ("period_s: 0.0045", "periods: 0.0045", "servo.period_s"),
         (
@@ -88,13 +99,9 @@ def test_limits_that_leave_a_joint_no_position_are_refused(config, cell):
         JointLimits(cell, wide, config.slots)
 
 
-def test_a_wrist_that_is_no_frame_is_refused(config, model):
-    left = config.groups["left"].model_copy(update={"wrist": "left_wirst"})
-    presets = {**config.presets, "3x6": {"left": left}}
-    with pytest.raises(ConfigError, match=r"presets.3x6.left.wrist: there is no frame 'left_wirst'"):
-        Kinematics(config.model_copy(update={"presets": presets}), model)
-    with pytest.raises(ValueError, match="the preset has no groups; at least 1 is needed"):
-        McsConfig.model_validate({**config.model_dump(), "presets": {**config.model_dump()["presets"], "none": {}}})
+def test_a_preset_without_groups_is_refused(config, cell):
+    with pytest.raises(FieldError, match="the preset has no groups; at least 1 is needed"):
+        config.model_copy(update={"presets": {**config.presets, "none": {}}}).of_cell(cell)
 
 
 def test_unknown_preset(config):

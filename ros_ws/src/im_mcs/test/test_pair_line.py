@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_core.errors import ConfigError, ImError
-from im_mcs.client.kinematics import Kinematics
+from im_core.config import FieldError
+from im_core.errors import ImError
 from im_mcs.limits.configuration import Group, McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.planning.checks.context import PlanContext
@@ -241,5 +241,5 @@ def test_a_group_has_a_wrist_or_a_pair(config, model):
         Group(joints=("left_j1",), wrist="left_wrist", pair=WRISTS)
     data = config.model_dump()
     data["presets"]["1x18"]["testbed"]["pair"] = ["left_wrist", "right_paw"]
-    with pytest.raises(ConfigError, match=r"1x18.testbed.pair: there is no frame 'right_paw'"):
-        Kinematics(McsConfig.model_validate(data), model)
+    with pytest.raises(FieldError, match="there is no frame 'right_paw'"):
+        McsConfig.model_validate(data).of_cell(model.cell)

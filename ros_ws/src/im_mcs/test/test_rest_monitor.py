@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_mcs.limits.configuration import load_config
+from im_mcs.protocol.requests import SettleBounds
 from im_mcs.servo.rest_monitor import RestMonitor, RestPhase
 
 SERVO = load_config().servo
@@ -67,6 +68,38 @@ def test_an_arm_off_its_setpoint_times_out():
     assert not monitor.at_rest
     assert monitor.timed_out
     assert abs(monitor.last_error[monitor.worst()]) > 9e-4
+
+
+def test_an_arm_that_trembles_is_at_rest_late_and_told_less_surely():
+    """A tremor of 150 urad, as of contact in the jaws, which noise does not explain."""
+    source, random = readings(TARGET, 5), np.random.default_rng(5)
+    monitor = RestMonitor(RESOLUTION, NOISE, SERVO)
+    ticks = round(SERVO.settle.timeout_s / SERVO.period_s)
+    tremor = 0.0
+    for tick in range(ticks):
+        tremor = 0.9 * tremor + 1.5e-4 * np.sqrt(1.0 - 0.9**2) * random.standard_normal()
+        monitor.update(tick, next(source) + tremor, TARGET)
+        if monitor.at_rest:
+            break
+    assert monitor.at_rest
+    assert tick > ticks // 2
+    assert (np.abs(monitor.q - TARGET) < 4.0 * np.sqrt(monitor.variance)).all()
+
+
+def test_bounds_of_a_motion_hold_until_the_next_one():
+    """An arm off its setpoint is at rest for one motion, out of time for the next, and judged as configured then."""
+    ticks = round(SERVO.settle.timeout_s / SERVO.period_s)
+    monitor, source = RestMonitor(RESOLUTION, NOISE, SERVO), readings(TARGET + 1.5e-3, 1)
+    for bounds, at_rest, timed_out in (
+        (SettleBounds(tolerance=2e-3), True, False),
+        (SettleBounds(timeout_s=0.1), False, True),
+        (SettleBounds(), False, False),
+    ):
+        monitor.bound(bounds)
+        monitor.restart()
+        for tick in range(ticks // 3):
+            monitor.update(tick, next(source), TARGET)
+        assert (monitor.at_rest, monitor.timed_out) == (at_rest, timed_out)
 
 
 def test_braked_joints_need_no_setpoint():

@@ -38,10 +38,10 @@ from im_core.plugins import import_at_use
 
 if TYPE_CHECKING:
     from im_pnt.errors import NetError, NetFileError
-    from im_pnt.execution.actions import FunctionRunner
     from im_pnt.execution.executor import Executor
     from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
     from im_pnt.execution.notification import Firing, Observer
+    from im_pnt.execution.runner import FunctionRunner
     from im_pnt.model.net import Net
     from im_pnt.netfile import load_net, parse_net
 
@@ -65,7 +65,7 @@ __getattr__ = import_at_use(
     __name__,
     {
         "errors": ("NetError", "NetFileError"),
-        "execution.actions": ("FunctionRunner",),
+        "execution.runner": ("FunctionRunner",),
         "execution.executor": ("Executor",),
         "execution.functions": ("ActionContext", "Functions", "idempotent", "woken_by"),
         "execution.notification": ("Firing", "Observer"),

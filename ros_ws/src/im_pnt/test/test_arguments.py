@@ -128,7 +128,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.dictionaries(st.sampled_from([*SCHEMA.arguments, "other"]), json_values, max_size=4))
 def test_the_json_schema_takes_what_is_taken_and_refuses_what_is_refused(given):
     validator = jsonschema.Draft202012Validator(SCHEMA.json_schema())

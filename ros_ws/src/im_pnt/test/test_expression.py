@@ -247,7 +247,7 @@ expressions = st.recursive(
 )
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(expressions | st.text(max_size=40) | st.text("()[].,+-*/'1a $}{", max_size=600))
 def test_nothing_but_an_expression_error_comes_of_any_text(text):
     try:
@@ -262,7 +262,7 @@ def test_nothing_but_an_expression_error_comes_of_any_text(text):
     json.dumps(found, allow_nan=False)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(expressions)
 def test_what_has_a_type_has_a_value_of_it_or_none(text):
     """An expression that passes the check fails only for what is not there or out of range, never for a wrong type."""

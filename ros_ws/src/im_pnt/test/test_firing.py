@@ -77,7 +77,7 @@ def run(net: Net, seed: int, limits: list[int], observer: Observer | None) -> li
     return seen
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(nets(), st.integers(0, 3), st.lists(st.integers(1, 60), min_size=1, max_size=3))
 def test_nobody_who_looks_on_changes_anything(net, seed, limits):
     assert run(net, seed, limits, Observer()) == run(net, seed, limits, None)

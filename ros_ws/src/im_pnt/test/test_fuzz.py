@@ -95,7 +95,7 @@ def read(tmp, suffix, content):
 damages = st.tuples(st.floats(0, 1), st.integers(0, 25), st.sampled_from(PIECES))
 
 
-@settings(max_examples=1500, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(st.sampled_from(YAML), st.lists(damages, max_size=4))
 def test_damaged_yaml_is_a_net_or_an_error(text, done):
     for where, cut, piece in done:
@@ -105,7 +105,7 @@ def test_damaged_yaml_is_a_net_or_an_error(text, done):
         assert isinstance(parse_net(text, "x"), Net)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200), st.sampled_from([".yaml", ".pnml", ".xml"]), st.booleans())
 def test_random_bytes_are_an_error(tmp_path_factory, content, suffix, inside):
     sound = pnml_text(parse_net(NET)).encode() if suffix != ".yaml" else NET.encode()
@@ -175,7 +175,7 @@ TAGS = [
 KEYS = ["id", "source", "target", "ref", "type", "tool", "version", "weight", "inscription", "initialMarking", "value"]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_damaged_pnml_is_a_net_or_an_error(tmp_path_factory, data):
     root = ElementTree.fromstring(ElementTree.tostring(OURS))

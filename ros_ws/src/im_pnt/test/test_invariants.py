@@ -35,7 +35,7 @@ transitions:
 STEPS = ("go", "end", "fail", "cancel", "invalid", "toggle", "wait", "done", "unknown", "abandon")
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.sampled_from(STEPS), max_size=40), st.integers(0, 3))
 def test_invariants_hold_at_every_instant(steps, seed):
     again = [False]

@@ -87,6 +87,7 @@ def test_every_key_is_read():
         ("name: /m", "name: /m/", "'/m/' is no name of ROS"),
         ("name: /say", "name: /1/say", "'/1/say' is no name of ROS"),
         ("name: /say", "name: /a//say", "'/a//say' is no name of ROS"),
+        ("symbol: go", "arguments: {n: 1}", r"transitions.t\d.arguments: is for 'use'; those of a request stand in it"),
         ("to: other.serve", "to: serve", "'serve' is not of the form net.service"),
         ("timeout: 2", "timeout: 0", "'0' is not a number > 0"),
         ("other.p]", "n.p]", "'n.p' is a place of this very net; write 'p'"),

@@ -183,7 +183,7 @@ def reachability_graph(net, places):
     return len(seen), arcs
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(conserving())
 def test_a_plain_net_behaves_as_the_one_with_inhibitor_arcs(tmp_path_factory, net):
     plain, said = plain_net(net)

@@ -64,7 +64,9 @@ def test_a_value_that_is_not_there_keeps_no_action_from_its_work():
     ("says", "sentence"),
     [
         ("reach ${arguments.point}", "go, served here, has no such argument (did you mean 'points'?)"),
-        ("reach ${answers.reach.x}", "names more than arguments; answers and data are not known"),
+        ("reach ${answers.reach.x}", "answers.reach is not known as the action begins"),
+        ("reach ${answers.look.x}", "answers.look: there is no transition 'look'"),
+        ("reach ${data.at.data}", "no place says of what type data object 'at' is"),
     ],
 )
 def test_what_it_cannot_say_is_refused_where_it_stands(says, sentence):
@@ -78,3 +80,73 @@ def test_it_needs_an_action_and_is_written_as_it_was_read():
         parse_net(NET.format(SAYS).replace("out: wanted}", "out: wanted, says: begin}"))
     net = parse_net(NET.format(SAYS))
     assert parse_net(yaml_text(net)).transitions["reach"].says == SAYS
+
+
+class LateObjects:
+    """Data objects whose reads are answered when the test says so."""
+
+    def __init__(self, **objects):
+        self.objects, self.reads = objects, []
+
+    async def read(self, name, kind, ways):
+        if name not in self.objects:
+            raise DataError(f"there is no data object {name}")
+        return self.objects[name]
+
+    def run(self, work, done):
+        self.reads.append((work, done))
+
+    def answer(self, process):
+        reads, self.reads = self.reads, []
+        for work, done in reads:
+            try:
+                work.send(None)
+            except StopIteration:
+                done(None)
+            except ImError as error:
+                done(error)
+        process.pump()
+
+
+ELEMENT = NET.replace("wanted: ,", "wanted: {{data_object: {{name: at, type: p_msgs/msg/At, scope: global}}}},").format(
+    "reach point ${data.at.index + 1}, at ${arguments.points[data.at.index]}"
+)
+
+
+def late(**objects: object) -> tuple[Process, LateObjects]:
+    known = LateObjects(**objects)
+    process = Process([parse_net(ELEMENT)], {"reach": hold}, clock=Clock(), objects=known)
+    process.command("n", "go", points=[4, 7])
+    return process, known
+
+
+def test_a_data_object_tells_which_element_it_is():
+    process, objects = late(at={"index": 1})
+    assert not process.recorder.progress, "the action does not wait for its text"
+    objects.answer(process)
+    assert process.recorder.progress == [("reach point 2, at 7", -1.0)]
+    objects.objects["at"] = {"index": 0}
+    process.end("reach", REASON)
+    assert [result.error.message for result in process.results] == ["could not reach point 2, at 7: no way"]
+
+
+def test_a_failure_waits_for_its_text_and_success_does_not():
+    process, objects = late(at={"index": 0})
+    process.end("reach", REASON)
+    assert not process.results
+    objects.answer(process)
+    assert [result.error.message for result in process.results] == ["could not reach point 1, at 4: no way"]
+    process, objects = late(at={"index": 0})
+    process.end("reach")
+    assert process.results[0].success
+    objects.answer(process)
+    assert not process.recorder.progress
+    assert not process.recorder.troubles
+
+
+def test_without_its_data_object_the_text_is_shown_as_written():
+    process, objects = late()
+    process.end("reach", REASON)
+    objects.answer(process)
+    said = "reach point ${data.at.index + 1}, at ${arguments.points[data.at.index]}"
+    assert [result.error.message for result in process.results] == [f"could not {said}: no way"]

@@ -37,13 +37,15 @@ def test_the_verdict_on_the_net_of_the_readme_fits_a_screen(capsys):
     assert main(["verify", str(root / net)]) == OK
     verdict = capsys.readouterr().out.splitlines()
     assert verdict[0] == "calibrate_camera: verified"
-    assert len(verdict) <= 13
+    assert len(verdict) <= 10
     assert max(map(len, verdict)) < 120
     (left_out,) = (re.findall(r"\d+", line) for line in verdict if "left out" in line)
     assert main(["verify", str(root / net), "--all"]) == OK
     everything = capsys.readouterr().out.splitlines()
     assert "--all" not in "".join(everything)
-    assert len(everything) == len(verdict) - 1 + sum(map(int, left_out))
+    more = ["reversible", "never enabled", "types"]
+    assert [line[2:16].strip() for line in everything if line[2:16].strip() in more] == more
+    assert len(everything) == len(verdict) - 1 + sum(map(int, left_out)) + len(more)
 
 
 def test_of_several_refusals_the_first_is_told_and_the_others_are_counted(tmp_path, capsys):
@@ -93,6 +95,8 @@ def test_verify_checks_values_against_the_types_of_messages(tmp_path, capsys, of
     assert sentence in capsys.readouterr().err
     file.write_text(TYPED.replace("TYPE", "String").replace("VALUE", "word"))
     assert main(["verify", str(file)]) == OK
+    assert "types" not in capsys.readouterr().out
+    assert main(["verify", str(file), "--all"]) == OK
     assert "types         values fit the types of the messages" in capsys.readouterr().out
 
 

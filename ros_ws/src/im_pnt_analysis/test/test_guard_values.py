@@ -12,6 +12,7 @@ from im_pnt.netfile import parse_net, yaml_text
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.composition.compose import compose
 from im_pnt_analysis.guards.coverage import GuardCoverage, decide_guards
+from im_pnt_analysis.verify.report import readable
 
 ANY_NUMBER = "{x: {type: number}}"
 
@@ -123,7 +124,11 @@ def test_what_may_change_is_waited_for_and_assumed():
     wait = ["${data.level.data > 3}", "${data.level.data < 3}"]
     net = net_with(*wait, places=place)
     assert decide_guards(net) == frozenset()
-    assert [text for text in verify_to_load([net]).assumptions if "becomes true" in text]
+    said = readable(verify_to_load([net]), {}).splitlines()[1]
+    assert said.startswith("  not looked at whether each of the guards '${data.level.data > 3}' (end_0), ")
+    assert said.endswith(" becomes true (task): nothing else takes the tokens meanwhile")
+    beside = net_with("${arguments.x < 1}", "not ${arguments.x < 1}", "cancelled", arguments=ANY_NUMBER)
+    assert "becomes true" not in readable(verify_to_load([beside]), {}, everything=True)
     mixed = net_with("${data.level.data > 3 and arguments.x > 0}", "${arguments.x < 0}", places=place)
     with pytest.raises(NetError, match="with x = 0 nothing fires"):
         decide_guards(mixed)

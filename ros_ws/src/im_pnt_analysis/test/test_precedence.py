@@ -115,7 +115,7 @@ def fires(net, marking, t):
     return enabled(t) and not any(before(u) and enabled(u) for u in net.transitions.values())
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(stochastic())
 def test_the_markings_and_firings_are_those_of_the_definition(net):
     first = tuple(place.tokens for place in net.places.values())

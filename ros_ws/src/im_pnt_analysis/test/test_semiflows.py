@@ -70,7 +70,7 @@ def scaled(flow: dict[str, int]) -> frozenset[tuple[str, Fraction]]:
     return frozenset((name, Fraction(weight, first)) for name, weight in flow.items())
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(nets())
 def test_semiflows_are_all_of_minimal_support(compiled):
     matrix = incidence(compiled)
@@ -84,7 +84,7 @@ def test_semiflows_are_all_of_minimal_support(compiled):
         assert len({scaled(flow) for flow in found.flows}) == len(found.flows)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(nets())
 def test_capped_semiflows_are_true_and_cover_what_can_be_covered(compiled):
     matrix = incidence(compiled)

@@ -14,7 +14,7 @@ from im_pnt_analysis.structure.siphons import emptied_siphon, siphons, traps
 from im_pnt_analysis.structure.state_equation import place_bounds, structurally_bounded
 
 Vector = tuple[int, ...]
-MOST = 400
+MOST = 150
 
 
 @st.composite
@@ -62,7 +62,7 @@ def is_dead(compiled: Compiled, vector: Vector) -> bool:
     return not any(compiled.enabled(vector, t) for t in range(len(compiled.transitions)))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets())
 def test_bounds_hold_in_every_marking(compiled):
     bounds = place_bounds(compiled, initial(compiled))
@@ -73,7 +73,7 @@ def test_bounds_hold_in_every_marking(compiled):
         assert None not in bounds.values()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets(inhibited=False))
 def test_structural_boundedness_is_decided_on_small_nets(compiled):
     answer = structurally_bounded(compiled)
@@ -113,7 +113,7 @@ def all_siphons(compiled: Compiled) -> list[set[int]]:
     return [places for places in sets if is_siphon(compiled, places, forward=True)]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets(), st.booleans())
 def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
     everything = range(len(compiled.places))
@@ -126,7 +126,7 @@ def test_siphons_and_traps_are_the_minimal_ones_of_all_sets(compiled, forward):
     assert len(found.sets) == len(smallest)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets(inhibited=False))
 def test_a_siphon_that_was_emptied_was_marked_and_stays_empty(compiled):
     first = initial(compiled)
@@ -147,7 +147,7 @@ def test_siphons_stop_at_their_limit_and_in_time():
     assert (none.complete, none.reason) == (False, "the time is up")
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets())
 def test_what_can_be_covered_agrees_with_the_listed_markings(compiled):
     markings, finite = listed(compiled)
@@ -175,7 +175,7 @@ def test_what_can_be_covered_agrees_with_the_listed_markings(compiled):
         assert set(found.growing) <= set(found.unbounded_places)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets(inhibited=False))
 def test_coverability_without_inhibitors_always_ends(compiled):
     found = coverability(compiled, initial(compiled), max_nodes=20_000)
@@ -200,7 +200,7 @@ def test_coverability_stops_at_its_limits():
     assert "time is up" in coverability(compiled, initial(compiled), deadline=thread_cpu() - 1.0).reason
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets(growing=False), st.booleans())
 def test_deadlocks_are_found_if_and_only_if_there_are_some(compiled, reduced):
     markings, finite = listed(compiled)
@@ -214,7 +214,7 @@ def test_deadlocks_are_found_if_and_only_if_there_are_some(compiled, reduced):
     assert found.reason == ""
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(nets())
 def test_the_reduced_net_can_die_if_and_only_if_the_original_can(compiled):
     markings, finite = listed(compiled)

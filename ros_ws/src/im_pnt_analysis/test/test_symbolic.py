@@ -60,7 +60,7 @@ def distance(graph, first) -> dict[Vector, int]:
     return steps
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(bounded_nets())
 def test_every_answer_is_that_of_the_listed_markings(net):
     compiled = compile_net(net)
@@ -94,7 +94,7 @@ def test_every_answer_is_that_of_the_listed_markings(net):
         assert compiled.marking(vector) == found.deadlock_marking
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.data())
 def test_operations_on_sets_are_those_of_sets(data):
     depth = data.draw(st.integers(1, 4))
@@ -120,7 +120,7 @@ def test_operations_on_sets_are_those_of_sets(data):
         assert not expected or diagram.pick(node) in expected
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(bounded_nets(), st.randoms(use_true_random=False))
 def test_backward_search_stays_within_its_set_and_finds_all_of_it(net, random):
     compiled = compile_net(net)

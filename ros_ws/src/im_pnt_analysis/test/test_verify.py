@@ -270,7 +270,7 @@ def replayed(net: Net, report: Report, times: int = 1) -> tuple[int, ...]:
     return marking
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(specs)
 def test_every_answer_agrees_with_the_definition(spec):
     net = built(spec)
@@ -291,7 +291,7 @@ def test_every_answer_agrees_with_the_definition(spec):
     assert report.ok == (report.resources_return is True)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(specs)
 def test_growth_can_be_repeated_for_ever(spec):
     net = built(spec)

@@ -58,6 +58,7 @@ def test_markers_come_and_go():
     [(name, content)] = cell.markers(Message(markers=[marker()]))
     assert content["text"] == "2 spots"
     assert (name, content["kind"], content["points"]) == ("marker/paths/1", "strip", [[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    assert next(cell.markers(Message(markers=[marker(type=11)])))[1]["kind"] == "faces"
     for gone in (marker(action=2), marker(type=10)):
         assert list(cell.markers(Message(markers=[gone]))) == [("marker/paths/1", None)]
 

@@ -86,16 +86,17 @@ def test_what_is_kept_is_bounded_whatever_commands_return(tmp_path, now, monkeyp
 def test_what_a_command_returned_takes_no_more_than_its_text(now):
     """A calibration returns some thousand numbers."""
     ended, report = EndedCommands(), {"report": [[number / 7.0] * 3 for number in range(1000)]}
+    commands = 10
     text = len(json.dumps(report))
     tracemalloc.start()
     try:
-        for number in range(1, module.MOST + 1):
+        for number in range(1, commands + 1):
             ended.add(EndedCommand(**{**dict(one(number)), "results": json.loads(json.dumps(report))}))
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert held < 1.1 * module.MOST * text
-    assert ended[module.MOST].results == report
+    assert held < 1.1 * commands * text
+    assert ended[commands].results == report
 
 
 def test_halves_of_characters_and_no_numbers_are_kept(now):

@@ -267,7 +267,7 @@ json_data = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(json_data, json_data)
 def test_data_with_their_difference_are_the_new_ones(old, new):
     change = json.loads(json.dumps(difference(old, new)))

@@ -12,12 +12,12 @@ from im_core.errors import ImError, LinkError
 from im_core.store_mark import SeenStore, StoreMark
 from im_pnt.errors import JournalError
 from im_pnt.execution.abandonment import abandonment
-from im_pnt.execution.actions import FunctionRunner
 from im_pnt.execution.events import CommandCancelled, JobUpdate, JobUpdateArrived, RequestArrived, TokenArrived
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Command, CommandResult, JobKey, Owner, Request, TokenContext
 from im_pnt.execution.notification import Observer
+from im_pnt.execution.runner import FunctionRunner
 from im_pnt.model.action import FunctionAction, RequestAction, TopicAction
 from im_pnt.netfile import parse_net
 from im_pnt_node.distributed.entries import ReplyArrived

@@ -82,7 +82,7 @@ def test_with_any_byte_changed_nothing_is_read_and_the_place_is_named():
             assert error.value.facts["offset"] == ([0, *ends])[number - 1]
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=300))
 def test_no_content_whatever_breaks_the_reader(content):
     try:

@@ -160,7 +160,7 @@ def test_nothing_leaves_before_the_flush_and_no_acknowledgement_before_its_journ
     assert [json.loads(entry)[0] for entry in b.entries] == ["begin", "in"]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.sampled_from(["send", "a->b", "b->a", "a dies", "b dies", "drop", "wait"]), max_size=60))
 def test_death_and_return_at_any_time_neither_lose_nor_double(steps):
     a, b = pair()
@@ -364,7 +364,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(json_values, max_size=9), st.integers(0, 9))
 def test_fuzzed_packets_of_who_knows_the_epoch_break_nothing(fields, kept):
     a, _ = pair()
@@ -410,7 +410,7 @@ FORGED = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["a", "b"]), st.integers(0, 7), FORGED), max_size=12), st.booleans())
 def test_forged_packets_take_hide_and_block_nothing(forged, early):
     a, b = End("a", new_epoch()), End("b", new_epoch())
@@ -622,7 +622,7 @@ def test_a_journal_without_its_end_is_noticed_once_however_many_remember_more(di
 Step = st.tuples(st.sampled_from("abcdef"), st.sampled_from("abcdef"))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.data(), st.integers(2, 6), st.lists(Step, max_size=20), st.integers(0, 2**32))
 def test_whoever_lost_the_ends_of_their_journals_all_go_on_with_all(data, size, steps, seed):
     ends, dice = cluster(size), random.Random(seed)

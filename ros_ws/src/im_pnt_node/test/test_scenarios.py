@@ -36,6 +36,14 @@ _RULES = ("low_battery", "person", "near")  # with mocks all ends at once: test_
 NEVER = {
     "errand": {"cancelled", "reach.person.give_up_again", "reach.near.end"}
     | {f"reach.{rule}.{part}" for rule in _RULES for part in ("end_stopped", "give_up")},
+    "find": {"search.power.again", "guard ${false}"},
+    # a part has a name, and the arms are two
+    "handover": {f"{part}.again" for part in ("find.power", "giver", "receiver")}
+    | {f"{step}.pass" for step in ("grasp.allow", "grasp.take", "grasp.take.touch", "grasp.part")}
+    | {f"{step}.pass" for step in ("pass.allow", "pass.take", "pass.take.touch", "pass.part")}
+    | {f"{step}.pass" for step in ("set_down.allow", "set_down.leave", "set_down.leave.touch", "set_down.part")}
+    | {"pass.refuse", "pass.approach_first", "guard ${'left' == 'right'}", "guard ${'right' == 'right'}"}
+    | {"guard ${arguments.name != ''}", "guard ${false}"},
     "maintenance": {"grease_cancelled_1", "grease_cancelled_2", "cancelled"},
     "nets/hand_over": {"giver.again", "receiver.again", "pass.take.touch.pass", "guard ${false}"},
     "pick": {"power.again", "grasp.take.touch.pass", "guard ${false}"},

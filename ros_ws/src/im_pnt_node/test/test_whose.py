@@ -324,7 +324,7 @@ class Run:
             assert net_state(again) == net_state(executor)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32))
 def test_commands_that_share_a_net_do_not_touch_each_other(seed):
     dice = random.Random(seed)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from im_cell.link import JawObject
 from im_cell.robot import PALM_KGM2, Cell, urdf
-from im_sim.world import Contact
 
 #: Of both jaws about their middle, at a medium opening.
 _JAWS_KGM2 = 1e-4
@@ -71,21 +70,24 @@ class Dynamics:
                 model.inertias[joint] = model.inertias[joint] + jaws.act(cube)
         self._use(model, model.createData())
 
-    def contact_torques(self, q: NDArray[np.float64], contacts: Sequence[list[Contact]]) -> NDArray[np.float64] | None:
+    def contact_torques(
+        self, q: NDArray[np.float64], contacts: Sequence[Sequence[float]]
+    ) -> NDArray[np.float64] | None:
         """Return the torques at the joints by which contacts of grippers are felt, shape (n,); None without any.
 
         Args:
             q: Positions, shape (n,) [rad or m].
-            contacts: Of the links that carry grippers, as ``gripper_joints``.
+            contacts: Wrenches about the origin on the links that carry grippers, as ``gripper_joints``, shape (6,) each
+                [N, Nm]; empty without a contact.
         """
         if not any(contacts):
             return None
         torques = np.zeros(self.bare.nv)
         pin.forwardKinematics(self.bare, self.bare_data, q)
-        for joint, touched in zip(self.gripper_joints, contacts, strict=True):
-            if touched:
-                wrench = contact_wrench(self.bare_data.oMi[joint], touched)
-                torques += pin.computeJointJacobian(self.bare, self.bare_data, q, joint).T @ wrench.vector
+        for joint, wrench in zip(self.gripper_joints, contacts, strict=True):
+            if wrench:
+                local = self.bare_data.oMi[joint].actInv(pin.Force(np.array(wrench)))
+                torques += pin.computeJointJacobian(self.bare, self.bare_data, q, joint).T @ local.vector
         return torques
 
     def _add(self, inertia: pin.Inertia) -> None:
@@ -98,14 +100,7 @@ class Dynamics:
         self.wrist_forces = [data.f[joint] for joint, _ in self.wrists]
 
 
-def contact_wrench(pose: pin.SE3, contacts: list[Contact]) -> pin.Force:
-    """Return the wrench of contacts on a link at ``pose``, in the frame."""
-    force = sum((contact.force for contact in contacts), np.zeros(3))
-    torque = sum((np.cross(contact.position, contact.force) for contact in contacts), np.zeros(3))
-    return pose.actInv(pin.Force(force, torque))
-
-
 def _places(model: pin.Model, tips: Iterable[str]) -> list[tuple[int, pin.SE3]]:
     """Return the joint that carries each tip, and where the tip is on its link."""
-    frames = [model.frames[model.getFrameId(tip)] for tip in tips]
+    frames = [model.frames[model.getFrameId(tip, pin.FrameType.BODY)] for tip in tips]
     return [(int(frame.parentJoint), frame.placement.copy()) for frame in frames]

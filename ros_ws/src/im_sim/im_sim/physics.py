@@ -2,9 +2,11 @@
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from im_cell.link import HostEnd
 from im_cell.robot import load_cell
+from im_cell.robot.truth import load_truth
 from im_core.errors import ConfigError, ImError
 from im_core.options import NumberParser
 from im_core.processes import scheduling
@@ -27,20 +29,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--period", type=float, default=0.0, help="period of a tick [s]; 0: the cell's")
     parser.add_argument("--factor", type=float, default=1.0, help="clock factor; 0: as fast as time is asked for")
     parser.add_argument("--seed", type=int, default=0, help="seed of the encoder noise")
+    parser.add_argument("--truth", type=Path, help="file of what the cell is really like (default: as drawn)")
     options = parser.parse_args(arguments)
     try:
-        simulate(options.instance, options.period, options.factor, options.seed)
+        simulate(options.instance, options.period, options.factor, options.seed, options.truth)
     except ImError as error:
         print(error.message, file=sys.stderr)
         return 1
     return 0
 
 
-def simulate(instance: str, period: float, factor: float, seed: int) -> None:
+def simulate(instance: str, period: float, factor: float, seed: int, truth: Path | None) -> None:
     """Create the link and run the tick loop until a signal ends the loop.
 
     Raises:
         ConfigError: The cell's parameters are wrong, or masses or torques are missing.
+        DataError: The file of the truth is malformed.
         LinkError: Another testbed of that instance runs.
     """
     cell = load_cell()
@@ -52,7 +56,7 @@ def simulate(instance: str, period: float, factor: float, seed: int) -> None:
     with HostEnd.create(
         instance, len(cell.joints), cell.period, factor, seed, cell.light_names, grippers, wrenches
     ) as link:
-        plant = Plant(cell, seed)
+        plant = Plant(cell if truth is None else load_truth(truth).built(cell), seed)
         loop = TickLoop(plant, Laser(cell.laser, cell.period, seed), link)
         heed_end_signals(lambda _: loop.stop())
         scheduling.prefer(FIFO_PRIORITY, paced=factor > 0.0)

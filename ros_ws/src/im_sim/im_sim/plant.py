@@ -153,7 +153,7 @@ class Plant:
             self._world.step(self._actuators.applied(q, v))
             self.q, self.v = self._world.state()
             if self._bodies:
-                touched = self._world.contacts(self._gripper_joints)
+                touched = self._world.contact_wrenches(self._gripper_joints)
                 self._actuators.touch(self._dynamics.contact_torques(self.q, touched))
             if self._actuators.stuck and not self._bodies and max(map(abs, self.v.tolist())) < _AT_REST:
                 self._stands = not self.power
@@ -162,4 +162,4 @@ class Plant:
 
     def _feel(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
         """Give the wrist sensors the step from ``q`` with ``v``, shape (n,) each."""
-        self._wrists.update(q, v, (self.v - v) / self._dt_each, self._world.contacts(self._last_joints))
+        self._wrists.update(q, v, (self.v - v) / self._dt_each, self._world.contact_wrenches(self._last_joints))

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults
 from im_cell.robot import Cell, SensorSpec
-from im_sim.dynamics import Dynamics, contact_wrench
+from im_cell.robot.arm_errors import gear_errors
+from im_sim.dynamics import Dynamics
 from im_sim.readings import quantised
-from im_sim.world import Contact
 
 _TICKS_PER_BLOCK = 256
 _STREAM_SHIFT = 48
@@ -59,7 +59,7 @@ class TickNoise:
 class Signals:
     """Every signal of the cell's sensors in one row: a fixed bias, noise, quantisation, and the end of the range.
 
-    Encoders have neither bias nor end.
+    Encoders have neither bias nor end; a joint is off its encoder by the error of its gear.
 
     Args:
         cell: Noise, bias, resolution, range.
@@ -77,6 +77,7 @@ class Signals:
             {_ENCODERS: cell.per_joint("noise"), _WRISTS: _each("noise", wrists), _JAWS: _each("noise", jaws)},
             np.append(np.zeros(self._n), bias),
         )
+        self._gear = cell.per_joint("gear")
         self._resolution = np.append(cell.per_joint("resolution"), _each("resolution", wrists + jaws))
         self._most = np.append(np.full(self._n, np.inf), _each("range", wrists + jaws))
         self._least = -self._most
@@ -97,7 +98,8 @@ class Signals:
         Returns:
             What encoders, wrist sensors and jaws say, shapes as those given.
         """
-        self._q[:], self._wrench[:], self._force[:] = q, wrench, force
+        self._q[:] = q - gear_errors(self._gear, q)
+        self._wrench[:], self._force[:] = wrench, force
         return self._parts(quantised(self._true, self._noise.at(tick), self._resolution, self._least, self._most))
 
     def _parts(
@@ -166,7 +168,7 @@ class WristWrenches:
         q: NDArray[np.float64],
         v: NDArray[np.float64],
         a: NDArray[np.float64],
-        contacts: list[list[Contact]],
+        contacts: Sequence[Sequence[float]],
     ) -> None:
         """Find the wrenches of a step.
 
@@ -182,7 +184,7 @@ class WristWrenches:
             pin.forwardKinematics(dynamics.model, dynamics.data, q)  # contacts are told in the world
         for side, ((joint, wrist), wrench) in enumerate(zip(dynamics.wrists, dynamics.wrist_forces, strict=True)):
             if contacts[side]:
-                wrench = wrench - contact_wrench(dynamics.data.oMi[joint], contacts[side])
+                wrench = wrench - dynamics.data.oMi[joint].actInv(pin.Force(np.array(contacts[side])))
             self.true[side] = wrist.actInv(wrench).vector
 
 

@@ -1,10 +1,11 @@
-"""The true simulated cell: cameras, lights and laser, drawn off the nominal values."""
+"""The true simulated cell: arms, cameras, lights and laser, drawn off the nominal values."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.robot import Camera, Cell, LaserScanner, Vector
-from im_cell.robot.truth import CameraTruth, CellTruth, LaserTruth, LedTruth, Matrix
+from im_cell.robot.arm_errors import usual_errors
+from im_cell.robot.truth import CameraTruth, CellTruth, JointTruth, LaserTruth, LedTruth, Matrix, tool_errors
 from im_cell.rotations import matrix_of_vector
 
 FOCAL_SPREAD = 0.02
@@ -15,14 +16,18 @@ ANGLE_SPREAD_RAD = np.deg2rad(2.0)
 LED_OFFSET_SD_M = 0.003
 RADIAL_MEAN, RADIAL_SD = (-0.22, 0.04), (0.01, 0.004)
 TANGENTIAL_SD = 7e-4
+TOOL_ERROR_M = (0.3e-3, 1e-3)
 
 
-def draw_truth(cell: Cell, seed: int) -> CellTruth:
+def draw_truth(cell: Cell, seed: int, *, perfect_arm: bool = False) -> CellTruth:
     """The true cell of a seed.
+
+    Joints are turned, shifted and geared a little off the drawing, each error normal and of its usual size, times one
+    factor for each arm: the tool is off by 0.3 to 1 mm, RMS over its reach. A perfect arm is as drawn.
 
     Focal lengths, principal points and poses are uniform within their spreads, distortion and light offsets normal.
     The laser scanner is mounted as well as the cameras are, its mirrors are within the tolerances of its data sheet.
-    Every camera and light has a random stream of its own, so that adding one changes no other.
+    Every arm, camera and light has a random stream of its own, so that adding one changes no other.
     """
     cameras = {name: _camera(camera, _stream(seed, f"camera {name}")) for name, camera in cell.cameras.items()}
     leds = {}
@@ -30,8 +35,21 @@ def draw_truth(cell: Cell, seed: int) -> CellTruth:
         offset = np.array(cell.led.offset) + _stream(seed, f"light {name}").normal(0.0, LED_OFFSET_SD_M, 3)
         leds[name] = LedTruth(offset_m=_vector(offset), axis=cell.led.axis, diameter_m=cell.led.diameter)
     return CellTruth(
-        seed=seed, cameras=cameras, leds=leds, laser=_laser(cell.laser, _stream(seed, "laser")) if cell.laser else None
+        seed=seed,
+        cameras=cameras,
+        leds=leds,
+        laser=_laser(cell.laser, _stream(seed, "laser")) if cell.laser else None,
+        joints={} if perfect_arm else {k: v for group in cell.groups for k, v in _arm(cell, group, seed).items()},
     )
+
+
+def _arm(cell: Cell, group: str, seed: int) -> dict[str, JointTruth]:
+    """Draw the errors of the joints of a group."""
+    rng, joints = _stream(seed, f"arm {group}"), [each for each in cell.joints if each.name in cell.joints_of(group)]
+    drawn = {joint: rng.normal(size=len(usual_errors(joint))) for joint in joints}
+    size, usual = rng.uniform(*TOOL_ERROR_M), {joint.name: JointTruth.of(joint, drawn[joint]) for joint in joints}
+    factor = size / np.sqrt(np.mean(tool_errors(cell, group, usual, rng) ** 2))
+    return {joint.name: JointTruth.of(joint, factor * drawn[joint]) for joint in joints}
 
 
 def _camera(camera: Camera, rng: np.random.Generator) -> CameraTruth:

@@ -122,9 +122,11 @@ def test_the_cameras_have_the_period_of_the_testbed_that_is_there(monkeypatch):
     """By it they know when an exposure was, and whether a lamp was lit then."""
     made = []
     monkeypatch.setattr(process, "CameraBank", lambda cell, *_: made.append(cell.period))
-    monkeypatch.setattr(process, "_await_truth", lambda *_: None)
+    monkeypatch.setattr(process, "_await_truth", lambda *_: SimpleNamespace(built=lambda cell: cell))
+    monkeypatch.setattr(process, "SceneMirror", lambda *_: SimpleNamespace(close=lambda: None))
     cameras = process.CameraProcess.__new__(process.CameraProcess)
-    cameras._cell, cameras._truth, cameras._settings, cameras._scene = CELL, None, None, None
+    cameras._cell, cameras._truth, cameras._scene = CELL, None, None
+    cameras._settings = SimpleNamespace(renderer="tiny")
     for period_ns in (1_000_000, 4_500_000):
         cameras._link = SimpleNamespace(period_s=period_ns * 1e-9, seed=1)
         cameras._new_bank()

@@ -123,7 +123,7 @@ def test_a_wrist_that_presses_on_the_table_feels_it(plant):
     q = _reach(q, goal, rng)
     place(plant, q)
     plant.run_tick(command(np.zeros(N), HELD))
-    assert not any(plant._world.contacts(plant._last_joints)), "at first it hangs above the table"
+    assert not any(plant._world.contact_wrenches(plant._last_joints)), "at first it hangs above the table"
     gravity = pin.computeGeneralizedGravity(MODEL, DATA, q)
     pin.computeJointJacobians(MODEL, DATA, q)
     J = pin.getFrameJacobian(MODEL, DATA, WRISTS[0], pin.LOCAL_WORLD_ALIGNED).copy()
@@ -133,7 +133,7 @@ def test_a_wrist_that_presses_on_the_table_feels_it(plant):
         plant.run_tick(command(gravity + J[:3].T @ [0.0, 0.0, -150.0] - 40.0 * plant.v, HELD * (np.arange(N) >= 9)))
         frame = wrist_frames(plant.q)[0]
         still = np.abs(frame.translation - before)[2] < 1e-4
-        if plant._world.contacts(plant._last_joints)[0] and still:
+        if plant._world.contact_wrenches(plant._last_joints)[0] and still:
             carried.append((frame.rotation @ plant.wrench[0, :3])[2])
     assert len(carried) > 10, "it lies on the table"
     assert -300.0 < np.median(carried) < -50.0, "the table carries what the arm presses with"

@@ -20,7 +20,7 @@ from im_cell.calibration_files import (
     monocular,
 )
 from im_cell.camera_covariance import CameraCovariance
-from im_cell.camera_model import CameraModel, nominal
+from im_cell.camera_model import Array, CameraModel, nominal
 from im_cell.robot import Cell
 from im_core.errors import DataError, NotFoundError
 from im_vss.stereo import rectify
@@ -99,7 +99,13 @@ class CameraEntry:
 
 
 class CameraBook:
-    """Calibrations by camera; each setting is also written to files, see :mod:`im_cell.calibration_files`."""
+    """Calibrations by camera; each setting is also written to files, see :mod:`im_cell.calibration_files`.
+
+    Attributes:
+        on_change: Called after each change.
+        residuals: Spots of the last calibration of a camera and the residual of each, shape (n, 2) both, NaN where not
+            seen [px].
+    """
 
     def __init__(
         self, cell: Cell, cameras: Iterable[str], directory: Path, pairs: Iterable[tuple[str, str]] = ()
@@ -128,6 +134,7 @@ class CameraBook:
         self._entries: Mapping[str, CameraEntry] = _rectified(entries, self._pairs)
         self._covariance = CameraCovariance()
         self.on_change: Callable[[], None] = lambda: None
+        self.residuals: dict[str, tuple[Array, Array]] = {}
 
     def __getitem__(self, name: str) -> CameraEntry:
         """The entry of a camera.
@@ -189,9 +196,9 @@ class CameraBook:
                 if pose:
                     entry = entry.with_pose(CameraPose.of(entry.parent, model), self._directory)
                 entries[name] = entry
-            self._put(entries, covariance or CameraCovariance())
+            folder = self._set(entries, covariance or CameraCovariance())
         self.on_change()
-        return self._directory
+        return folder
 
     def rectified(self, models: Mapping[str, CameraModel]) -> dict[str, Rectified]:
         """Return R and P of cameras with the given models; the stereo pair's R and P where both are given.
@@ -229,30 +236,73 @@ class CameraBook:
             f"{name} is not in use; its calibration is passed over" for name in files.cameras if name not in entries
         )
 
+    def files(self) -> dict[str, str]:
+        """Return the contents of the files of all that is calibrated, by name."""
+        with self._changing:
+            return _files(self._entries.values(), self._covariance)
+
+    def _set(self, changed: Mapping[str, CameraEntry], anew: CameraCovariance) -> Path:
+        """Take into use what was calibrated here, under the lock; return the folder of its files."""
+        self._put(changed, anew)
+        return self._directory
+
     def _put(self, changed: Mapping[str, CameraEntry], anew: CameraCovariance) -> None:
         """Write, then use; under the lock."""
         entries = _rectified({**self._entries, **changed}, self._pairs)
         covariance = self._covariance.updated(changed, anew)
-        self._write(entries.values(), covariance)
+        self._write(_files(entries.values(), covariance))
         self._entries, self._covariance = entries, covariance
 
-    def _write(self, entries: Iterable[CameraEntry], covariance: CameraCovariance) -> None:
-        contents: dict[str, str | None] = {COVARIANCE: None}
-        poses = {}
-        for entry in entries:
-            if entry.intrinsics_file is not None:
-                contents[f"{entry.name}.yaml"] = camera_info_yaml(entry.name, entry.model, entry.rectified)
-            if entry.pose_file is not None:
-                poses[entry.name] = CameraPose.of(entry.parent, entry.model)
-        if poses:
-            contents[EXTRINSICS] = extrinsics_yaml(poses)
-        if covariance.parameters:
-            contents[COVARIANCE] = covariance_yaml(covariance)
+    def _write(self, contents: dict[str, str]) -> None:
         try:
-            change_camera_files(self._directory, contents)
+            change_camera_files(self._directory, {COVARIANCE: None, **contents})
         except OSError as error:
             directory = str(self._directory)
             raise DataError(f"{directory}: cannot be written: {error.strerror}", file=directory) from error
+
+
+class RemoteBook(CameraBook):
+    """Calibrations of cameras that are in another process: followed, and set by handing files over to it.
+
+    Args:
+        cell: Nominal cameras.
+        cameras: Those in use.
+        pairs: Left and right cameras of the stereo pairs.
+        hand_over: Has the other process use the files of a calibration, by name; returns their folder there.
+
+    Raises:
+        DataError: The cameras of a pair move against each other.
+    """
+
+    def __init__(
+        self,
+        cell: Cell,
+        cameras: Iterable[str],
+        pairs: Iterable[tuple[str, str]],
+        hand_over: Callable[[Mapping[str, str]], Path],
+    ) -> None:
+        super().__init__(cell, cameras, Path(), pairs)
+        self._hand_over = hand_over
+
+    def _set(self, changed: Mapping[str, CameraEntry], anew: CameraCovariance) -> Path:
+        return self._hand_over(_files(changed.values(), anew))
+
+    def _write(self, contents: dict[str, str]) -> None:
+        """Write nothing: the other process did."""
+
+
+def _files(entries: Iterable[CameraEntry], covariance: CameraCovariance) -> dict[str, str]:
+    contents, poses = {}, {}
+    for entry in entries:
+        if entry.intrinsics_file is not None:
+            contents[f"{entry.name}.yaml"] = camera_info_yaml(entry.name, entry.model, entry.rectified)
+        if entry.pose_file is not None:
+            poses[entry.name] = CameraPose.of(entry.parent, entry.model)
+    if poses:
+        contents[EXTRINSICS] = extrinsics_yaml(poses)
+    if covariance.parameters:
+        contents[COVARIANCE] = covariance_yaml(covariance)
+    return contents
 
 
 def _rectified(entries: Mapping[str, CameraEntry], pairs: Iterable[tuple[str, str]]) -> Mapping[str, CameraEntry]:

@@ -9,6 +9,11 @@ from pydantic import Field, model_validator
 from im_core.config import Model, load_model, package_file
 from im_core.errors import NotFoundError
 
+PROCESS = "vss"
+"""Name of the process of the cameras, the monitors and the laser scanner, and of its node."""
+_OF_CAMERAS = ("image_processing", "laser_scanner")
+"""Managers of Vision Modules in that process."""
+
 Implementation = Annotated[str, Field(pattern=r"^[a-z_][\w.]*:[A-Z]\w*$")]
 
 
@@ -29,10 +34,9 @@ class ServiceEntry(Model):
 
 
 class ProcessEntry(Model):
-    """Process of the Vision Services System: the host, and the node."""
+    """Process of the Vision Services System, on a host; its node has the name of the process."""
 
     host: str
-    node: Annotated[str, Field(pattern=r"^/[a-z][a-z0-9_]*$")]
 
 
 class ToolEntry(Model):
@@ -59,7 +63,7 @@ class Catalogue(Model):
     tools: dict[str, ToolEntry]
     modules: dict[str, ModuleEntry]
     managers: dict[str, str]
-    processes: dict[str, ProcessEntry]
+    processes: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")], ProcessEntry]
 
     @model_validator(mode="after")
     def _references(self) -> Self:
@@ -73,6 +77,11 @@ class Catalogue(Model):
         owners: dict[str, str] = {}
         for name, service in self.services.items():
             for used in (used for tool in service.tools for used in self.tools[tool].modules):
+                if service.process != PROCESS and (manager := self.modules[used].manager) in _OF_CAMERAS:
+                    raise ValueError(
+                        f"services.{name}.process: '{service.process}' uses {used} of the {manager}, which is in "
+                        f"'{PROCESS}' with the cameras"
+                    )
                 if owners.setdefault(used, service.process) != service.process:
                     raise ValueError(
                         f"services.{name}.process: '{service.process}' uses {used}, which '{owners[used]}' owns"
@@ -118,13 +127,21 @@ class Catalogue(Model):
             raise NotFoundError(kind="process of the vision services", name=process, known=self.processes)
         return self.closure(name for name, service in self.services.items() if service.process == process)
 
-    def deployment(self) -> dict[str, Any]:
-        """Return the ``hosts`` of a deployment file for the Services: host -> process -> task."""
+    def deployment(self, path: Path | None = None) -> dict[str, Any]:
+        """Return the ``hosts`` of a deployment file for the Services: host -> process -> task.
+
+        Args:
+            path: The file of the catalogue; None: the shipped one.
+        """
         hosts: dict[str, Any] = {}
+        given = {} if path is None else {"catalogue": str(path.resolve())}
         for name, process in self.processes.items():
-            parameters = {"calibration": "${calibration}"}
-            task = {"package": "im_vss", "executable": "vss", "node": process.node, "parameters": parameters}
-            hosts.setdefault(process.host, {})[name] = {name: task}
+            task = {"package": "im_vss", "executable": "vss_apart", "node": f"/{name}", "needs": ["cameras"]}
+            parameters: dict[str, str] = dict(given)
+            if name == PROCESS:
+                task["executable"] = "vss"
+                parameters["calibration"] = "${calibration}"
+            hosts.setdefault(process.host, {})[name] = {name: {**task, "parameters": parameters}}
         return hosts
 
 

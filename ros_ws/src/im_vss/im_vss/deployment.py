@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         services = options.services or load_settings(load_cell()).services
-        hosts = load_catalogue(options.catalogue).closure(services).deployment()
+        hosts = load_catalogue(options.catalogue).closure(services).deployment(options.catalogue)
     except ImError as error:
         print(f"{parser.prog}: {error.message}", file=sys.stderr)
         return 1

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_cell.fiducial import CELLS
+from im_cell.fiducial import CELLS, code_of
 from im_cell.robot import Target
 from im_cell.rotations import cross_matrix, matrix_of_vector
 from im_cell.sensor import SensorNoise
@@ -17,7 +18,10 @@ from im_vss.edges.step import Image, StraightEdge, follow_edge, undistorted_by_p
 
 Array = NDArray[np.float64]
 
+_UNCLEAR = "seen, but its edges are not straight or not clear enough"
 _MARGIN_SHARE = 0.12
+_WINDOW_BLURS, _WIDEST_BLUR_PX = 1.5, 2.5
+_GROWTH_PX, _CELL_MARGIN, _STEP_PX = 0.5, 0.3, 1e-3
 _SMALLEST_HALF_PX, _CELLS_HALF = 2.0, 0.5
 _ITERATIONS = 20
 _TOLERANCE = 1e-10
@@ -33,42 +37,129 @@ class Corners:
     covariance: Array
 
 
-def refine_corners(image: Image, camera: CameraModel, rough: Array, cells: int, noise: SensorNoise) -> Corners | None:
-    """Fit and intersect the four edges of a black square on white.
+def refine_corners(image: Image, camera: CameraModel, rough: Array, number: int, noise: SensorNoise) -> Corners:
+    """Fit and intersect the four edges of the black square of a fiducial on white.
 
     Args:
         image: Pixels, shape (h, w) [DN].
         camera: Intrinsics and lens.
         rough: Corners as detected, clockwise, shape (4, 2) [px].
-        cells: Cells along a side: the border's width says how far from an edge pixels may be used.
+        number: Number of the code.
         noise: Noise of the sensor.
 
     Returns:
-        The corners in the same order, None where an edge cannot be fitted.
+        The corners in the same order.
 
     Raises:
-        DataError: The lens model cannot be inverted there.
+        DataError: An edge cannot be fitted, is too blurred, or the lens model cannot be inverted there.
     """
     edges: list[StraightEdge] = []
     for k in range(4):
         ends = rough[[k, (k + 1) % 4]]
         length = float(np.linalg.norm(ends[1] - ends[0]))
-        half = max(_SMALLEST_HALF_PX, _CELLS_HALF * length / cells)
+        half = max(_SMALLEST_HALF_PX, _CELLS_HALF * length / CELLS)
         edge = follow_edge(image, camera, ends, half, _MARGIN_SHARE * length, noise)
         if edge is None:
-            return None
+            raise DataError(_UNCLEAR)
+        if edge.fit.sigma > min(half / _WINDOW_BLURS, _WIDEST_BLUR_PX):
+            raise DataError(
+                f"seen, but blurred by {edge.fit.sigma:.1f} px, too much for cells of {length / CELLS:.1f} px: "
+                "it or the camera moves, or it is out of focus"
+            )
         edges.append(edge)
-    uv, jacobian, covariance = np.zeros((4, 2)), np.zeros((8, 8)), np.zeros((8, 8))
+    uv, growth, jacobian, covariance = np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((8, 8)), np.zeros((8, 8))
     for k in range(4):
         first, second = (k - 1) % 4, k
         normals = np.stack([edges[first].normal, edges[second].normal])
         uv[k] = np.linalg.solve(normals, [n @ edges[e].middle for n, e in zip(normals, (first, second), strict=True)])
         inverse = np.linalg.inv(normals)
+        growth[k] = -inverse.sum(axis=1)
         for column, e in enumerate((first, second)):
             arm = float((uv[k] - edges[e].middle) @ edges[e].direction)
             jacobian[2 * k : 2 * k + 2, 2 * e : 2 * e + 2] = np.outer(inverse[:, column], [1.0, arm])
         covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = edges[k].fit.covariance
-    return Corners(uv, jacobian @ covariance @ jacobian.T)
+    return _without_growth(image, camera, Corners(uv, jacobian @ covariance @ jacobian.T), growth, number, noise)
+
+
+def _without_growth(
+    image: Image, camera: CameraModel, corners: Corners, growth: Array, number: int, noise: SensorNoise
+) -> Corners:
+    """Free corners from the growth of bright areas, of a sensor whose values are not in proportion to the light.
+
+    A black square looks smaller to a sensor with a gamma above 1, and so farther away, with perfectly straight edges.
+    The white cells of the code look larger by as much, at places that the corners predict: corners and growth are the
+    least-squares solution of all edges. Without any cell the growth has a standard deviation of 0.5 px. Edges that
+    disagree by more than noise widen the covariance, as those of an image that motion has blurred do.
+
+    Args:
+        image: Pixels, shape (h, w) [DN].
+        camera: Intrinsics and lens.
+        corners: As the outer edges meet.
+        growth: How they move where bright areas look larger by a pixel on each side, shape (4, 2) [px].
+        number: Number of the code.
+        noise: Noise of the sensor.
+
+    Returns:
+        The corners, with the uncertainty of the growth in their covariance.
+
+    Raises:
+        DataError: The lens model cannot be inverted there.
+    """
+    cell = float(np.linalg.norm(corners.uv - np.roll(corners.uv, 1, axis=0), axis=1).mean()) / CELLS
+    half = max(_SMALLEST_HALF_PX, _CELLS_HALF * cell)
+    rows, seen, weights = [np.append(np.zeros(8), 1.0)], [0.0], [_GROWTH_PX**-2]
+    edges = np.array(_cell_edges(number))
+    middles, rough = edges.mean(axis=1), _in_image(camera, _of_grid(corners.uv, edges))
+    before = _of_grid(corners.uv, middles)
+    moved = [_of_grid(corners.uv + step, middles) - before for step in _STEP_PX * np.eye(8).reshape(8, 4, 2)]
+    for ends, middle, by_corner in zip(rough, before, np.stack(moved, axis=1) / _STEP_PX, strict=True):
+        edge = follow_edge(image, camera, ends, half, _CELL_MARGIN * cell, noise)
+        if edge is None:
+            continue
+        rows.append(np.append(-by_corner @ edge.normal, 1.0))
+        seen.append(float((middle - edge.middle) @ edge.normal))
+        weights.append(1.0 / edge.fit.covariance[0, 0])
+    by_cells, by_corners = np.array(rows), np.column_stack((np.eye(8), growth.ravel()))
+    weighted = by_cells.T * np.array(weights)
+    information = by_corners.T @ np.linalg.solve(corners.covariance, by_corners) + weighted @ by_cells
+    covariance = np.linalg.inv(information)
+    solution = covariance @ weighted @ np.array(seen)
+    by_noise = by_corners @ solution
+    misfit = float(by_noise @ np.linalg.solve(corners.covariance, by_noise))
+    misfit += float(np.array(weights) @ (np.array(seen) - by_cells @ solution) ** 2)
+    widened = covariance * max(1.0, misfit / len(seen))  # as many more equations than unknowns
+    return replace(corners, uv=corners.uv + solution[:8].reshape(4, 2), covariance=widened[:8, :8])
+
+
+def _cell_edges(number: int) -> list[Array]:
+    """Return the ends of the edges between white and black cells, in cells from the upper left, shape (2, 2) each."""
+    code = code_of(number).astype(int)
+    edges = []
+    for upright, cells in ((True, code), (False, code.T)):
+        for line, step in enumerate(np.diff(cells, axis=1).T, start=1):
+            bounds = [0, *(np.flatnonzero(np.diff(step)) + 1), CELLS]
+            for start, end in pairwise(bounds):
+                if step[start]:
+                    ends = np.array([[line, start], [line, end]], dtype=float)
+                    edges.append(ends if upright else ends[:, ::-1])
+    return edges
+
+
+def _of_grid(corners: Array, places: Array) -> Array:
+    """Return where places of the plate, shape (..., 2) [cells from the upper left], are by its corners [px]."""
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = corners  # Heckbert, "Fundamentals of texture mapping" (1989), 2.2.3
+    dx, dy = (x0 - x1 + x2 - x3, x1 - x2, x3 - x2), (y0 - y1 + y2 - y3, y1 - y2, y3 - y2)
+    g, h = np.linalg.solve([[dx[1], dx[2]], [dy[1], dy[2]]], [dx[0], dy[0]])
+    homography = np.array(
+        [[x1 - x0 + g * x1, x3 - x0 + h * x3, x0], [y1 - y0 + g * y1, y3 - y0 + h * y3, y0], [g, h, 1.0]]
+    )
+    seen = np.concatenate((places / CELLS, np.ones((*places.shape[:-1], 1))), axis=-1) @ homography.T
+    return np.asarray(seen[..., :2] / seen[..., 2:])
+
+
+def _in_image(camera: CameraModel, undistorted_pixels: Array) -> Array:
+    """Return where in the image undistorted pixels are, shape (..., 2) [px]."""
+    return camera.through_lens((undistorted_pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T)
 
 
 @dataclass(frozen=True)
@@ -208,17 +299,16 @@ def find_fiducials(
         if target is None or target.id not in missed:
             continue
         try:
-            corners = refine_corners(image, camera, quad.reshape(4, 2).astype(float), CELLS, noise)
+            corners = refine_corners(image, camera, quad.reshape(4, 2).astype(float), target.id, noise)
         except DataError as error:
             missed[target.id] = error.message
             continue
-        poses = plate_poses(corners, camera.K, target.size) if corners is not None else []
-        if corners is None or not poses:
-            missed[target.id] = "seen, but its edges are not straight or not clear enough"
+        poses = plate_poses(corners, camera.K, target.size)
+        if not poses:
+            missed[target.id] = _UNCLEAR
             continue
-        ideal = (corners.uv - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
         ambiguity = float(np.sqrt(poses[0].chi2 / max(poses[1].chi2, 1e-12))) if len(poses) > 1 else 0.0
         pose = with_calibration(poses[0], corners, camera, target.size, calibration)
-        found.append(FiducialFit(target, pose, camera.through_lens(ideal), ambiguity))
+        found.append(FiducialFit(target, pose, _in_image(camera, corners.uv), ambiguity))
         del missed[target.id]
     return sorted(found, key=lambda fit: fit.target.id), missed

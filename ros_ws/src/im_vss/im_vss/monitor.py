@@ -78,9 +78,6 @@ class Screen(Protocol):
     def spot(self, camera: str, place: tuple[float, float], stamp_ns: int) -> None:
         """Put out where the light was found in an image, column and row [px]."""
 
-    def residuals(self, camera: str, spots: Array, residuals: Array) -> None:
-        """Put out the spots of a calibration and what it leaves of each, shape (n, 2) both, NaN where not seen [px]."""
-
 
 class Monitors:
     """The newest image of each camera, ready to be drawn upon; shared by the two Vision Modules of the display."""

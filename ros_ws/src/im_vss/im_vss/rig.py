@@ -66,8 +66,8 @@ class Rig:
         settings: Configuration of the Vision Services System.
         cell: Nominal parameters of the cell.
         book: Present calibration of each camera.
-        source: The cameras.
-        screen: Where images go.
+        source: The cameras; None: another process has them.
+        screen: Where images go; None: likewise.
         monitors: Image planes of the display.
         controls: How each camera's sensor is set, and the exposure time that 0 stands for.
         light_position: Where the robot's pose puts the light of calibrations at a testbed time [ns]: place in the
@@ -82,8 +82,8 @@ class Rig:
     settings: VssSettings
     cell: Cell
     book: CameraBook
-    source: FrameSource
-    screen: Screen
+    source: FrameSource | None
+    screen: Screen | None
     monitors: Monitors = field(default_factory=Monitors)
     controls: CameraControls = field(default_factory=CameraControls)
     light_position: Callable[[int], NDArray[np.float64] | None] = lambda stamp_ns: None
@@ -119,6 +119,28 @@ class Rig:
             controls=self.controls.sensors(cameras),
             blank_laser=blank_laser,
         )
+
+    @property
+    def cameras(self) -> FrameSource:
+        """The cameras.
+
+        Raises:
+            StateError: Another process has them.
+        """
+        if self.source is None:
+            raise StateError("the cameras are in another process")
+        return self.source
+
+    @property
+    def outputs(self) -> Screen:
+        """Where images go.
+
+        Raises:
+            StateError: Another process has it.
+        """
+        if self.screen is None:
+            raise StateError("the images of the cameras are put out by another process")
+        return self.screen
 
     @property
     def scanner(self) -> LaserRig:

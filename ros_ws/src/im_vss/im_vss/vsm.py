@@ -8,15 +8,12 @@ from typing import Any
 
 from im_core import plugins
 from im_core.errors import NotFoundError
-from im_vss.catalogue import Catalogue
+from im_vss.catalogue import PROCESS, Catalogue
 from im_vss.managers import ModuleState, VisionClient, VisionModuleManager
 from im_vss.modules import VisionModule
 from im_vss.rig import Rig
 from im_vss.services import VisionService
 from im_vss.tools import ModuleAccess, Tool
-
-PROCESS = "vss"
-"""Name in the catalogue of the process that owns the cameras."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,12 @@ class VisionState:
 
 
 class VisionServicesManager:
-    """Manager of Services: loads the parts of the Services in use, and routes requests to Services by name."""
+    """Manager of Services: loads the parts of the Services in use, and routes requests to Services by name.
+
+    Attributes:
+        in_use: The part of the catalogue in use, in all processes.
+        catalogue: The part of it in this process.
+    """
 
     def __init__(self, rig: Rig, catalogue: Catalogue, process: str = PROCESS) -> None:
         """Load the closure of the Services in use.
@@ -50,7 +52,8 @@ class VisionServicesManager:
         Raises:
             ImError: A Service does not exist, or its software cannot be loaded.
         """
-        self.catalogue = closure = catalogue.closure(rig.settings.services).in_process(process)
+        self.in_use = catalogue.closure(rig.settings.services)
+        self.catalogue = closure = self.in_use.in_process(process)
         self.modules: dict[str, VisionModule] = {
             name: plugins.load(entry.implementation, VisionModule, "vision module")(rig)
             for name, entry in closure.modules.items()

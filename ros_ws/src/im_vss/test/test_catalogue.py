@@ -52,9 +52,6 @@ class Screen:
     def display(self, camera, image, stamp_ns):
         self.displays.append((camera, image, stamp_ns))
 
-    def residuals(self, camera, spots, residuals):
-        pass
-
     def spot(self, camera, place, stamp_ns):
         self.spots.append((camera, place, stamp_ns))
 
@@ -124,7 +121,7 @@ def test_references_of_a_catalogue_are_checked():
         tools: {t: {implementation: "m:T", modules: [vm]}}
         modules: {vm: {implementation: "m:V", manager: nobody}}
         managers: {image_processing: x}
-        processes: {vss: {host: localhost, node: /vss}}
+        processes: {vss: {host: localhost}}
         """
     )
     with pytest.raises(ValueError, match=r"modules.vm.manager: 'nobody' is not one of image_processing"):

@@ -1,14 +1,17 @@
 """Looks: what is found in images that were exposed before, while the arms go on."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from im_cell.frames import Frame, FrameSet
 from im_cell.robot import load_cell
 from im_core.errors import DataError, LinkError, NotFoundError, StateError, WaitTimeoutError
 from im_vss.camera_book import CameraBook
+from im_vss.camera_poses import Mounts
 from im_vss.catalogue import load_catalogue
 from im_vss.pending_looks import FORGOTTEN, MOST_LOOKS, Look, Looks
 from im_vss.rig import Rig
@@ -53,9 +56,6 @@ class Screen:
     def display(self, camera, image, stamp_ns):
         pass
 
-    def residuals(self, camera, spots, residuals):
-        pass
-
     def spot(self, camera, place, stamp_ns):
         pass
 
@@ -96,6 +96,22 @@ def test_the_light_is_searched_where_it_was_when_it_was_exposed(vsm, cameras):
     (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
     disc = spot.finding.region
     assert (disc.u, disc.v) == pytest.approx(tuple(vsm.services["spot_find"].rig.book[CAMERA].model.project(LIGHT)))
+
+
+def test_of_a_camera_on_an_arm_it_is_told_where_the_light_should_be(vsm, cameras):
+    rig, wrist = vsm.services["spot_find"].rig, CELL.cameras["wrist_left"].parent
+    turn, origin = Rotation.from_euler("xyz", (0.3, -0.2, 1.0)).as_matrix(), np.array([0.5, 0.1, 1.2])
+    entry = rig.book["wrist_left"]
+    in_wrist = entry.model.position + 0.8 * entry.model.ray([250.0, 300.0])
+    cameras.at = origin + turn @ in_wrist
+    black = [Frame("wrist_left", np.full((480, 640), 40, np.uint8), stamp, stamp == 6) for stamp in (6, 7)]
+    find = vsm.services["spot_find"].tool("tool_spot_find")
+    assert find(*black).region is None, "where the arm was is not known"
+    rig = replace(rig, mounts=Mounts(lambda frame, stamp_ns: (turn, origin) if frame == wrist else None))
+    rig.mounts.note(wrist, [7])
+    found = type(find)(rig, find.modules)(*black)
+    assert (found.region.u, found.region.v) == pytest.approx((250.0, 300.0), abs=1e-3)
+    assert "searched within" not in found.cause, "and it is searched everywhere"
 
 
 def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vsm, cameras):

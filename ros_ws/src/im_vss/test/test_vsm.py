@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,9 +50,6 @@ class Screen:
 
     def display(self, camera, image, stamp_ns):
         """Nothing is shown."""
-
-    def residuals(self, camera, spots, residuals):
-        pass
 
     def spot(self, camera, place, stamp_ns):
         """Nothing is put out."""
@@ -234,6 +232,7 @@ def test_a_calibration_that_is_in_use_was_not_cancelled(system, monkeypatch):
 def test_the_deployment_of_the_services_in_use(capsys):
     assert deployment.main(["snap", "calibrate"]) == 0
     (task,) = yaml.safe_load(capsys.readouterr().out)["hosts"]["localhost"]["vss"].values()
+    assert task["parameters"] == {"calibration": "${calibration}"}
     assert (task["package"], task["executable"], task["node"]) == ("im_vss", "vss", "/vss")
     assert deployment.main(["snip"]) == 1
     assert "no vision service 'snip'; did you mean 'snap'" in capsys.readouterr().err
@@ -250,8 +249,8 @@ modules:
   vm: {implementation: "m:V", manager: image_processing}
 managers: {image_processing: x}
 processes:
-  vss: {host: localhost, node: /vss}
-  vss_far: {host: far, node: /vss_far}
+  vss: {host: localhost}
+  vss_far: {host: far}
 """
 
 
@@ -260,13 +259,26 @@ def test_services_go_to_their_processes_and_hosts():
     assert list(catalogue.in_process("vss_far").services) == ["b"]
     assert catalogue.in_process("vss_far").modules == {}
     assert set(catalogue.deployment()) == {"localhost", "far"}
+    far = catalogue.deployment(Path("/lab/mine.yaml"))["far"]["vss_far"]["vss_far"]
+    assert (far["executable"], far["node"], far["parameters"]) == (
+        "vss_apart", "/vss_far", {"catalogue": "/lab/mine.yaml"}
+    )  # fmt: skip
     assert set(catalogue.closure(["a"]).deployment()) == {"localhost"}
     with pytest.raises(NotFoundError, match="no process of the vision services 'vss_near'"):
         catalogue.in_process("vss_near")
 
 
-def test_a_module_has_one_process():
+@pytest.mark.parametrize(
+    ("manager", "sentence"),
+    [
+        ("computation", "services.b.process: 'vss_far' uses vm, which 'vss' owns"),
+        ("laser_scanner", "'vss_far' uses vm of the laser_scanner, which is in 'vss' with the cameras"),
+    ],
+)
+def test_a_module_has_one_process(manager, sentence):
     content = yaml.safe_load(CONTENT)
     content["tools"]["u"]["modules"] = ["vm"]
-    with pytest.raises(ValueError, match=r"services.b.process: 'vss_far' uses vm, which 'vss' owns"):
+    content["managers"] = {manager: "x"}
+    content["modules"]["vm"]["manager"] = manager
+    with pytest.raises(ValueError, match=sentence):
         Catalogue.model_validate(content)

@@ -1,23 +1,31 @@
-"""True error of a finished calibration: report against the truth of the simulated testbed."""
+"""True error of a finished calibration: report against the truth of the simulated testbed; places of free bodies."""
 
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from im_cell.calibration_error import evaluate
 from im_cell.camera_model import CameraModel
+from im_cell.robot import Cell
 from im_cell.robot.parameters import Vector
-from im_cell.robot.truth import CameraTruth, CellTruth, Matrix
+from im_cell.robot.truth import CameraTruth, CellTruth, Matrix, errors_of, tool_errors
+from im_cell.rotations import cross_matrix, matrix_of_vector
 from im_cell.workspace import Workspace
 from im_core.config import Model, faults
 from im_core.errors import DataError, NotFoundError
 from im_core.files import FileError, write_whole
 from im_core.text.jsontext import load_json
+
+Array = NDArray[np.float64]
+_Read = TypeVar("_Read", bound=Model)
+_Place = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
 class _Section(Model):
@@ -41,67 +49,127 @@ class _ExpectedError(_Section):
 
 class _Calibration(_Section):
     cameras: Annotated[tuple[_CalibratedCamera, ...], Field(min_length=1)]
+    light: str
     led_offset_m: Vector
     expected_error: _ExpectedError
 
 
-def truth_error(report: Mapping[str, Any], truth: CellTruth) -> dict[str, Any]:
+class _Positions(_Section):
+    x_base_m: Annotated[tuple[tuple[_Place, _Place, _Place], ...], Field(min_length=1)]
+
+
+class _Observations(_Section):
+    J_arm: tuple[tuple[tuple[Annotated[float, Field(ge=-1.0, le=1.0)], ...], ...], ...]
+    trials: Annotated[tuple[_Positions, ...], Field(min_length=1)]
+
+
+def truth_error(
+    report: Mapping[str, Any], observations: Mapping[str, Any], truth: CellTruth, cell: Cell
+) -> dict[str, Any]:
     """Compute the errors of the calibrated cameras over the workspace.
+
+    The frame of the cameras is the one that the readings of the arm have as a whole: where the true arm is off by a
+    shift and a turn common to all positions, so are the true cameras.
 
     Args:
         report: Content of ``report.json``.
-        truth: The true cameras and lights.
+        observations: Content of ``observations.json``.
+        truth: The true arms, cameras and lights.
+        cell: The cell as drawn.
 
     Returns:
         ``triangulation_mm`` and ``reprojection_px`` (RMS over the workspace, None where not defined), and
         ``led_offset_mm``, the length of the error of the light's offset.
 
     Raises:
-        DataError: The report has no cameras, or one of them moves with the arm.
-        NotFoundError: A camera of the report does not exist in truth.
+        DataError: The report has no cameras, or one of them moves with the arm; or the observations are malformed.
+        NotFoundError: A camera or the light of the report does not exist in truth.
     """
     if not report.get("success") or not report.get("cameras"):
         raise DataError(f"the report holds no calibration: {report.get('message', 'it is empty')}")
+    calibration, seen = _read(_Calibration, report, "calibration"), _read(_Observations, observations, "observations")
+    if calibration.light not in truth.leds:
+        raise NotFoundError(kind="light", name=calibration.light, known=truth.leds)
+    errors = errors_of(cell, cell.devices("light")[calibration.light], truth.joints)
+    positions = np.array(seen.trials[0].x_base_m)
     try:
-        calibration = _Calibration.model_validate(report)
-    except ValidationError as wrong:
-        fault = faults(wrong, _Calibration)[0]
-        raise DataError(f"the report holds no calibration: {fault.field}: {fault.sentence}") from wrong
+        jacobians = np.array(seen.J_arm).reshape(len(positions), 3, len(errors))
+    except ValueError as wrong:
+        text = (
+            f"J_arm of the observations is not {len(positions)} x 3 x {len(errors)} numbers, as positions and arm need"
+        )
+        raise DataError(text) from wrong
+    turn, shift = _common_motion(positions, jacobians @ errors)
     estimated, true = [], []
     for camera in calibration.cameras:
         real = _true_camera(camera.name, truth)
-        true.append(_model(real.width, real.height, real))
+        model = _model(real.width, real.height, real)
+        R, t = model.R_cam_base @ turn, model.R_cam_base @ shift + model.t_cam_base
+        true.append(replace(model, R_cam_base=R, t_cam_base=t))
         estimated.append(_model(real.width, real.height, camera))
     low, high = calibration.expected_error.workspace_low_m, calibration.expected_error.workspace_high_m
     workspace = Workspace(low, high) if low and high else Workspace()
     error = evaluate(estimated, true, workspace.grid())
-    offsets = [np.subtract(calibration.led_offset_m, led.offset_m) for led in truth.leds.values()]
+    offset = np.subtract(calibration.led_offset_m, truth.leds[calibration.light].offset_m)
     return {
         "triangulation_mm": _finite(error.triangulation_rms_mm),
         "reprojection_px": _finite(error.reprojection_rms_px),
-        "led_offset_mm": 1e3 * min(float(np.linalg.norm(offset)) for offset in offsets),
+        "led_offset_mm": 1e3 * float(np.linalg.norm(offset)),
     }
 
 
-def add_to_report(path: Path, truth: CellTruth) -> dict[str, Any]:
-    """Add ``truth_error`` to a report file, in one step.
+def _common_motion(positions: Array, moved: Array) -> tuple[Array, Array]:
+    """Return turn and shift nearest to small motions of positions, shapes (3, 3) [-] and (3,) [m].
+
+    Args:
+        positions: Shape (n, 3) [m].
+        moved: Shape (n, 3) [m].
+    """
+    turned = np.stack([-cross_matrix(place) for place in positions])
+    rigid = np.concatenate((turned, np.tile(np.eye(3), (len(positions), 1, 1))), axis=2).reshape(-1, 6)
+    found = np.asarray(np.linalg.lstsq(rigid, moved.ravel())[0], dtype=float)
+    return matrix_of_vector(found[:3]), found[3:]
+
+
+def arms_off(truth: CellTruth, cell: Cell) -> str:
+    """Describe the errors of the tools of all arms over the reach."""
+    off = {name: 1e3 * tool_errors(cell, name, truth.joints, np.random.default_rng(0)) for name in cell.groups}
+    told = [f"{name}: {np.sqrt(np.mean(mm**2)):.2f} mm RMS, {mm.max():.2f} mm at most" for name, mm in off.items()]
+    return "off the drawing over the reach, the tool of\n" + "\n".join(told)
+
+
+def add_to_report(path: Path, truth: CellTruth, cell: Cell) -> dict[str, Any]:
+    """Add ``truth_error`` to a report file, beside the observations, in one step.
 
     Returns:
         The report with it.
 
     Raises:
-        DataError: The file is not a report of a calibration.
-        NotFoundError: A camera of the report does not exist in truth.
+        DataError: The file is not a report of a calibration, or has no observations beside it.
+        NotFoundError: A camera or the light of the report does not exist in truth.
     """
-    try:
-        report = load_json(path)
-    except FileError as error:
-        raise DataError(f"{path} is not a report: {error.message}", file=str(path)) from error
-    if not isinstance(report, dict):
-        raise DataError(f"{path} is not a report: it is not a JSON object", file=str(path))
-    report["truth_error"] = truth_error(report, truth)
+    report, observations = _object(path, "a report"), _object(path.with_name("observations.json"), "observations")
+    report["truth_error"] = truth_error(report, observations, truth, cell)
     write_whole(path, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
+
+
+def _object(path: Path, kind: str) -> dict[str, Any]:
+    try:
+        content = load_json(path)
+    except FileError as error:
+        raise DataError(f"{path} is not {kind}: {error.message}", file=str(path)) from error
+    if not isinstance(content, dict):
+        raise DataError(f"{path} is not {kind}: it is not a JSON object", file=str(path))
+    return content
+
+
+def _read(model: type[_Read], content: Mapping[str, Any], kind: str) -> _Read:
+    try:
+        return model.model_validate(content)
+    except ValidationError as wrong:
+        fault = faults(wrong, model)[0]
+        raise DataError(f"the report holds no {kind}: {fault.field}: {fault.sentence}") from wrong
 
 
 def _true_camera(name: str, truth: CellTruth) -> CameraTruth:
@@ -122,3 +190,17 @@ def _model(width: int, height: int, camera: "_CalibratedCamera | CameraTruth") -
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+def place_of(name: str, truth: CellTruth) -> str:
+    """Describe where a free body stands.
+
+    Raises:
+        NotFoundError: There is none of the name.
+    """
+    if name not in truth.objects:
+        raise NotFoundError(kind="object", name=name, known=truth.objects)
+    x, y, z, qx, qy, qz, qw = truth.objects[name]
+    tilt = math.degrees(2.0 * math.asin(min(1.0, math.hypot(qx, qy))))
+    yaw = math.degrees(2.0 * math.atan2(qz, qw))
+    return f"{name} at ({x:.4f}, {y:.4f}, {z:.4f}) m, turned by {yaw:.1f} and tilted by {tilt:.1f} degrees"

@@ -1,6 +1,5 @@
 """Leftovers of a killed machine: processes, shared memory, semaphores."""
 
-import fcntl
 import os
 import re
 import signal
@@ -14,7 +13,7 @@ from im_core.errors import LinkError
 from im_core.ownership import is_own, require_own
 from im_core.patience import Patience
 from im_core.processes.procfs import ProcessId
-from im_core.shm_names import SHM, left, remove_all
+from im_core.shm_names import SHM, left, lock, remove_all
 
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
@@ -152,17 +151,11 @@ def _mapped_names() -> set[str]:
 
 
 def _unlocked(path: Path) -> bool:
-    """Whether nobody holds the lock of a file; no link is followed, no FIFO waited for."""
+    """Whether nobody holds the lock of a file."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        os.close(lock(path))
     except FileNotFoundError:
         return True
     except OSError:
         return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    finally:
-        os.close(descriptor)
     return True

@@ -4,13 +4,11 @@ import json
 import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import Annotated
-
-import pydantic
+from typing import Any
 
 from im_core import names
-from im_core.config import field_name
 from im_core.errors import DataError, LinkError
 from im_core.files import MEBIBYTE, FileError, read_bytes, write_whole
 from im_core.ownership import is_own, require_own
@@ -42,8 +40,8 @@ class MachineRecord:
         incarnations: Those of its tasks that have reported, by name.
     """
 
-    pid: Annotated[int, pydantic.Field(gt=1)]
-    start: Annotated[int, pydantic.Field(ge=0)]
+    pid: int
+    start: int
     state: str
     phase: str
     tasks: int
@@ -69,14 +67,13 @@ class MachineRecord:
         return self.process.alive()
 
 
-_RECORD = pydantic.TypeAdapter(MachineRecord)
 _LARGEST = MEBIBYTE
 _RECORD_SUFFIX = "_machine.json"
 
 
-def record_path(instance: str | None = None) -> Path:
+def record_path() -> Path:
     """Return the path of the record: in shared memory, so valid for all folders until the computer restarts."""
-    return SHM / f"{instance or names.instance()}{_RECORD_SUFFIX}"
+    return SHM / f"{names.instance()}{_RECORD_SUFFIX}"
 
 
 def read(path: Path | None = None) -> MachineRecord | None:
@@ -89,17 +86,43 @@ def read(path: Path | None = None) -> MachineRecord | None:
         DataError: The file is not a record.
         LinkError: It belongs to another user.
     """
+    import pydantic  # a sixth of the start of a client, few of which read a record
+
+    from im_core.config import field_name
+
     path = path or record_path()
     if require_own(path) is None:
         return None
     try:
-        return _RECORD.validate_json(read_bytes(path, _LARGEST, own=True))
+        record: MachineRecord = _adapter().validate_json(read_bytes(path, _LARGEST, own=True))
     except FileError as error:
+        if isinstance(error.__cause__, FileNotFoundError):  # the machine has ended meanwhile
+            return None
         raise DataError(f"{path} is not the record of a machine: {error.sentence}", file=str(path)) from error
     except pydantic.ValidationError as error:
         fault = error.errors(include_url=False)[0]
         sentence = f"{field_name(fault['loc']) or 'the whole'}: {fault['msg']}"
         raise DataError(f"{path} is not the record of a machine: {sentence}", file=str(path)) from error
+    if record.pid <= 1 or record.start < 0:
+        told = f"no machine has process {record.pid} that started at {record.start}"
+        raise DataError(f"{path} is not the record of a machine: {told}", file=str(path))
+    return record
+
+
+@cache
+def _adapter() -> Any:
+    import pydantic
+
+    return pydantic.TypeAdapter(MachineRecord)
+
+
+def recorded() -> bool:
+    """Return whether the local host has the record of a machine, living or dead, of the current ROS domain.
+
+    Raises:
+        LinkError: The record belongs to another user.
+    """
+    return require_own(record_path()) is not None
 
 
 def runs_here() -> bool:

@@ -59,6 +59,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--factor", type=float, help="simulated seconds a second; 0: as fast as it goes")
     parser.add_argument("--period", type=float, help="period of servo and testbed [s], e.g. 0.001")
     parser.add_argument("--seed", type=int, help="seed of all random numbers")
+    parser.add_argument(
+        "--perfect-arm",
+        action="store_true",
+        default=None,
+        help="let the simulated arms be as drawn (default: the tool is off by 0.3 to 1 mm)",
+    )
     parser.add_argument("--port", type=int, help="TCP port of the display (a web page); the next free one if in use")
     parser.add_argument(
         "--control", action="store_true", default=None, help="let the page operate the machine (default: only show it)"
@@ -454,6 +460,7 @@ def spawn_bootstrap(
         *("--seed", str(deployment.seed)),
         *("--port", str(deployment.port)),
         *("--foxglove", str(deployment.foxglove)),
+        *(("--perfect-arm",) if deployment.perfect_arm else ()),
         *(("--control",) if deployment.control else ()),
         *(("--unproved",) if deployment.unproved else ()),
         *(("--calibration", deployment.calibration) if deployment.calibration else ()),

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
+from im_bringup.ros.client_output import DONE
+from im_bringup.ros.interruptible import InterruptibleNode, talk
 from im_core.ros import qos
 from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import ObjectInfo

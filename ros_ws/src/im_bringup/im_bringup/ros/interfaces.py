@@ -9,7 +9,8 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.node import Node, NodeNameNonExistentError
 
-from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
+from im_bringup.ros.client_output import DONE
+from im_bringup.ros.interruptible import InterruptibleNode, talk
 from im_core import clock
 
 # the graph is known when nothing has changed for so long; on a busy computer that takes its time

@@ -44,6 +44,7 @@ def main() -> int:
     parser.add_argument("--factor", type=float)
     parser.add_argument("--period", type=float)
     parser.add_argument("--seed", type=int)
+    parser.add_argument("--perfect-arm", action="store_true", default=None)
     parser.add_argument("--port", type=int)
     parser.add_argument("--foxglove", type=int)
     parser.add_argument("--control", action="store_true", default=None)

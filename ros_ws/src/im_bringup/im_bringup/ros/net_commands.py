@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from im import Machine, MachineError
-from im_bringup.ros.interruptible import DONE, FAILED
+from im_bringup.ros.client_output import DONE, FAILED
 from im_bringup.ros.run_command import talk
 from im_core.errors import ImError
 from im_core.files import read_text

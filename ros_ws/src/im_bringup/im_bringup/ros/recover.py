@@ -14,7 +14,8 @@ from lifecycle_msgs.srv import ChangeState
 from std_srvs.srv import Trigger
 
 from im_bringup.machine.recovery import McsCondition, Step, next_step
-from im_bringup.ros.interruptible import DONE, FAILED, InterruptibleNode, talk
+from im_bringup.ros.client_output import DONE, FAILED
+from im_bringup.ros.interruptible import InterruptibleNode, talk
 from im_core import clock
 from im_core.errors import ImError, StateError, WaitTimeoutError
 from im_core.options import NumberParser, seconds

@@ -17,7 +17,7 @@ from typing import Any
 from im import Command, Machine, UnreachableError
 from im_bringup.command_line import CommandParser, command_told, completions
 from im_bringup.machine import machine_state
-from im_bringup.ros.interruptible import (
+from im_bringup.ros.client_output import (
     DONE,
     FAILED,
     INTERRUPTED,
@@ -27,7 +27,6 @@ from im_bringup.ros.interruptible import (
     exit_code,
     own_output,
 )
-from im_bringup.tasks import deployment
 from im_core import plugins
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, require_text
 from im_core.files import FileError, write_whole
@@ -87,6 +86,8 @@ def main() -> int:
 
 def described_in_files(name: str) -> Mapping[str, Any] | None:
     """Return the description of a command of the default deployment; None if a machine runs here, or there is none."""
+    from im_bringup.tasks import deployment  # no other use of the command reads a deployment
+
     with contextlib.suppress(ImError):
         if not machine_state.runs_here():
             described: Any = plugins.make(
@@ -108,7 +109,7 @@ def talk(use: Callable[[Machine], int], who: str, goes_on: str = "") -> int:
     def connect() -> int:
         with own_output():
             handle_end_signals(signal.default_int_handler)
-            watch = why_lost if machine_state.runs_here() else None
+            watch = why_lost if machine_state.recorded() else None
             try:
                 machine = Machine.connect(timeout=LOOKED_FOR_S, watch=watch)
             except UnreachableError as error:

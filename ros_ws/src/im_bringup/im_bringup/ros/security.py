@@ -9,8 +9,9 @@ from typing import Any
 
 from rclpy.node import NodeNameNonExistentError
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.interfaces import DISCOVERY_AT_MOST_S, settle
-from im_bringup.ros.interruptible import DONE, talk
+from im_bringup.ros.interruptible import talk
 from im_bringup.ros.tasks import WAIT_S, TasksNode
 from im_bringup.security.keystore import Keystore
 from im_bringup.security.permissions import (

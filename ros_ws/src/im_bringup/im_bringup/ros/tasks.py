@@ -9,7 +9,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from im_bringup.ros.bootstrap import LOADS_TOPIC
-from im_bringup.ros.interruptible import DONE, InterruptibleNode, talk
+from im_bringup.ros.client_output import DONE
+from im_bringup.ros.interruptible import InterruptibleNode, talk
 from im_core.errors import NotFoundError
 from im_core.options import NumberParser, seconds
 from im_core.ros import qos

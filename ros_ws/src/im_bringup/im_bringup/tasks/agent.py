@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_bringup.security.permissions import ENCLAVE_OVERRIDE, enclave_arguments
+from im_bringup.tasks.dead_ports import DeadPorts
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.loads import ProcessLoad
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
@@ -159,6 +160,7 @@ class Agent:
         self.respawn = False
         self._order = ""
         self._usage = ProcessLoad()
+        self._dead_ports = DeadPorts(int(environment.get("ROS_DOMAIN_ID") or 0))
 
     def start(self) -> list[Started]:
         """Start all processes.
@@ -179,6 +181,7 @@ class Agent:
             self._tell(slot)
             if slot.child is not None and (code := slot.child.poll()) is not None:
                 slot.child = None
+                self._dead_ports.hold()  # before the next process chooses a port
                 events.append(Died(slot.command.tasks, self._plan(slot, code, now)))
                 slot.failure, slot.kill_at = "", math.inf
             elif slot.child is not None and now >= slot.kill_at:
@@ -269,6 +272,7 @@ class Agent:
         for child in everyone:
             child.send_signal(signal.SIGKILL)
         await_ends(everyone, patience, _KILL_AFTER_S + 0.4)
+        self._dead_ports.close()
         return killed
 
     def _start(self, slot: _Slot) -> Started:
@@ -356,7 +360,11 @@ def commands(deployment: Deployment, host: str, run_dir: Path) -> list[ProcessCo
             argv = [str(path_of("im_bringup", "shared_process")), *shared]
         parameters = {each.task.node: deployment.parameters_of(each.task) for each in placed}
         file = write_parameters(run_dir, process, parameters)
-        argv += [*enclave_arguments(host, process), "--disable-external-lib-logs", "--params-file", str(file)]
+        argv += [*enclave_arguments(host, process), "--disable-external-lib-logs"]
+        for each in placed:
+            if each.name != each.task.executable:  # the name that its node has by itself
+                argv += ["-r", f"{each.task.executable}:__node:={each.name}"]
+        argv += ["--params-file", str(file)]
         tasks = tuple(each.name for each in placed)
         log = run_dir / "log" / f"{process}.log"
         result.append(ProcessCommand(process, tasks, argv, log, deployment.memory_mib))

@@ -30,7 +30,7 @@ NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]
 MOST_TASKS = 100
 """Of a machine."""
 
-_VALUES = ("clock_factor", "period", "seed", "port", "control", "calibration", "commands")
+_VALUES = ("clock_factor", "period", "seed", "perfect_arm", "port", "control", "calibration", "commands")
 _REFERENCE = re.compile(r"\$\{(\w+)\}")
 #: What stands where a reference could: to its brace, or to the end.
 _WRITTEN = re.compile(r"\$\{[^}]*\}?")
@@ -59,8 +59,8 @@ class Task(Model):
         executable: Its console script.
         node: Fully qualified name of the node.
         needs: Parts that the cell must have, or kinds of parts, as ``lights``; else the task is left out.
-        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${port}``, ``${control}``,
-            ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
+        parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${perfect_arm}``, ``${port}``,
+            ``${control}``, ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
     """
 
     package: Name
@@ -120,6 +120,7 @@ class Deployment(Model):
         clock_factor: Simulated seconds a second of wall time; 0: as fast as it goes.
         period: Of servo and testbed [s].
         seed: Seed of everything drawn at random.
+        perfect_arm: Whether the simulated arms are as drawn; else the tool is off by 0.3 to 1 mm.
         port: TCP port of the display; the next free one is taken where it is in use.
         foxglove: TCP port that Foxglove connects to, which adds a bridge as a process of the first host; 0: none.
         control: Whether the display may operate nets; if not, it only shows them.
@@ -141,6 +142,7 @@ class Deployment(Model):
     clock_factor: Annotated[float, pydantic.Field(ge=0.0, le=100.0)] = 1.0
     period: Annotated[float, pydantic.Field(ge=0.0005, le=0.02)] = 0.0045
     seed: Annotated[int, pydantic.Field(ge=0, le=2**31 - 1)] = 1
+    perfect_arm: bool = False
     port: Annotated[int, pydantic.Field(ge=1024, le=65535)] = 8080
     foxglove: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
     control: bool = False
@@ -278,6 +280,7 @@ class Deployment(Model):
         unproved: bool | None = None,
         foxglove: int | None = None,
         cell: str | None = None,
+        perfect_arm: bool | None = None,
     ) -> "Deployment":
         """Return the same deployment with some values replaced; None leaves a value unchanged.
 
@@ -291,6 +294,7 @@ class Deployment(Model):
             "unproved": unproved,
             "foxglove": foxglove,
             "cell": cell,
+            "perfect_arm": perfect_arm,
         }
         changed = {name: value for name, value in given.items() if value is not None}
         try:
@@ -304,6 +308,7 @@ class Deployment(Model):
 _EVERYWHERE = {
     "factor": "clock_factor",
     "seed": "seed",
+    "perfect_arm": "perfect_arm",
     "port": "port",
     "period": "period",
     "control": "control",

@@ -19,6 +19,7 @@ from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
 from im_calibration.reporting.report import answer
 from im_calibration.reporting.results import OBSERVATIONS, write_results
 from im_calibration.selection import calibrate_possible
+from im_calibration.targets.views import ShownViews
 from im_cell.calibration_files import CameraPose
 from im_cell.lens import LENSES
 from im_core.clock import monotonic
@@ -35,6 +36,7 @@ IN.json (format vislab-calib-1, field by field in docs/calibration.md) holds, fo
   cov_x_m2[n][3][3] [m^2]                                    noise of the positions; null: not known, estimate it
   wrist_R_base[n][3][3], led_offset_nominal_known, led_offset_prior_sd_m [m]
   J_joint[n][3][k], joint_offset_prior_sd_rad [rad]          where joint offsets are to be estimated
+  J_arm[n][3][m] [m]                                         errors of the arm's kinematics, each of its usual size
   trials[].x_base_m[n][3] [m]    trials[].u_px[c][n] = [u, v] [px], or null where the LED was not seen
   known_lengths.length_m[k], .sd_m[k] [m], .sigma_u_px[c][k] [px], trials[].length_u_px[c][k][2] [px] or null:
                                  two LEDs at a known distance, which show whether the robot's metre is right
@@ -123,18 +125,18 @@ def _again(options: argparse.Namespace) -> None:
 
 
 def _from_images(options: argparse.Namespace) -> None:
-    problem, told = problem_of_images(options)
-    print(told)
-    _write(options.results, problem)
+    problem, seen = problem_of_images(options)
+    print("\n".join(seen.told))
+    _write(options.results, problem, seen.shown)
 
 
-def _write(target: Path, problem: CalibrationProblem) -> None:
+def _write(target: Path, problem: CalibrationProblem, shown: ShownViews | None = None) -> None:
     calibration = calibrate_possible(problem)
     poses = None
     if (placements := problem.placements) is not None:
         frame = "link" if placements.camera_moves else "base" if placements.held is None else problem.camera_names[0]
         poses = {camera.name: CameraPose.of(frame, camera.model) for camera in calibration.cameras}
-    write_results(target, calibration, problem, poses)
+    write_results(target, calibration, problem, poses, shown=shown)
     print(f"{target}: {calibration.message}")
 
 

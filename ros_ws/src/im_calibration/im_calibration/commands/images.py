@@ -29,6 +29,7 @@ from im_core.processes.process import ChildProcess
 from im_core.text.jsontext import load_json
 
 if TYPE_CHECKING:
+    from im_calibration.targets.images import SeenTarget
     from im_calibration.targets.recorded_views import Motion
 
 Array = NDArray[np.float64]
@@ -101,14 +102,14 @@ def check_images(options: argparse.Namespace) -> str:
     return ""
 
 
-def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, str]:
+def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, "SeenTarget"]:
     """Find the target in the images, and write the observations.
 
     Args:
         options: Of the command line.
 
     Returns:
-        The problem, and sentences on images in which the target was not found.
+        The problem, and the target in the images.
 
     Raises:
         DataError: A file cannot be used, the target is in too few images, or the views do not belong together.
@@ -161,7 +162,7 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         write_whole(options.results / OBSERVATIONS, json.dumps(content, allow_nan=False) + "\n")
     except OSError as error:
         raise DataError(f"The results cannot be written to {options.results}: {error.strerror}.") from error
-    return problems(content)[0], "\n".join(seen.told)
+    return problems(content)[0], seen
 
 
 def _recorded(options: argparse.Namespace) -> Path:

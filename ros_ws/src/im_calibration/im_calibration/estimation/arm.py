@@ -1,4 +1,4 @@
-"""Size of the arm's smooth error, from the residuals of a fit, and the fit with it.
+"""Smooth error of the arm: size by the residuals of a fit, and the fit anew.
 
 The coefficients of the error are unknowns with a prior, so that their covariance is in that of the cameras. The error's
 standard deviation t maximises the restricted likelihood. With the cameras eliminated, the information on the
@@ -27,13 +27,14 @@ from im_calibration.problem.problem import CalibrationProblem
 Array = NDArray[np.float64]
 
 _FACTORS = np.geomspace(1e-2, 1.0, 41)
+_USUAL = 0.2
 _GAIN = 4.0
 _ROUNDS, _CONVERGED = 4, 0.1
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Fit with the problem that it solves.
+    """Fit and the solved problem.
 
     Attributes:
         problem: The observations, with the error of the arm and the noise as they were taken.
@@ -46,20 +47,29 @@ class Explanation:
     gated: Gated
 
 
+def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
+    """Return the problem with a usual error of the arm, where the arm's kinematics are given: gates need some size."""
+    if problem.arm_jacobians is None:
+        return problem
+    return replace(problem, arm_error=ArmError.largest(problem.positions, problem.arm_jacobians).times(_USUAL))
+
+
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
     """Return the fit with the smooth error of the arm that the residuals show.
 
-    Where the noise of the robot is stated, the data have to show the error; if they do not, the fit is unchanged. Where
-    that noise is not stated, an arm has such an error, of a size that the data leave possible.
+    Where the noise of the robot is stated, and the kinematics of the arm are not given, the data have to show the
+    error; if they do not, the fit is unchanged. Otherwise an arm has such an error, of a size that the data leave
+    possible.
 
     Args:
-        gated: A fit without such an error.
+        gated: A fit without such an error, or with a usual one.
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
     if problem.placements is not None:  # a target's own place takes up what is alike at neighbours
         return Explanation(problem, ParameterLayout.of(problem), gated)
-    whole = ArmError.largest(problem.positions)
+    robot_known = robot_known and problem.arm_jacobians is None
+    whole = ArmError.largest(problem.positions, problem.arm_jacobians)
     factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):

@@ -372,7 +372,7 @@ def _placed_anew(placements: Array, steps: Array) -> Array:
 
 
 def _given(problem: CalibrationProblem, size: int) -> tuple[tuple[Array, Array] | None, int]:
-    """Return means and precisions of the given unknowns of cameras, and how many they are."""
+    """Return means and precisions of the given unknowns of cameras, and the number of unknowns."""
     means, precision, known, start = np.zeros(size), np.zeros((size, size)), 0, 0
     for c, lens in enumerate(problem.lenses):
         count = len(_PINHOLE) + lens.estimated

@@ -21,6 +21,11 @@ Mask = NDArray[np.bool_]
 
 
 _ARM = "The error of the arm is about {:.2g} mm in each coordinate, alike at neighbours; all stated errors include it."
+_CURVED = 1.0
+_CURVE = (
+    "The parameters of {} vary together along a curve, as those of a long lens do: the stated errors hold for "
+    "pixels and places; regions of several parameters are larger than their covariance says."
+)
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,7 @@ class CameraEstimate:
         covariance: Covariance of :func:`im_calibration.estimation.unknowns.camera_parameters`, shape (k, k).
         spots_used: Number of spots that count.
         rms_px: RMS length of their residuals [px].
+        curvature: How far the second order moves the parameters within their covariance, in standard deviations.
     """
 
     name: str
@@ -81,6 +87,7 @@ class CameraEstimate:
     covariance: Array
     spots_used: int
     rms_px: float
+    curvature: float
 
     @property
     def standard_deviations(self) -> Array:
@@ -239,12 +246,14 @@ class Calibration:
         missing = " ".join(f"Left out: {each.reason} {each.advice}" for each in self.left_out)
         known = zip(self.cameras, self.images, strict=True)
         rims = " ".join(f"{camera.name}: {image.told}." for camera, image in known if image.told and self.usable)
-        parts = (self.outcome, rims, missing, f"{condition}{self.noise.remark}", arm, pattern)
+        bent = [camera.name for camera in self.cameras if camera.curvature > _CURVED and self.usable]
+        curve = _CURVE.format(", ".join(bent)) if bent else ""
+        parts = (self.outcome, rims, curve, missing, f"{condition}{self.noise.remark}", arm, pattern)
         return " ".join(text for text in parts if text)
 
     @property
     def outcome(self) -> str:
-        """The outcome in a sentence or two, a verdict with its advice."""
+        """The outcome in a sentence or two, a verdict with advice."""
         if self.verdicts:
             return " ".join(_told(kind, self.verdicts) for kind in dict.fromkeys(v.kind for v in self.verdicts))
         names = ", ".join(camera.name for camera in self.cameras)

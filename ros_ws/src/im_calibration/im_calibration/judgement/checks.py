@@ -59,7 +59,7 @@ def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) ->
 
 
 def _half(gated: Gated, problem: CalibrationProblem, predicted: Mask) -> tuple[float, float, float]:
-    """Predict the spots of some poses from those of the others.
+    """Predict the spots of some poses from the spots of the others.
 
     The sum of squared errors with covariance C is taken for chi-square with ``tr(C)^2 / tr(C^2)`` degrees of freedom.
     Source: Satterthwaite, "An approximate distribution of estimates of variance components" (1946).

@@ -21,7 +21,7 @@ _RIM_RATIO, _RIM_PX = 3.0, 0.5
 
 @dataclass(frozen=True)
 class ImageError:
-    """Errors to expect of one camera over its image, at the distance of the spots.
+    """Errors to expect of one camera over the image, at the distance of the spots.
 
     Attributes:
         u: Columns of a grid over the image, edges included, shape (k,) [px].
@@ -74,7 +74,7 @@ class ImageError:
 
 
 def image_error(unknowns: Unknowns, covariance: Array, c: int, model: CameraModel, points: Array) -> ImageError:
-    """Propagate the covariance of a camera to its whole image, to first order.
+    """Propagate the covariance of a camera to the whole image, to first order.
 
     Args:
         unknowns: The estimate.

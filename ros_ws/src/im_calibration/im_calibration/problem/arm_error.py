@@ -1,9 +1,11 @@
 """Smooth error of an arm: constant in time, and alike at neighbouring places.
 
-An arm repeats a position far better than it knows it: its error is a function of the place. Here that function is a
-polynomial of third order with random coefficients, a random field of few terms. Terms that shift or turn all positions
-alike are left out: the frame of the cameras is the one that the arm's readings have as a whole. Source: Rasmussen and
-Williams, "Gaussian Processes for Machine Learning" (2006), sections 2.7 and 4.2.
+An arm repeats a position far better than it knows it. Where its kinematics are given, its error is mostly that of
+joints that are turned and shifted a little from where the drawing has them; beneath, and where they are not given, it
+is a polynomial of third order of the place with random coefficients, a random field of few terms. Terms that shift or
+turn all positions alike are left out: the frame of the cameras is the one that the arm's readings have as a whole.
+Sources: Rasmussen and Williams, "Gaussian Processes for Machine Learning" (2006), sections 2.7 and 4.2; B. Mooring,
+Z. Roth, M. Driels, "Fundamentals of Manipulator Calibration" (1991), chapter 3.
 """
 
 from dataclasses import dataclass, replace
@@ -22,6 +24,10 @@ LARGEST_SHARE = 4e-3
 
 _SHARES = {1: 0.6, 2: 1.0, 3: 0.5}
 """Size of the terms of each order, of one another: most of what the first order has of an arm's error is rigid."""
+_KEPT = 2e-3
+"""Least size of a combination of errors that counts, of the largest [-]."""
+_BENEATH = 0.1
+"""Size of the polynomial beneath the error of kinematics that are given, of that error."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +41,13 @@ class ArmError:
     jacobians: Array
 
     @staticmethod
-    def largest(positions: Array) -> "ArmError":
-        """Return the largest error of an arm that goes to some positions, shape (n, 3) [m]."""
+    def largest(positions: Array, kinematics: Array | None = None) -> "ArmError":
+        """Return the largest error of an arm.
+
+        Args:
+            positions: Where it goes, shape (n, 3) [m].
+            kinematics: Derivatives of them by errors of its kinematics, each of its usual size, shape (n, 3, m) [m].
+        """
         away = positions - positions.mean(axis=0)
         extent = max(float(np.sqrt((away**2).sum(axis=1).mean())), 1e-300)
         away = away / extent
@@ -44,14 +55,23 @@ class ArmError:
         rigid = np.concatenate((np.tile(np.eye(3), (len(away), 1, 1)), turned), axis=2).reshape(-1, 6)
         axes = np.linalg.svd(rigid, full_matrices=False)[0]
         blocks = []
+
+        def add(share: float, block: Array) -> None:
+            block = block - axes @ (axes.T @ block)
+            blocks.append(share * block / max(float(np.linalg.norm(block)), 1e-300))
+
+        if kinematics is not None:
+            add(1.0, kinematics.reshape(len(rigid), -1))
         for order, share in _SHARES.items():
             powers = list(combinations_with_replacement(range(3), order))
             counts = [factorial(order) / np.prod([factorial(power.count(i)) for i in range(3)]) for power in powers]
             terms = np.stack([np.prod(away[:, list(power)], axis=1) for power in powers], axis=1) * np.sqrt(counts)
-            block = np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1)
-            block = block - axes @ (axes.T @ block)
-            blocks.append(share * block / max(float(np.linalg.norm(block)), 1e-300))
+            beneath = 1.0 if kinematics is None else _BENEATH
+            add(beneath * share, np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1))
         whole = np.concatenate(blocks, axis=1)
+        if kinematics is not None:  # many joints do nearly the same; the error is that of few combinations of them
+            left, values, _ = np.linalg.svd(whole, full_matrices=False)
+            whole = (left * values)[:, values > _KEPT * values[0]]
         whole = whole * (LARGEST_SHARE * extent * np.sqrt(len(rigid)) / max(float(np.linalg.norm(whole)), 1e-300))
         return ArmError(whole.reshape(len(away), 3, -1))
 

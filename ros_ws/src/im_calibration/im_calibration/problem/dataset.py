@@ -140,6 +140,7 @@ class DataSet(_Section):
     workspace_m: Annotated[Array | None, PlainValidator(Lists(2, 3, optional=True))] = None
     joint_offset_prior_sd_rad: Annotated[float | None, PlainValidator(number)] = None
     J_joint: Annotated[Array | None, PlainValidator(Lists("n", 3, "joints", optional=True))] = None
+    J_arm: Annotated[Array | None, PlainValidator(Lists("n", 3, "errors", optional=True))] = None
     wrist_rotations: Annotated[
         Array | None, PlainValidator(Lists("n", 3, 3, optional=True)), Field(alias="wrist_R_base")
     ] = None
@@ -204,6 +205,7 @@ class DataSet(_Section):
             led_offset_nominal=_place(self.led_offset_nominal_m),
             joint_offset_prior_sd=joint_prior,
             joint_jacobians=self.J_joint if joint_prior else None,
+            arm_jacobians=self.J_arm,
             workspace=_box_around(trial.x_base_m)
             if self.workspace_m is None
             else Workspace(*map(_place, self.workspace_m)),
@@ -363,6 +365,8 @@ def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
             "J_joint": problem.joint_jacobians.tolist(),
             "joint_offset_prior_sd_rad": problem.joint_offset_prior_sd,
         }
+    if problem.arm_jacobians is not None:
+        content["J_arm"] = problem.arm_jacobians.tolist()
     if (lengths := problem.lengths) is not None:
         one_noise = _spot_noise(lengths.spot_covariances, lengths.detected)
         sigma = np.array(one_noise.get("sigma_u_px", []))

@@ -1,7 +1,7 @@
 """Observations of a light on the wrist as they are made, pose by pose, and the calibration problem of them."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -37,6 +37,8 @@ class Observation:
         rotation: Rotation wrist -> world, shape (3, 3).
         position_covariance: Covariance of `position`, shape (3, 3) [m^2].
         spots: By camera; a camera that saw no light is left out.
+        arm_jacobian: Derivatives of the place of the light by errors of the arm's kinematics, each of its usual size,
+            shape (3, m) [m]; none where they are not known.
     """
 
     pose: str
@@ -44,6 +46,7 @@ class Observation:
     rotation: Array
     position_covariance: Array
     spots: dict[str, SeenSpot]
+    arm_jacobian: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
 
 @dataclass(frozen=True)
@@ -80,12 +83,15 @@ def problem_of(
         known: Cameras that there are; others than `cameras` may have spots.
 
     Raises:
-        ImError: There is no observation, one is malformed, or of a camera that is not known.
+        ImError: There is no observation, one is malformed, or of a camera that is not known, or they are of arms with
+            different numbers of errors.
     """
     if not observations:
         raise DataError("there is no observation to calibrate from")
     nominal, prior_sd = led_offset
-    offset = np.array(nominal)
+    offset, errors = np.array(nominal), {o.arm_jacobian.shape[1] for o in observations}
+    if len(errors) > 1:
+        raise DataError(f"the observations have arm_jacobian of {sorted(errors)} columns, one number is needed")
     spots, covariances = _spots(cameras, [observation.spots for observation in observations], known)
     return CalibrationProblem(
         camera_names=cameras,
@@ -96,6 +102,7 @@ def problem_of(
         spots=spots,
         spot_covariances=covariances,
         led_offset_prior_sd=prior_sd,
+        arm_jacobians=np.array([o.arm_jacobian for o in observations]) if errors != {0} else None,
         led_offset_nominal=nominal,
         pose_names=tuple(o.pose for o in observations),
         readings=_readings(observations),
@@ -123,8 +130,12 @@ def observation_of(message: Any) -> Observation:
         message: An ``im_msgs/msg/Observation``, from a client, out of a bag, or any object with the fields of it.
 
     Raises:
-        DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera.
+        DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera, or an arm_jacobian
+            without three rows.
     """
+    if len(message.arm_jacobian) % 3:
+        told = f"arm_jacobian of pose '{message.pose}' has {len(message.arm_jacobian)} numbers, three rows are needed"
+        raise DataError(told)
     position, q = message.wrist.position, message.wrist.orientation
     return Observation(
         pose=message.pose,
@@ -132,6 +143,7 @@ def observation_of(message: Any) -> Observation:
         rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w], f"the orientation of pose '{message.pose}'"),
         position_covariance=np.array(message.position_covariance).reshape(3, 3),
         spots=spots_of(message.spots, f"pose '{message.pose}'"),
+        arm_jacobian=np.array(message.arm_jacobian).reshape(3, -1),
     )
 
 

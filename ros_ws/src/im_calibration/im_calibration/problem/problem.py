@@ -19,7 +19,12 @@ Mask = NDArray[np.bool_]
 NOISE_SOURCES = ("image", "robot")
 """What stated noise is of: the spots, and the positions by the robot."""
 
-_LARGEST = {"positions": (1e7, "m"), "joint_jacobians": (1e4, "m/rad"), "spots": (1e6, "px")}
+_LARGEST = {
+    "positions": (1e7, "m"),
+    "joint_jacobians": (1e4, "m/rad"),
+    "arm_jacobians": (1.0, "m"),
+    "spots": (1e6, "px"),
+}
 """An origin may be anywhere on the Earth; beyond, and beyond what follows, sums of squares lose or exceed numbers."""
 _PRIOR_SDS = 1e-9, 1e3
 _POSITION_SDS_M = 0.0, 1e3
@@ -96,6 +101,8 @@ class CalibrationProblem:
         led_offset_nominal: Nominal LED offset in the wrist frame, for the report only [m].
         joint_offset_prior_sd: Prior standard deviation of each element of `dq` [rad]; 0: no joint offsets.
         joint_jacobians: Derivatives of the positions by the joints, shape (n, 3, k) [m/rad]; None: no joint offsets.
+        arm_jacobians: Derivatives of the positions by the errors of the arm's kinematics, each in units of its usual
+            size, shape (n, 3, m) [m]; None: the kinematics are not known.
         pose_names: One label a pose; empty: "0", "1", ...
         workspace: Where errors are predicted.
         lengths: Pairs of LEDs at known distances, which judge the robot's scale; None: there are none.
@@ -122,6 +129,7 @@ class CalibrationProblem:
     led_offset_nominal: tuple[float, float, float] = (0.0, 0.0, 0.0)
     joint_offset_prior_sd: float = 0.0
     joint_jacobians: Array | None = None
+    arm_jacobians: Array | None = None
     pose_names: tuple[str, ...] = ()
     workspace: Workspace = field(default_factory=Workspace)
     lengths: KnownLengths | None = None
@@ -156,8 +164,9 @@ class CalibrationProblem:
             "spots": (c, n, 2),
             "spot_covariances": (c, n, 2, 2),
         }
-        if self.joint_jacobians is not None:
-            shapes["joint_jacobians"] = (n, 3, np.shape(self.joint_jacobians)[-1])
+        for name in ("joint_jacobians", "arm_jacobians"):
+            if (given := getattr(self, name)) is not None:
+                shapes[name] = (n, 3, np.shape(given)[-1])
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape:
@@ -181,7 +190,7 @@ class CalibrationProblem:
         self._check_values()
 
     def _check_values(self) -> None:
-        for name in ("positions", "position_covariances", "wrist_rotations", "joint_jacobians"):
+        for name in ("positions", "position_covariances", "wrist_rotations", "joint_jacobians", "arm_jacobians"):
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 pose = self.pose_names[int(np.argwhere(~np.isfinite(value))[0, 0])]
@@ -310,6 +319,7 @@ class CalibrationProblem:
             spots=self.spots[:, poses],
             spot_covariances=self.spot_covariances[:, poses],
             joint_jacobians=None if self.joint_jacobians is None else self.joint_jacobians[poses],
+            arm_jacobians=None if self.arm_jacobians is None else self.arm_jacobians[poses],
             pose_names=tuple(self.pose_names[i] for i in poses),
             arm_error=None if self.arm_error is None else self.arm_error.taking(poses),
             readings=tuple(self.readings[i] for i in poses) if self.readings else (),
@@ -345,15 +355,17 @@ def _check_covariances(
 ) -> None:
     """Refuse a matrix if not a covariance, or with deviations outside two limits; from 0, a singular one passes."""
     low, high = sds
-    for covariance, name in zip(covariances, names, strict=True):
-        text, found = f"The {what} covariance of {at} {name}", {at: name}
-        if not np.all(np.isfinite(covariance)):
+    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    known = np.where(finite[:, None, None], covariances, 0.0)
+    scale, lowest = np.abs(known).max(axis=(1, 2)), np.linalg.eigvalsh(known)[:, 0]
+    symmetric = np.abs(known - np.swapaxes(known, 1, 2)).max(axis=(1, 2)) <= 1e-6 * scale
+    proper = finite & symmetric & (lowest > 0.0 if low > 0.0 else lowest >= -1e-9 * scale)
+    variances = np.column_stack((lowest if low > 0.0 else scale, scale))
+    outside = (variances < low**2) | (variances > high**2)
+    for i in np.flatnonzero(~proper | outside.any(axis=1)):
+        text, found = f"The {what} covariance of {at} {names[i]}", {at: names[i]}
+        if not proper[i]:
             raise DataError(f"{text} is not a covariance matrix.", **found)
-        scale, lowest = float(np.abs(covariance).max()), float(np.linalg.eigvalsh(covariance)[0])
-        symmetric = np.abs(covariance - covariance.T).max() <= 1e-6 * scale
-        if not symmetric or (lowest <= 0.0 if low > 0.0 else lowest < -1e-9 * scale):
-            raise DataError(f"{text} is not a covariance matrix.", **found)
-        for variance in (lowest if low > 0.0 else scale, scale):
-            if not low**2 <= variance <= high**2:
-                outside = f"has a standard deviation of {variance**0.5:g}, it must be within {low:g} and {high:g}."
-                raise DataError(f"{text} {outside}", **found)
+        deviation = variances[i, np.argmax(outside[i])] ** 0.5
+        limits = f"it must be within {low:g} and {high:g}."
+        raise DataError(f"{text} has a standard deviation of {deviation:g}, {limits}", **found)

@@ -141,13 +141,12 @@ def tree_of_bag(bag: Path, topic: str = TF) -> TransformTree:
     return TransformTree(tracks, str(bag))
 
 
-def tree_of_joints(bag: Path, urdf: Path, topic: str = JOINT_STATES) -> TransformTree:
-    """Return the links of a robot by its joint states in a bag.
+def tree_of_joints(bag: Path, urdf: Path) -> TransformTree:
+    """Return the links of a robot by its joint states in a bag; a message may hold some of the joints.
 
     Args:
         bag: The bag.
         urdf: Description of the robot.
-        topic: Of ``sensor_msgs/JointState``; a message may hold some of the joints.
 
     Raises:
         DataError: The bag cannot be read, or has no such topic.
@@ -155,12 +154,12 @@ def tree_of_joints(bag: Path, urdf: Path, topic: str = JOINT_STATES) -> Transfor
     """
     description = parse_description(read_text(urdf), str(urdf))
     samples: dict[str, list[tuple[int, float]]] = {}
-    for message in messages_of(bag, {topic: (_JOINT_STATE,)}):
+    for message in messages_of(bag, {JOINT_STATES: (_JOINT_STATE,)}):
         stamp = stamp_of(message.content.header)
         for name, value in zip(message.content.name, message.content.position, strict=False):
             if np.isfinite(value):
                 samples.setdefault(name, []).append((stamp or message.logged_ns, float(value)))
-    return TransformTree(dict(_link_tracks(description.joints, samples)), f"{urdf} with {topic} of {bag}")
+    return TransformTree(dict(_link_tracks(description.joints, samples)), f"{urdf} with {JOINT_STATES} of {bag}")
 
 
 def tree_of_file(path: Path, base: str, tool: str) -> TransformTree:

@@ -14,9 +14,11 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from im_calibration.judgement.calibration import Calibration
 from im_calibration.problem.problem import CalibrationProblem
+from im_calibration.targets.views import ShownViews
 from im_cell.calibration_error import CalibrationError
 from im_cell.camera_model import CameraModel
 
@@ -67,6 +69,40 @@ def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target
         _grid(axes)
     _list_left_out(figure.add_subplot(2, count + 1, count + 1), calibration)
     _plot_chi2(figure.add_subplot(2, count + 1, 2 * count + 2), calibration)
+    _headline(figure, calibration)
+    _save(figure, target)
+
+
+def plot_overlay(calibration: Calibration, problem: CalibrationProblem, shown: ShownViews, target: io.BytesIO) -> None:
+    """Plot a view of the target by each camera: with the points found and predicted, and without the lens.
+
+    Args:
+        calibration: The result.
+        problem: What it was made from.
+        shown: Name and image of a view, by camera.
+        target: Where the PNG goes.
+    """
+    cameras = [(c, camera) for c, camera in enumerate(calibration.cameras) if camera.name in shown]
+    figure = _figure(11.0, 4.2 * len(cameras) + 0.6)
+    _keep_room(figure, wspace=0.12, hspace=0.3)
+    for row, (c, camera) in enumerate(cameras):
+        (view, image), model = shown[camera.name], camera.model
+        of_view = np.array([name.startswith(f"{view} point ") for name in problem.pose_names]) & problem.detected[c]
+        found = problem.spots[c][of_view]
+        axes = figure.add_subplot(len(cameras), 2, 2 * row + 1)
+        axes.imshow(image, cmap="gray")
+        axes.plot(*found.T, "+", color=USED, markersize=7, label="found")
+        predicted = found - calibration.residuals[c][of_view]
+        axes.plot(
+            *predicted.T, "o", color=REJECTED, markersize=7, fillstyle="none", markeredgewidth=0.8, label="predicted"
+        )
+        axes.legend(fontsize=8, loc="upper right")
+        _title(axes, f"{camera.name}: view {view}, {len(found)} points")
+        grid = np.stack(np.meshgrid(np.arange(model.width), np.arange(model.height)), axis=-1)
+        seen = model.through_lens((grid - model.K[:2, 2]) @ np.linalg.inv(model.K[:2, :2]).T)
+        axes = figure.add_subplot(len(cameras), 2, 2 * row + 2)
+        axes.imshow(map_coordinates(image, (seen[..., 1], seen[..., 0]), order=1), cmap="gray")
+        _title(axes, "without the lens: straight edges are straight")
     _headline(figure, calibration)
     _save(figure, target)
 

@@ -2,13 +2,15 @@
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
 from im_calibration.problem.dataset import dataset_of
 from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.reporting.report import report_of
+from im_calibration.targets.views import ShownViews
 from im_cell.calibration_files import (
     COVARIANCE,
     EXTRINSICS,
@@ -37,8 +39,9 @@ def write_results(
     poses: Mapping[str, CameraPose] | None = None,
     rectified: Mapping[str, Rectified] | None = None,
     covariance: CameraCovariance | None = None,
+    shown: ShownViews | None = None,
 ) -> tuple[Path, ...]:
-    """Write ``report.json``, ``summary.txt``, three plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
+    """Write ``report.json``, ``summary.txt``, plots, ``<camera>.yaml`` (`camera_info_manager`) and the poses.
 
     Each file appears whole or not at all. Camera files, poses and how well they are known, see
     :mod:`im_cell.calibration_files`, are written for cameras that can be used only; those that a former calibration
@@ -51,6 +54,7 @@ def write_results(
         poses: Poses of the cameras relative to what they are fixed to; None: all are fixed to the world.
         rectified: R and P of the cameras; None: all are single cameras.
         covariance: Of the cameras with these poses; None: all are fixed to the world.
+        shown: A view of the target by each camera, its name and the image, for ``overlay.png``; None: there is none.
 
     Returns:
         The files.
@@ -71,7 +75,7 @@ def write_results(
         in_world = {camera.name: CameraPose.of("world", camera.model) for camera in calibration.cameras}
         cameras[EXTRINSICS] = extrinsics_yaml(poses or in_world)
         cameras[COVARIANCE] = covariance_yaml(covariance or calibration.camera_covariance)
-    contents |= _pictures(calibration, problem.of_cameras([camera.name for camera in calibration.cameras]))
+    contents |= _pictures(calibration, problem.of_cameras([camera.name for camera in calibration.cameras]), shown or {})
     target = Path(directory)
     try:
         make_folder(target)
@@ -122,13 +126,20 @@ def _former(directory: Path) -> set[str]:
     return written & {path.name for path in camera_files(directory)}
 
 
-def _pictures(calibration: Calibration, problem: CalibrationProblem) -> dict[str, bytes]:
+def _pictures(calibration: Calibration, problem: CalibrationProblem, shown: ShownViews) -> dict[str, bytes]:
     """Return the plots by file name; matplotlib is loaded with the first plot, not at the start of a node."""
-    from im_calibration.reporting.plots import plot_coverage, plot_geometry, plot_residuals
+    from im_calibration.reporting.plots import plot_coverage, plot_geometry, plot_overlay, plot_residuals
 
+    plots: dict[str, Callable[..., None]] = {
+        "residuals": plot_residuals,
+        "coverage": plot_coverage,
+        "geometry": plot_geometry,
+    }
+    if shown:
+        plots["overlay"] = partial(plot_overlay, shown=shown)
     pictures = {}
-    for name, plot in (("residuals", plot_residuals), ("coverage", plot_coverage), ("geometry", plot_geometry)):
+    for name, plot in plots.items():
         buffer = io.BytesIO()
-        plot(calibration, problem, buffer)
+        plot(calibration, problem, target=buffer)
         pictures[f"{name}.png"] = buffer.getvalue()
     return pictures

@@ -14,7 +14,7 @@ import scipy
 from numpy.typing import NDArray
 
 from im_calibration.recorded.image_message import Image
-from im_calibration.targets.target import CalibrationTarget
+from im_calibration.targets.target import STANDARD_TAGS, CalibrationTarget
 from im_core.errors import DataError
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def detect(image: Image, target: CalibrationTarget) -> Detection | None:
         return None  # as with rows and columns exchanged
     if target.kind == "chessboard":
         points, homography = _dark_first(grey, target, points, homography)
-    if target.kind in ("circles", "asymmetric_circles"):
+    if target.kind in ("circles", "asymmetric_circles") or target.dictionary == STANDARD_TAGS:
         return Detection(points, np.full(len(points), np.nan))
     return _refined(np.asarray(image, dtype=float), target, points, homography)
 
@@ -113,17 +113,7 @@ def _charuco(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None
 
 def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
     """Return the corners of tags; find the first corner of a tag, a matter of the maker, by trial."""
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
-    found: tuple[list[Array], Array] | None = None
-    bright = cv2.LUT(grey, np.rint(255.0 * (np.arange(256) / 255.0) ** 0.45).astype(np.uint8))
-    for image, border in ((bright, 1), (grey, 1), (bright, 2)):  # Kalibr's tags have a border of two bits
-        parameters.markerBorderBits = border
-        corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
-        if ids is not None and (found is None or len(ids) > len(found[1])):
-            found = [np.reshape(each, (4, 2)).astype(float) for each in corners], np.ravel(ids)
-            if len(ids) >= target.columns * target.rows:
-                break
+    found = _standard_tags(grey) if target.dictionary == STANDARD_TAGS else _opencv_tags(grey, target)
     if found is None:
         return None
     best, least = None, np.inf
@@ -139,6 +129,34 @@ def _tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> Array | None:
         if len(points) == 1:
             break
     return best if best is None else _smoothed(target, best)
+
+
+def _standard_tags(grey: NDArray[np.uint8]) -> tuple[list[Array], Array] | None:
+    """Return corners, clockwise from the upper left, and numbers of AprilTags that OpenCV does not know."""
+    import pupil_apriltags  # a library of 14 MB, which few targets need
+
+    detector = pupil_apriltags.Detector(families="tagStandard41h12", quad_decimate=1.0)
+    found = [tag for tag in detector.detect(np.ascontiguousarray(grey)) if tag.hamming == 0]
+    if not found:
+        return None
+    corners = [np.asarray(tag.corners, dtype=float)[::-1] - 0.5 for tag in found]  # 0.5 is the middle of a pixel there
+    return corners, np.array([tag.tag_id for tag in found])
+
+
+def _opencv_tags(grey: NDArray[np.uint8], target: CalibrationTarget) -> tuple[list[Array], Array] | None:
+    """Return corners and numbers of the tags of a dictionary of OpenCV."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG  # finds tags that touch dark squares
+    found: tuple[list[Array], Array] | None = None
+    bright = cv2.LUT(grey, np.rint(255.0 * (np.arange(256) / 255.0) ** 0.45).astype(np.uint8))
+    for image, border in ((bright, 1), (grey, 1), (bright, 2)):  # Kalibr's tags have a border of two bits
+        parameters.markerBorderBits = border
+        corners, ids, _ = cv2.aruco.ArucoDetector(_dictionary(target), parameters).detectMarkers(image)
+        if ids is not None and (found is None or len(ids) > len(found[1])):
+            found = [np.reshape(each, (4, 2)).astype(float) for each in corners], np.ravel(ids)
+            if len(ids) >= target.columns * target.rows:
+                break
+    return found
 
 
 def _smoothed(target: CalibrationTarget, points: Array) -> Array:

@@ -13,6 +13,7 @@ from im_calibration.recorded.recordings import ImageRecording
 from im_calibration.targets.detection import detect
 from im_calibration.targets.recorded_views import Motion, views_at_rest, views_in_motion
 from im_calibration.targets.target import CalibrationTarget
+from im_calibration.targets.views import ShownViews
 from im_core.errors import DataError
 from im_core.files import MEBIBYTE, read_bytes
 
@@ -34,6 +35,7 @@ class SeenTarget:
         deviations: Standard deviation of each coordinate by the noise of the image, NaN where not known, shape
             (c, k, p) [px].
         told: Sentences on images in which it was found, and on those left out.
+        shown: Of each camera, the name of the view in which most points were found, and the image.
         stamps: When the views were recorded, shape (k,) [ns]; None: not known.
     """
 
@@ -42,6 +44,7 @@ class SeenTarget:
     spots: Array
     deviations: Array
     told: Sequence[str]
+    shown: ShownViews
     stamps: NDArray[np.int64] | None = None
 
 
@@ -81,9 +84,11 @@ def find_target(
     if len(recordings) < len(sources):
         raise DataError("Cameras have images of folders and of recordings; which belong together is not known.")
     chosen = views_at_rest(recordings, target, motion) if motion else views_in_motion(recordings, target)
+    stamps = np.array([view.stamp_ns for view in chosen.views], dtype=np.int64)
+    names = tuple(f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps.tolist())
     count = (len(recordings), len(chosen.views), len(target.points))
     spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
-    told = list(chosen.told)
+    told, shown = list(chosen.told), dict[str, tuple[str, Image]]()
     for c, (name, recording) in enumerate(recordings.items()):
         for k, view in enumerate(chosen.views):
             if name in view.found:
@@ -97,9 +102,9 @@ def find_target(
                 f"{'; '.join(chosen.told)}. {_advice([image for _, image in recording.images(some)], target)}",
                 camera=name,
             )
-    stamps = np.array([view.stamp_ns for view in chosen.views], dtype=np.int64)
-    names = tuple(f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps.tolist())
-    return SeenTarget(tuple(chosen.sizes[name] for name in recordings), names, spots, deviations, told, stamps)
+        fullest = int(np.isfinite(spots[c, ..., 0]).sum(axis=1).argmax())
+        shown[name] = names[fullest], next(recording.images([chosen.views[fullest].images[name][0]]))[1]
+    return SeenTarget(tuple(chosen.sizes[name] for name in recordings), names, spots, deviations, told, shown, stamps)
 
 
 def _in_folders(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenTarget:
@@ -107,10 +112,10 @@ def _in_folders(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenT
     names = sorted({path.stem for paths in files.values() for path in paths})
     count = (len(folders), len(names), len(target.points))
     spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
-    sizes, told = [], list[str]()
+    sizes, told, shown = [], list[str](), dict[str, tuple[str, Image]]()
     for c, (name, paths) in enumerate(files.items()):
         size: tuple[int, int] | None = None
-        missing = list[str]()
+        missing, most = list[str](), 0
         for path in paths:
             image = read_image(path)
             here = (image.shape[1], image.shape[0])
@@ -126,6 +131,8 @@ def _in_folders(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenT
             elif found := detect(image, target):
                 spots[c, names.index(path.stem)] = found.points
                 deviations[c, names.index(path.stem)] = found.standard_deviations
+                if found.count > most:
+                    most, shown[name] = found.count, (path.stem, image)
             else:
                 missing.append(f"{path.name} does not show it")
         sizes.append(size or (0, 0))
@@ -138,7 +145,7 @@ def _in_folders(folders: Mapping[str, Path], target: CalibrationTarget) -> SeenT
                 camera=name,
             )
         told += [f"{name}: {target} found in {seen} of {len(paths)} images", *(f"  {reason}" for reason in missing)]
-    return SeenTarget(tuple(sizes), tuple(names), spots, deviations, told)
+    return SeenTarget(tuple(sizes), tuple(names), spots, deviations, told, shown)
 
 
 def _images(folder: Path) -> list[Path]:

@@ -24,11 +24,14 @@ _FORMS = {
     "asymmetric_circles": "asymmetric_circles:COLUMNSxROWS:DISTANCE, the distance between rows",
 }
 _KALIBR_TAGS = "APRILTAG_36H11"
+STANDARD_TAGS = "TAGSTANDARD41H12"
+"""AprilTags of the third version, which have bits outside of their border; their size is that of the border."""
 DICTIONARIES = (
     *(f"{size}X{size}_{count}" for size in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
     *("APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", _KALIBR_TAGS, "ARUCO_ORIGINAL", "ARUCO_MIP_36H12"),
+    STANDARD_TAGS,
 )
-"""Dictionaries of markers, by the names that OpenCV has for them, without DICT_."""
+"""Dictionaries of markers, by the names that OpenCV has for them, without DICT_, and one that it does not have."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class CalibrationTarget:
                 f"The markers of the ChArUco board have {1e3 * self.part:g} mm, they must be smaller than its squares "
                 f"of {1e3 * self.size:g} mm."
             )
+        if self.kind == "charuco" and self.dictionary == STANDARD_TAGS:
+            raise DataError(f"A ChArUco board has no markers of {STANDARD_TAGS}; these are for tags.")
 
     @property
     def points(self) -> Array:
@@ -165,7 +170,7 @@ def target_of(text: str) -> CalibrationTarget:
     columns, rows = int(counts[1]), int(counts[2])
     size, part = _length(parts[1], text), _length(parts[2], text) if len(parts) > 2 else 0.0
     dictionary = parts[3].upper().removeprefix("DICT_") if len(parts) > 3 else ""
-    dictionary = re.sub(r"\ATAG(\d+H\d+)\Z", r"APRILTAG_\1", dictionary)
+    dictionary = re.sub(r"\ATAG(\d+H\d+)\Z", r"APRILTAG_\1", re.sub(r"\ASTANDARD", "TAGSTANDARD", dictionary))
     if dictionary and dictionary not in DICTIONARIES:
         raise DataError(f"'{parts[3]}' is no dictionary of markers; there are {', '.join(DICTIONARIES)}.", target=text)
     return CalibrationTarget(kind, columns, rows, size, part, dictionary)

@@ -1,11 +1,14 @@
 """Views of a target by cameras, with the poses of a robot."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+ShownViews = Mapping[str, tuple[str, NDArray[np.uint8] | NDArray[np.uint16]]]
+"""Of each camera, the name of a view of the target, and the grey image."""
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ World frame ``world``: z up; ``mount`` of the cell file says where in it the URD
 or judges imports it.
 """
 
+from im_cell.robot.arm_errors import kinematic_derivatives
 from im_cell.robot.cell import Cell, cell_file, load_cell, shipped_cells
 from im_cell.robot.objects import FreeBody
 from im_cell.robot.parameters import (
@@ -49,6 +50,7 @@ __all__ = [
     "Target",
     "Vector",
     "cell_file",
+    "kinematic_derivatives",
     "load_cell",
     "robot_description",
     "shipped_cells",

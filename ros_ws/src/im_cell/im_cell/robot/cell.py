@@ -135,8 +135,15 @@ class Cell(ObjectsFile):
 
     def _check_joints(self) -> None:
         for given, _ in self.tree.joints:
-            if given.kind == "prismatic" and given.lower is None and self.drive(given.name).range is None:
-                text = f"joint {given.name} slides without a range; drives.{given.name}.range can say one"
+            if given.kind == "continuous" or self.drive(given.name).range is not None:
+                continue
+            lower, fault = given.lower, ""
+            if lower is None and given.kind == "prismatic":
+                fault = "slides without a range"
+            elif lower is not None and lower >= (given.upper or 0.0):
+                fault = f"has the range {lower:g} to {given.upper or 0.0:g}"
+            if fault:
+                text = f"joint {given.name} {fault}; drives.{given.name}.range can say one"
                 raise FieldError(("urdf",), text)
         for joint, position in zip(self.joints, self.home, strict=True):
             if not joint.limits.lower <= position <= joint.limits.upper:
@@ -222,7 +229,7 @@ class Cell(ObjectsFile):
         return tuple(joint for joint in self.carriers_of(given.tip) if joint not in below)
 
     def carriers_of(self, link: str) -> tuple[str, ...]:
-        """Return the names of the joints that move a link, in order, mimic joints left out."""
+        """Return the names of the joints below a link, in order, mimic joints left out."""
         names: list[str] = []
         of = {joint.child: joint for joint in self.description.joints}
         while link in of:
@@ -257,6 +264,12 @@ class Cell(ObjectsFile):
         if self.capsules:
             return self.capsules
         return tuple(around(shape, name) for name, link in self.description.links.items() for shape in link.shapes)
+
+    @property
+    def capsules_compared(self) -> tuple[Capsule, ...]:
+        """Collision shapes of links without hulls."""
+        hulled = {hull.link for hull in self.hulls}
+        return tuple(body for body in self.bodies if body.link not in hulled)
 
     @cached_property
     def obstacles(self) -> tuple[Box, ...]:
@@ -388,16 +401,13 @@ def robot_text(path: Path) -> str:
     """Return the text of a URDF or SRDF, of a `.xacro` file expanded.
 
     Raises:
-        ConfigError: The file cannot be read or expanded, or xacro is not installed.
+        ConfigError: The file cannot be read or expanded.
     """
     if path.suffix == ".xacro":
-        try:
-            import xacro
+        import xacro  # takes its time, and few cells have one
 
+        try:
             return str(xacro.process_file(str(path)).toxml())
-        except ImportError:
-            text = f"{path}: xacro is not installed here; where it is, `xacro {path.name} > {path.stem}` makes the URDF"
-            raise ConfigError(text, file=str(path)) from None
         except Exception as error:  # of any kind: macros run expressions
             raise ConfigError(f"{path}: xacro cannot expand it: {shortened(str(error))}", file=str(path)) from error
     try:

@@ -145,6 +145,8 @@ def _xml(text: str, name: str) -> ET.Element:
 
 
 def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
+    if not links:
+        raise ValueError("it has no links")
     below: dict[str, list[UrdfJoint]] = {name: [] for name in links}
     carried: dict[str, str] = {}
     names: set[str] = set()
@@ -273,5 +275,5 @@ def _numbers(text: str, count: int, of: str) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != count or not all(abs(value) < 1e9 for value in values):
-        raise ValueError(f"{of}: '{shortened(text)}' is not {count} finite number{'s' * (count > 1)}")
+        raise ValueError(f"{of}: '{shortened(text)}' is not {count} number{'s' * (count > 1)} below 1e9")
     return values

@@ -52,7 +52,7 @@ class FreeBody(Model):
 
     @property
     def face(self) -> float:
-        """Side of the largest square on its upper face [m]."""
+        """Side of the largest square on the upper face [m]."""
         return min(self.size[:2]) * (1.0 if self.kind == "box" else 0.5**0.5)
 
     def printed(self, pose: NDArray[np.float64]) -> Target | None:

@@ -46,6 +46,7 @@ class Joint:
         resolution: Of the encoder [rad or m].
         noise: Standard deviation of the encoder before quantisation [rad or m].
         stiffness: Of a spring in its place, for joint impedance [Nm/rad or N/m].
+        gear: How far the joint is off its encoder, coefficients of :func:`im_cell.robot.arm_errors.gear_waves` [rad].
     """
 
     name: str
@@ -64,6 +65,7 @@ class Joint:
     resolution: float
     noise: float
     stiffness: float
+    gear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,9 @@ class Tree:
 def joint_of(joint: UrdfJoint, place: FixedFrame, drive: DriveSpec, encoder: EncoderSpec) -> Joint:
     """Return a moving joint with its drive; missing data are assumed (:func:`assumptions`)."""
     velocity = joint.velocity or SLOW
-    lower, upper = (-FULL_TURNS, FULL_TURNS) if joint.lower is None else (joint.lower, joint.upper or 0.0)
+    lower, upper = joint.lower, joint.upper or 0.0
+    if lower is None or joint.kind == "continuous":  # limits of such joints mean nothing, though files have them
+        lower, upper = -FULL_TURNS, FULL_TURNS
     if drive.range is not None:
         lower, upper = drive.range
     acceleration = drive.acceleration or velocity / SPEED_TIME_S

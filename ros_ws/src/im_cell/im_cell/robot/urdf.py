@@ -11,6 +11,7 @@ from im_cell.rotations import rpy_of_matrix
 
 _METAL: Vector = (0.62, 0.63, 0.65)
 _DARK: Vector = (0.12, 0.12, 0.14)
+_SHEER = 0.35  # opacity of capsules around hulls, which are markers: URDF knows no hull
 _PAST_STROKE_M = 1e-3  # a joint at its limit takes pybullet time
 #: The palm's mass is part of the last link's. Its inertia is that of the rotors of a wrist, unknown to pybullet: a
 #: contact would turn a wrist without rotors. In free motion im_sim.dynamics makes up for it.
@@ -55,7 +56,7 @@ def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
     """The cell for tools that show it or plan in it, as URDF: also what they may collide with, grippers and cameras.
 
     The joint ``<group>_gripper`` is between the jaws, its position the opening; the other jaw moves with it. Grippers
-    are drawn, not the last links, whose shapes for collision enclose them.
+    are drawn, not the last links, whose shapes for collision enclose them. Capsules around hulls are sheer.
 
     Args:
         cell: Parameters.
@@ -65,10 +66,10 @@ def robot_description(cell: Cell, limits: Mapping[str, Limits]) -> str:
     for box in cell.boxes:
         if box.link == WORLD:
             lines += [*_visual_box(box), *(_collision(box.center, ORIGIN, _box(box.size)) if box.collision else ())]
-    lines += [*_shapes_of(cell, WORLD), "</link>"]
+    lines += [*_shapes_of(cell, WORLD, (), _SHEER), "</link>"]
     hidden = _behind_grippers(cell)
     for joint, link in zip(cell.joints, cell.links, strict=True):
-        lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, hidden))]
+        lines += [*_joint(joint, limits[joint.name]), *_link(link, _shapes_of(cell, link.name, hidden, _SHEER))]
     lines += _frames(cell)
     for name, tip in cell.devices("gripper").items():
         lines += _gripper(name.removesuffix("_gripper"), cell.gripper, tip)
@@ -170,13 +171,15 @@ def _inertial(link: LinkInertia) -> list[str]:
     ]
 
 
-def _shapes_of(cell: Cell, link: str, hidden: Collection[str] = ()) -> list[str]:
+def _shapes_of(cell: Cell, link: str, hidden: Collection[str] = (), around_hulls: float = 1.0) -> list[str]:
     """Build the shapes of a moving link or of the world; hidden links are not drawn."""
     lines = [line for box in cell.boxes if box.link == link != WORLD for line in _visual_box(box)]
-    color = cell.color_of(link)
-    for capsule in map(cell.tree.on_carrier, cell.bodies):
-        if capsule.link == link:
-            lines += _capsule(capsule.model_copy(update={"visual": False}) if link in hidden else capsule, color)
+    color, compared = cell.color_of(link), cell.capsules_compared
+    for capsule in cell.bodies:
+        placed = cell.tree.on_carrier(capsule)
+        if placed.link == link:
+            drawn = placed.model_copy(update={"visual": False}) if link in hidden else placed
+            lines += _capsule(drawn, color, 1.0 if capsule in compared else around_hulls)
     return lines
 
 
@@ -192,7 +195,7 @@ def _solid(size: Vector, center: Vector, name: str, color: Vector) -> list[str]:
     ]
 
 
-def _capsule(capsule: Capsule, color: Vector) -> list[str]:
+def _capsule(capsule: Capsule, color: Vector, opacity: float) -> list[str]:
     """Build a cylinder with a ball at each end: capsules are not part of URDF."""
     (x0, y0, z0), (x1, y1, z1) = capsule.p0, capsule.p1
     middle = ((x0 + x1) / 2.0, (y0 + y1) / 2.0, (z0 + z1) / 2.0)
@@ -200,10 +203,11 @@ def _capsule(capsule: Capsule, color: Vector) -> list[str]:
     along = (0.0, atan2(flat, z1 - z0), atan2(y1 - y0, x1 - x0))  # turns z into the axis
     ball = f'<sphere radius="{capsule.radius!r}"/>'
     cylinder = f'<cylinder radius="{capsule.radius!r}" length="{length!r}"/>'
+    name = capsule.link if opacity == 1.0 else f"{capsule.link}_sheer"
     lines: list[str] = []
     for center, rpy, shape in ((middle, along, cylinder), (capsule.p0, ORIGIN, ball), (capsule.p1, ORIGIN, ball)):
         if capsule.visual:
-            lines += _visual(center, rpy, shape, _material(capsule.link, color))
+            lines += _visual(center, rpy, shape, _material(name, color, opacity))
         lines += _collision(center, rpy, shape)
     return lines
 
@@ -220,8 +224,8 @@ def _box(size: Vector) -> str:
     return f'<box size="{_join(size)}"/>'
 
 
-def _material(name: str, color: Vector) -> str:
-    return f'<material name={quoteattr(name)}><color rgba="{_join(color)} 1.0"/></material>'
+def _material(name: str, color: Vector, opacity: float = 1.0) -> str:
+    return f'<material name={quoteattr(name)}><color rgba="{_join(color)} {opacity!r}"/></material>'
 
 
 def _origin(xyz: Vector, rpy: Vector) -> str:

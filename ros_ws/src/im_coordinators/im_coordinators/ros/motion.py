@@ -4,6 +4,7 @@ import sys
 
 from trajectory_msgs.msg import JointTrajectory
 
+from im_cell.robot import load_cell
 from im_coordinators.motion import (
     DESTINATIONS,
     HOLDING_STATES,
@@ -20,8 +21,10 @@ from im_coordinators.motion import (
 )
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
-from im_coordinators.tool import DETAILS
+from im_coordinators.ros.path_planning import STATE, placement_of, wrist_pose
+from im_coordinators.tool import DETAILS, ToolTarget, WristPlacement
 from im_core.ros import qos, run
+from im_core.ros.messages.status import status_to_error
 from im_msgs.msg import McsState
 from im_msgs.srv import GetGroupState
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions, idempotent, woken_by
@@ -36,6 +39,7 @@ class MotionCoordinator(Coordinator):
 
     def __init__(self) -> None:
         super().__init__("motion_coordinator", motion_functions)
+        self.host.prepare(GetGroupState, STATE)
         self.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
 
 
@@ -52,6 +56,7 @@ def motion_functions(host: Host) -> Functions:
             "destination_asked": destination_asked,
             "path_asked": path_asked,
             "path_to_follow": motion.path_to_follow,
+            "straight_line": motion.straight_line,
             "store_position": motion.store_position,
         },
         {
@@ -73,6 +78,7 @@ class MotionFunctions:
 
     def __init__(self, host: Host) -> None:
         self._host = host
+        self._cell = load_cell()
         self._powered = Establishment(host, "mcs", "powered")
 
     def group_and_owner(self, ctx: ActionContext) -> dict[str, object]:
@@ -108,6 +114,21 @@ class MotionFunctions:
         if depends_on_here(ctx.request_arguments) and path.points:
             note_end(ctx.memory, path.points[-1].positions)
         return {"path": path}
+
+    async def straight_line(self, ctx: ActionContext) -> dict[str, object]:
+        """Return the goal of a straight move: the pose of the wrist at the end, the same one after a doubt."""
+        group = _group(ctx)
+        await self._powered.require(ctx, group)
+        if (end := end_noted(ctx.memory)) is None:
+            asked = GetGroupState.Request(group=group)
+            answer = await self._host.ask(GetGroupState, STATE, asked, "mcs", f"the position of {group}")
+            if not answer.success:
+                raise status_to_error(answer.status)
+            target = ToolTarget.asked(ctx.request_arguments)
+            wrist = target.wrist(placement_of(answer.state.wrist), self._cell.reach_of(group))
+            end = [*wrist.position.tolist(), *wrist.quaternion]
+            note_end(ctx.memory, end)
+        return {"line": [wrist_pose(WristPlacement.of(end[:3], end[3:]))]}
 
     async def store_position(self, ctx: ActionContext, answer: GetGroupState.Response) -> None:
         """Store the position measured by MCS at rest, at the end of the command's move."""

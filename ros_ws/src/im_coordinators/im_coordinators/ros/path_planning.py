@@ -53,6 +53,7 @@ def planning_functions(host: Host) -> Functions:
         "plan_direct": planning.plan_direct,
         "plan_around": planning.plan_around,
         "check_given": planning.check_given,
+        "check_reach": planning.check_reach,
     }
     guards = {
         "search_may_help": woken_by()(lambda ctx: search_may_help(ctx.failure)),
@@ -131,6 +132,11 @@ class PathPlanningFunctions:
         here: GroupState = answer.state
         return here
 
+    async def check_reach(self, ctx: ActionContext) -> None:
+        """Find joint positions with the tool at a place, and keep none."""
+        here = await self._here(ctx)
+        await self._for_tool(here, ToolTarget.asked(ctx.request_arguments), _position(here))
+
     async def _find(self, ctx: ActionContext, here: GroupState, seed: Sequence[float]) -> None:
         asked = ctx.request_arguments
         way = way_asked(asked, DESTINATIONS, "plan_path")
@@ -148,10 +154,9 @@ class PathPlanningFunctions:
         ctx.memory["way"] = [list(here.joints), _position(here), q]
 
     async def _for_tool(self, here: GroupState, target: ToolTarget, seed: Sequence[float]) -> list[float]:
-        p, o = here.wrist.position, here.wrist.orientation
-        wrist = target.wrist(WristPlacement.of((p.x, p.y, p.z), (o.x, o.y, o.z, o.w)), self._cell.reach_of(here.group))
+        wrist = target.wrist(placement_of(here.wrist), self._cell.reach_of(here.group))
         try:
-            return await self._configuration(here, _pose(wrist), seed)
+            return await self._configuration(here, wrist_pose(wrist), seed)
         except ImError as error:
             raise target.refusal(error) from error
 
@@ -196,7 +201,14 @@ def _position(state: GroupState) -> list[float]:
     return list(state.q_rest or state.q)
 
 
-def _pose(wrist: WristPlacement) -> Pose:
+def placement_of(pose: Pose) -> WristPlacement:
+    """Return a pose of a message as the placement of a wrist."""
+    p, o = pose.position, pose.orientation
+    return WristPlacement.of((p.x, p.y, p.z), (o.x, o.y, o.z, o.w))
+
+
+def wrist_pose(wrist: WristPlacement) -> Pose:
+    """Return the placement of a wrist as a message."""
     message = Pose()
     position, orientation = message.position, message.orientation
     position.x, position.y, position.z = map(float, wrist.position)

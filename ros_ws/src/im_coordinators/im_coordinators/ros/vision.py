@@ -1,29 +1,36 @@
 """Node ``/vision_coordinator``."""
 
+import math
 import sys
+from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point, Quaternion, Vector3
+from numpy.typing import NDArray
 from std_msgs.msg import Bool, String
+from tf2_msgs.msg import TFMessage
 
 from im_calibration.light import MeasuredRest
+from im_cell.calibration_files import frame_of
 from im_cell.lights import lights_told
-from im_cell.robot import load_cell
+from im_cell.robot import kinematic_derivatives, load_cell
 from im_cell.rotations import matrix_of_quaternion
+from im_coordinators.object_search import middle_covariance, printed_body, standing_place
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core import clock
-from im_core.errors import StateError, WaitTimeoutError
+from im_core.errors import DataError, StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.text.bounded_json import read_data
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
-from im_msgs.srv import Calibrate, SetLight, SpotFind
+from im_msgs.srv import Calibrate, FiducialPose, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
 
-LIGHTS = "/testbed/lights"
+LIGHTS, FRAMES = "/testbed/lights", "/tf_static"
 LONG_EXPOSURE, LIGHTS_OF = "long_exposure", "lights_of"
-LIGHTS_S, PAUSE_S = 5.0, 0.02
+TOLD_S, PAUSE_S = 5.0, 0.02
 LIGHT_FOUND = "light_found/"
 """Begins the name of a data object: whether a light was on before the command switched it on."""
 
@@ -35,6 +42,13 @@ class VisionCoordinator(Coordinator):
         super().__init__("vision_coordinator", vision_functions)
         cell = load_cell()
         self.sources.follow(LIGHTS, String, qos.LATCHED, check=lambda message: lights_told(message.data, cell))
+        frames = {frame_of(camera) for camera in cell.cameras}
+        self.sources.follow(
+            FRAMES,
+            TFMessage,
+            qos.LATCHED_MANY,
+            check=lambda message: any(each.child_frame_id in frames for each in message.transforms),
+        )
         self.declared.declare(
             LONG_EXPOSURE, 0.018, "exposure of the second look at a spot that was too faint [s]", span=(0.0, 10.0)
         )
@@ -53,6 +67,8 @@ def vision_functions(host: Host) -> Functions:
         vision.longer_exposure,
         vision.store_spots,
         vision.keep_observation,
+        vision.wanted_print,
+        vision.locate_object,
         vision.calibration_problem,
         vision.store_calibration,
     )
@@ -102,19 +118,61 @@ class VisionFunctions:
         if await self._host.dom.is_valid(found := ctx.object(LIGHT_FOUND + _light(ctx))):
             await self._host.dom.invalidate(found)
 
-    async def _lights(self) -> String:
-        """Return the last light states from the testbed; a coordinator just started waits for the first message."""
-        deadline = clock.monotonic() + LIGHTS_S
-        while (message := self._host.last(LIGHTS)) is None:
+    def wanted_print(self, ctx: ActionContext) -> dict[str, object]:
+        """Return the request for the print on the object of the request, if the cell has it."""
+        _, number = printed_body(self._cell, str(ctx.request_arguments["name"]))
+        return {"cameras": [ctx.request_arguments["camera"]], "ids": [number]}
+
+    async def locate_object(self, ctx: ActionContext, answer: FiducialPose.Response) -> None:
+        """Return the place in the world of the object of the request, by camera and wrist, and the certainty.
+
+        ``sd`` is the standard deviation along the least certain direction, by image, lens and joints, and by the usual
+        errors of an arm's kinematics [m].
+
+        Raises:
+            DataError: It was not seen (code ``not_found``), or does not stand upright, or the arm moved.
+        """
+        name, camera = str(ctx.request_arguments["name"]), str(ctx.request_arguments["camera"])
+        if not answer.fiducials:
+            text = f"'{name}' was not found: {answer.cause}"
+            raise DataError(text, code="not_found", object=name, camera=camera)
+        position = await self._host.dom.get(ctx.object("current_position"), GroupState)
+        frames = await self._heard(FRAMES, "to know where the camera is on the arm")
+        mounted = next(each for each in frames.transforms if each.child_frame_id == frame_of(camera))
+        body, _ = printed_body(self._cell, name)
+        seen, moved, wrist = answer.fiducials[0].pose, mounted.transform, position.wrist
+        rest = _rest(position)
+        rest.require_shown(seen.header.stamp.sec * 10**9 + seen.header.stamp.nanosec, name)
+        print_camera, top = _placed(seen.pose.pose.position, seen.pose.pose.orientation)
+        camera_wrist, mount = _placed(moved.translation, moved.rotation)
+        wrist_world, origin = _placed(wrist.position, wrist.orientation)
+        in_wrist, camera_world = camera_wrist @ top + mount, wrist_world @ camera_wrist
+        spread = middle_covariance(body, print_camera, np.array(seen.pose.covariance).reshape(6, 6))
+        by_arm = self._by_arm(position, in_wrist)
+        spread = camera_world @ spread @ camera_world.T + rest.point_covariance(in_wrist) + by_arm @ by_arm.T
+        place = standing_place(body, camera_world @ print_camera, wrist_world @ in_wrist + origin)
+        ctx.result.update(zip(("x", "y", "z", "yaw"), place, strict=True))
+        ctx.result["sd"] = float(np.sqrt(np.linalg.eigvalsh(spread)[-1]))
+
+    def _by_arm(self, position: GroupState, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of a place in the wrist by errors of the arm, each of its usual size, (3, k) [m]."""
+        at = dict(zip(position.joints, position.q_rest, strict=True))
+        return kinematic_derivatives(self._cell, self._cell.groups[position.group].tip, at, offset)
+
+    async def _heard(self, topic: str, purpose: str) -> Any:
+        """Return the last message of a topic; a coordinator just started waits for the first one."""
+        deadline = clock.monotonic() + TOLD_S
+        while (message := self._host.last(topic)) is None:
             if clock.monotonic() > deadline:
-                raise WaitTimeoutError(what=f"{LIGHTS}, to leave the lights as they are", seconds=LIGHTS_S)
+                raise WaitTimeoutError(what=f"{topic}, {purpose}", seconds=TOLD_S)
             await self._host.pause(PAUSE_S)
-        found: String = message
-        return found
+        return message
 
     async def _is_lit(self, name: str) -> bool:
         """Return whether a light is on; a light unknown to the cell is off."""
-        return lights_told((await self._lights()).data, self._cell).get(name, False)
+        return lights_told((await self._heard(LIGHTS, "to leave the lights as they are")).data, self._cell).get(
+            name, False
+        )
 
     async def look_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """Return the request for a look, at a light switched on."""
@@ -141,16 +199,17 @@ class VisionFunctions:
         Raises:
             StateError: It says that it is off.
         """
-        deadline = clock.monotonic() + LIGHTS_S
+        deadline = clock.monotonic() + TOLD_S
         while not await self._is_lit(name):
             if clock.monotonic() > deadline:
                 raise StateError(f"light {name} is off; no camera can find it before light_on", light=name)
             await self._host.pause(PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
-        """Store the spots found, if any, of a light switched on all the time."""
+        """Store the spots found, if any, of a light switched on all the time, and return the largest error."""
         await self._lit.require(ctx, _light(ctx))
         require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
+        ctx.result["off"] = _farthest_off(answer)
         found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
         await self._host.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
 
@@ -166,7 +225,8 @@ class VisionFunctions:
         observation = Observation(
             pose=pose,
             wrist=position.wrist,
-            position_covariance=rest.light_covariance(self._led_offset).ravel(),
+            position_covariance=rest.point_covariance(self._led_offset).ravel(),
+            arm_jacobian=self._by_arm(position, self._led_offset).ravel(),
             spots=spots.spots,
             rest_since=position.rest_since,
         )
@@ -195,8 +255,19 @@ def _another_look_may_help(ctx: ActionContext) -> bool:
     return not ctx.request_arguments["look"] and another_look_may_help(ctx.failure)
 
 
+def _farthest_off(answer: SpotFind.Response) -> float:
+    """Return the largest distance of a spot from the predicted place [px]; -1 without a prediction."""
+    pairs = zip(answer.spots, answer.candidates, strict=False)  # a camera without candidates has no prediction
+    off = [math.hypot(s.u - c.u, s.v - c.v) for s, c in pairs if s.found and c.predicted]
+    return max(off, default=-1.0)
+
+
 def _light(ctx: ActionContext) -> str:
     return str(ctx.request_arguments["light"])
+
+
+def _placed(at: Point | Vector3, turn: Quaternion) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return matrix_of_quaternion([turn.x, turn.y, turn.z, turn.w]), np.array([at.x, at.y, at.z])
 
 
 def _rest(position: GroupState) -> MeasuredRest:

@@ -70,7 +70,7 @@ class ManagedNode(GuardedNode):
         self.introspection = INTROSPECTION[
             self.declared.declare("introspection", "off", published, known=INTROSPECTION)
         ]
-        self.task_name = name
+        self.task_name = self.get_name()
         self.incarnation = secrets.randbits(63)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._phase = TaskStatus.LOADED
@@ -81,7 +81,8 @@ class ManagedNode(GuardedNode):
         self._wake_timer.cancel()
         self._awake = False
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
-        self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.STATUS)
+        self.urgent.add(self._coroutines.step)  # an urgent request may wait for a disk before the answer
+        self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.LATCHED)
         self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
         self._alone = self.declared.declare("standalone", False, alone)

@@ -111,9 +111,9 @@ class CalibrateCamera:
         """Read the poses and set the loop variable."""
         self._times.restart(ctx.command.id)
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
-        text = await self._host.noted_apart("poses", _poses_text, str(ctx.command.arguments.get("poses_file", "")))
+        text = await self._host.noted_apart("poses", _poses_text, str(ctx.request_arguments.get("poses_file", "")))
         file = read_json(PosesFile, text, "the poses")
-        order = order_of(ctx.command.arguments, self._cameras, lambda _: file)
+        order = order_of(ctx.request_arguments, self._cameras, lambda _: file)
         poses = len(order.file.poses)
         ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
@@ -176,7 +176,7 @@ class CalibrateCamera:
     async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
         """Where the arm goes from here, and where the path to there is to lie."""
         pose = (await self._poses(ctx)).poses[_pose_of(ctx, _loop(ctx).following) - 1]
-        leaves = f"path/{ctx.command.arguments['group']}"
+        leaves = f"path/{ctx.request_arguments['group']}"
         if "accuracy" in ctx.memory:
             return {"joints": list(pose.joints or ()), "leaves": leaves}
         await self._host.values.put(ctx.object("next_destination"), POSE, pose.stamped)
@@ -374,7 +374,7 @@ class CalibrateCamera:
             return summary
 
         seed = self._host.noted("seed", lambda: self._host.parameter("seed"))
-        report = {**report, "timing": self._host.noted("timing", timing), "seed": seed}
+        report = {**report, "light": ctx.memory["light"], "timing": self._host.noted("timing", timing), "seed": seed}
         self._host.noted("report", lambda: str(write_report(Path(directory), report)))
         return {"report": report, "directory": directory}
 

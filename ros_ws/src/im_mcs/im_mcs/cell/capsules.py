@@ -6,6 +6,7 @@ from pathlib import Path
 import coal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
 
 from im_cell.robot import Capsule, Cell
 from im_cell.robot.cell import resolved
@@ -13,7 +14,6 @@ from im_cell.robot.description import UrdfGeometry, UrdfLink
 from im_cell.robot.parameters import THINNEST_M, thickness
 from im_cell.rotations import matrix_of_rpy
 from im_core.errors import DataError
-from im_mcs.collision.bodies import hull_of
 
 _CENTRING = 256
 _SHORTEST_M = 1e-3
@@ -114,7 +114,7 @@ def _vertices(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]
         text = f'is {size:.0f} m large: its lengths are millimetres, it seems; scale="0.001 0.001 0.001" mends that'
         raise DataError(f"the mesh {shape.mesh} of link {link} {text}", link=link, mesh=shape.mesh)
     points = np.unique(points, axis=0)
-    return points if thickness(points) < THINNEST_M else np.array(hull_of(points).points())
+    return points if thickness(points) < THINNEST_M else points[ConvexHull(points).vertices]
 
 
 def enclosing_capsules(cell: Cell) -> list[Capsule]:

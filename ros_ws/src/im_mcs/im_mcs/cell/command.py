@@ -102,10 +102,9 @@ def findings(cell: Cell, file: str) -> list[str]:
 
 def _shapes(cell: Cell) -> list[str]:
     """Return sentences about the shapes that are compared."""
-    hulled = list(dict.fromkeys(hull.link for hull in cell.hulls))
-    rounded = list(dict.fromkeys(body.link for body in cell.bodies if body.link not in hulled))
+    rounded = dict.fromkeys(body.link for body in cell.capsules_compared)
     lines = [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
-    for link in hulled:
+    for link in dict.fromkeys(hull.link for hull in cell.hulls):
         own = [hull for hull in cell.hulls if hull.link == link]
         litres = 1e3 * sum(hull_of(np.array(hull.points)).computeVolume() for hull in own)
         around = 1e3 * sum(capsule_volume(each.p0, each.p1, each.radius) for each in cell.bodies if each.link == link)

@@ -5,6 +5,7 @@ from pathlib import Path
 import coal
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from im_cell.robot import Cell, Hull
 from im_cell.robot.description import UrdfLink
@@ -51,7 +52,7 @@ def simplified(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
     Returns:
         Corners in tenths of a millimetre, shape (k, 3) [m], and the margin: their hull with it holds all points [m].
     """
-    whole: NDArray[np.float64] = np.unique(np.array(hull_of(points).points()), axis=0)
+    whole: NDArray[np.float64] = np.unique(points[ConvexHull(points).vertices], axis=0)
     chosen = list(dict.fromkeys([*whole.argmin(axis=0).tolist(), *whole.argmax(axis=0).tolist()]))
     while thickness(whole[chosen]) < THINNEST_M and len(chosen) < len(whole):
         normal = np.linalg.svd(whole[chosen] - whole[chosen].mean(axis=0))[2][2]

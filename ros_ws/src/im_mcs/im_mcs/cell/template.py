@@ -1,6 +1,7 @@
 """The first cell file of a URDF: groups, homes, capsules and hulls, asking nothing that the URDF shows."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from im_mcs.model import CellModel
 _SAMPLES, _SEED_KEY = 400, 20261127
 _ALWAYS = 0.95
 _TOOL = re.compile("tcp|tool|ee|eef|gripper_frame|flange")
+_FINGER = re.compile("gripper|finger|jaw", re.IGNORECASE)
 _FLOOR = {"link": "world", "name": "floor", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
           "color": (0.52, 0.50, 0.47)}  # fmt: skip
 _HOME_MARGIN = 0.2
+_CLEAR_M = (0.05, 0.02)
 
 
 def first_cell(urdf: Path, srdf: Path | None = None) -> str:
@@ -111,9 +114,9 @@ def _tips(description: UrdfTree) -> list[str]:
 
 
 def _is_finger(description: UrdfTree, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
-    """Whether a last joint moves a jaw: a tool frame beside it stays where it is."""
+    """Whether a last joint moves a jaw: by its name, or a tool frame beside it that stays where it is."""
     beside = [other.child for other in below[joint.parent] if other.kind == "fixed"]
-    return joint.kind == "prismatic" or any(_TOOL.search(frame) for frame in beside)
+    return joint.kind == "prismatic" or bool(_FINGER.search(joint.name)) or any(_TOOL.search(frame) for frame in beside)
 
 
 def _middle(joint: UrdfJoint) -> float:
@@ -144,10 +147,15 @@ def _home(cell: Cell) -> list[float]:
     """Return positions that are free of collisions and far from singular, among the middle and some others."""
     model = CellModel(cell)
     bodies = Bodies(model)
-    best, found = 0.0, cell.home
+    best, found, met = 0.0, cell.home, Counter[tuple[str, str]]()
+    tried = []
     for q in (cell.home, *_samples(cell)):
         bodies.place(q)
-        if len(bodies.pairs) and bodies.closest().distance < 0.05:
+        tried.append((q, bodies.closest()))
+    clear_m = next((clear for clear in _CLEAR_M if any(near.distance >= clear for _, near in tried)), np.inf)
+    for q, near in tried:
+        if near.distance < clear_m:
+            met[near.first, near.second] += 1
             continue
         worst = min(
             float(np.linalg.svd(model.jacobian(q, group.tip)[:, model.joints_below(group.tip)], compute_uv=False)[-1])
@@ -155,8 +163,10 @@ def _home(cell: Cell) -> list[float]:
         )
         if worst > best:
             best, found = worst, q
-    if best == 0.0:
-        raise DataError("no position of the joints was found that is free of collisions; capsules may be too large")
+    if best == 0.0 and met:
+        first, second = met.most_common(1)[0][0]
+        text = f"no position of the joints was found that is free of collisions: {first} and {second} meet most often"
+        raise DataError(f"{text}; an SRDF (--srdf) names pairs that are not compared", first=first, second=second)
     return [round(float(value), 3) for value in found]
 
 
@@ -177,7 +187,7 @@ def _written(
     for (name, joints), tip in zip(grouped.items(), tips, strict=True):
         lines += [f"  {name}:", f"    tip: {tip}", f"    joints: [{', '.join(joint.name for joint in joints)}]"]
         lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
-    lines += ["", "capsules:               # around the shapes of the links"]
+    lines += ["", "capsules:               # around the shapes of the links"] if capsules else []
     for each in capsules:
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
         lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(each.link, *ends, each.radius))

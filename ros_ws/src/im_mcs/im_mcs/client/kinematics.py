@@ -9,7 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from im_cell.robot import Group
-from im_core.errors import ConfigError, DataError, NotFoundError, StateError
+from im_core.errors import DataError, NotFoundError, StateError
 from im_mcs.client.points import check_measured_path
 from im_mcs.collision import NOTHING, CollisionChecker, CollisionScene
 from im_mcs.inverse import InverseKinematics
@@ -39,21 +39,12 @@ class Kinematics:
     Args:
         config: Configuration.
         model: Kinematics and shapes; used by this object alone.
-
-    Raises:
-        ConfigError: The wrist of a group is no frame of the model.
     """
 
     def __init__(self, config: McsConfig, model: CellModel) -> None:
         self._config = config
         self._model = model
         self._limits = JointLimits(model.cell, config.limits, config.slots)
-        for preset, groups in config.presets.items():
-            for name, group in groups.items():
-                for wrist in group.frames:
-                    if not model.pin.existFrame(wrist):
-                        where = f"presets.{preset}.{name}.{'pair' if group.pair else 'wrist'}"
-                        raise ConfigError(f"{where}: there is no frame '{wrist}'")
         self._lock = threading.Lock()
         self._paths_lock = threading.Lock()
         self.surround(NOTHING)

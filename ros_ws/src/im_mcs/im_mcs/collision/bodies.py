@@ -50,15 +50,12 @@ class Bodies:
         self._model = model
         self._geometry = pin.GeometryModel()
         self.names: list[str] = []
-        hulled = {hull.link for hull in model.cell.hulls}
         for number, hull in enumerate(model.cell.hulls):
             frame = model.pin.frames[model.frame_id(hull.link)]
             shape = hull_of(np.array(hull.points))
             shape.setSweptSphereRadius(hull.radius)
             self._add(f"{hull.link}_hull_{number}", hull.link, frame.parentJoint, frame.placement, shape)
-        for number, capsule in enumerate(model.cell.bodies):
-            if capsule.link in hulled:
-                continue
+        for number, capsule in enumerate(model.cell.capsules_compared):
             self._add_capsule(f"{capsule.link}_{number}", capsule.link, capsule.p0, capsule.p1, capsule.radius)
         for box in model.cell.obstacles:
             shape = coal.Box(*box.size)
@@ -190,6 +187,21 @@ def hull_of(points: NDArray[np.float64]) -> coal.Convex:
     corners = coal.StdVec_Vec3s()
     corners.extend(list(points))
     return coal.Convex.convexHull(corners, True, "Qt")
+
+
+def faces_of(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the triangles of the convex hull of points, shape (k, 3, 3): corners counter-clockwise from outside [m].
+
+    Args:
+        points: Shape (n, 3), not in one plane [m].
+    """
+    hull = hull_of(points)
+    ranks = np.array([[hull.polygons(face)[corner] for corner in range(3)] for face in range(hull.num_polygons)])
+    faces: NDArray[np.float64] = np.array(hull.points())[ranks]
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    inwards = np.einsum("ij,ij->i", normals, faces[:, 0] - points.mean(axis=0)) < 0.0
+    faces[inwards] = faces[inwards, ::-1]
+    return faces
 
 
 def _capsule(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> tuple[coal.Capsule, pin.SE3]:

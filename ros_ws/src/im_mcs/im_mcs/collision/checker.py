@@ -13,6 +13,8 @@ from im_mcs.model import CellModel
 
 _STEP_RAD = 0.03
 _STEP_M = 0.015
+#: Below this bodies touch, and a motion that begins close may come closer by this much [m].
+_TOUCH_M = 1e-3
 
 
 class Positions(Protocol):
@@ -65,26 +67,42 @@ class CollisionChecker:
         self._bodies.place(q)
         return self._bodies.closest()
 
-    def require_free(self, q: NDArray[np.float64], where: str = "") -> float:
+    def require_free(self, q: NDArray[np.float64], where: str = "", least: float | None = None) -> float:
         """Smallest distance at ``q``, shape (n,) [m].
 
+        Args:
+            q: Positions of all joints.
+            where: Part of a path, for the error.
+            least: Smallest distance allowed [m]; None: the clearance.
+
         Raises:
-            ImError: Two bodies are closer than the clearance; both are named (code ``collision``).
+            ImError: Two bodies are closer than that; both are named (code ``collision``).
         """
-        closest = self.closest(q)
-        if closest.distance >= self._clearance:
+        closest, least = self.closest(q), self._clearance if least is None else least
+        if closest.distance >= least:
             return closest.distance
         x, y, z = closest.place
         verb = "would collide with" if closest.distance <= 0.0 else "would come too close to"
         raise ImError(
             f"{where}{': ' if where else ''}{closest.first} {verb} {closest.second} at ({x:.2f}, {y:.2f}, {z:.2f}) m: "
-            f"distance {closest.distance * 1e3:.0f} mm, {self._clearance * 1e3:.0f} mm is the least allowed",
+            f"distance {closest.distance * 1e3:.0f} mm, {least * 1e3:.0f} mm is the least allowed",
             code="collision",
             first=closest.first,
             second=closest.second,
             distance_m=closest.distance,
-            clearance_m=self._clearance,
+            clearance_m=least,
         )
+
+    def _begin(self, q: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the distance at the start, and the smallest one allowed from there to the end [m].
+
+        The watch may stop an arm closer than the clearance: it may leave, and comes no closer on the way.
+
+        Raises:
+            ImError: Bodies touch.
+        """
+        distance = self.require_free(q, "at the start", _TOUCH_M)
+        return distance, min(self._clearance, distance - _TOUCH_M)
 
     def check_path(self, q_all: NDArray[np.float64], index: NDArray[np.intp], points: NDArray[np.float64]) -> float:
         """Check the straight lines in joint space through ``points``.
@@ -102,13 +120,14 @@ class CollisionChecker:
         """
         whole = q_all.copy()
         whole[index] = points[0]
-        clearance = self.require_free(whole, "at the start")
+        clearance, least = self._begin(whole)
         for number, (a, b) in enumerate(pairwise(points), start=1):
             steps = max(1, int(np.ceil(np.max(np.abs(b - a) / self._step[index]))))
             for k in range(1, steps + 1):
                 whole[index] = a + (b - a) * (k / steps)
                 where = f"on the way to point {number} ({100 * k // steps} %)" if k < steps else f"at point {number}"
-                clearance = min(clearance, self.require_free(whole, where))
+                last = k == steps and number == len(points) - 1
+                clearance = min(clearance, self.require_free(whole, where, None if last else least))
         return clearance
 
     def check_motion(
@@ -134,14 +153,14 @@ class CollisionChecker:
         times = np.linspace(0.0, motion.duration, count + 1)
         q = motion.span(times).q
         whole[index] = seen = q[0]
-        clearance = self.require_free(whole, "at the start")
+        clearance, least = self._begin(whole)
         for k in range(1, count + 1):
             if k < count and (np.abs(q[k + 1] - seen) <= step).all():
                 continue
             whole[index] = seen = q[k]
             number = motion.point(float(times[k])) + 1
             where = "at the end" if k == count else f"on the way to point {number} ({100 * k // count} % of the time)"
-            clearance = min(clearance, self.require_free(whole, where))
+            clearance = min(clearance, self.require_free(whole, where, None if k == count else least))
         return clearance
 
     def blocking(

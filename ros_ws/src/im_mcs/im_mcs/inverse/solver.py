@@ -30,8 +30,10 @@ _NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
 # The largest turn about an axis that an arm of five joints gives up: what is asked for is then met in all but name.
 _GIVEN_UP_RAD = 0.0175
-_SEEDS = 64
-_NEAREST = 2
+_SEEDS = 32
+# Starts after the first ones end where so many steps have not brought the error below that share.
+_STALLED, _SHARE = 20, 0.5
+_NEAREST, _FAR = 2, 8
 _SEED_KEY = 20240607
 
 
@@ -85,6 +87,7 @@ class InverseKinematics:
         self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
         self._closed: ClosedForm | None = None
         self._short: Arm | None = None
+        self._first, self._reach = _chain_reach(model, limits, index, frame)
         if len(index) >= FEWEST_JOINTS and set(model.joints_below(frame)[-ARM_JOINTS:].tolist()) == set(index.tolist()):
             arm = Arm(model, frame)
             self._joints, self._tracker = arm.joints, ArmTracker(model, arm, frame)
@@ -170,9 +173,16 @@ class InverseKinematics:
                 yield from found
                 return
             starts = starts[:_NEAREST]  # nothing is there to be found but the nearest place
-        for start in starts:
-            *way, end = self.descent(target, q_all, start)
+        elif self._is_beyond(target, q_all):
+            starts = starts[:_FAR]
+        for rank, start in enumerate(starts):
+            *way, end = self.descent(target, q_all, start, patient=rank < _NEAREST)
             yield end if end.reached else min(*way, end, key=lambda each: each.position_error)
+
+    def _is_beyond(self, target: pin.SE3, q_all: NDArray[np.float64]) -> bool:
+        """Whether a place is farther from the group's first joint than the stretched chain is long."""
+        base = self._model.pose(q_all, self._first).translation
+        return bool(np.linalg.norm(target.translation - base) > self._reach)
 
     def _solutions(
         self, closed: ClosedForm, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]
@@ -191,19 +201,27 @@ class InverseKinematics:
                 found.append(attempt)
         return sorted(found, key=lambda each: float(np.linalg.norm(each.q - start)))
 
-    def descent(self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64]) -> Iterator[IkAttempt]:
+    def descent(
+        self, target: pin.SE3, q_all: NDArray[np.float64], start: NDArray[np.float64], patient: bool = True
+    ) -> Iterator[IkAttempt]:
         """Iterate from one start; the last attempt is the end.
 
         Args:
             target: Wanted pose of the wrist in ``world``.
             q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
             start: Where to start, shape (n,) [rad or m].
+            patient: Whether to go on where the error hardly falls: damping ends late.
         """
         q = np.clip(start, self._lower, self._upper)
         error = self._error(target, q_all, q)
+        least = list[float]()
         for k in range(_ITERATIONS):
             yield (attempt := self._attempt(target, q_all, q, error))
             if attempt.reached and k >= _NULL_ITERATIONS:
+                return
+            least.append(min([float(np.linalg.norm(error)), *least[-1:]]))
+            stalled = least[k] < _POSITION_TOLERANCE_M or least[k] > _SHARE * least[max(k - _STALLED, 0)]
+            if stalled and k >= _STALLED and not (patient or attempt.reached):
                 return
             jacobian = self._jacobian(self._whole(q_all, q))
             pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
@@ -265,3 +283,16 @@ class InverseKinematics:
         whole = q_all.copy()
         whole[self._index] = q
         return whole
+
+
+def _chain_reach(model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str) -> tuple[str, float]:
+    """Return a group's first joint below a frame, and a length that the way between both never exceeds [m]."""
+    below = model.joints_below(frame).tolist()
+    chain = below[next((rank for rank, joint in enumerate(below) if joint in index), len(below)) :]
+    last = model.pin.frames[model.frame_id(frame)].placement
+    places = [*(model.pin.jointPlacements[joint + 1] for joint in chain[1:]), last]
+    slides = [joint for joint in chain if limits.units[joint] == "m"]
+    strokes = [max(*np.abs([lower, upper]), upper - lower) for lower, upper in
+               zip(limits.lower[slides], limits.upper[slides], strict=True)]  # fmt: skip
+    length = sum(np.linalg.norm(place.translation) for place in places) + sum(strokes)
+    return (model.names[chain[0]] if chain else frame), float(length)

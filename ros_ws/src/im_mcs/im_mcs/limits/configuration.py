@@ -1,17 +1,19 @@
 """Configuration of MCS: ``config/mcs.yaml`` as frozen, checked models."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
 from im_cell.robot import Cell, Group, load_cell
+from im_cell.robot.tree import WORLD
 from im_core.config import FieldError, Model, fault_in, faults, load_model, package_file
 from im_core.errors import ConfigError, NotFoundError, nearest
 from im_core.rate_groups import Overrun, rate_fault
 from im_mcs.limits.motion_limits import BeyondLimits, Synchrony
-from im_mcs.limits.slots import LAW_METHODS, Interface, Slot, Testbed, check_slots, interface_of, slots_of
+from im_mcs.limits.slots import LAW_METHODS, Interface, Kind, Slot, Testbed, check_slots, interface_of, slots_of
 
 REFERENCE = r"^[\w.]+:\w+$"
 """Pattern of ``module:Class``."""
@@ -301,8 +303,6 @@ class McsConfig(Model):
     def _consistent(self) -> Self:
         check_slots(self.testbed, self.slots)
         self._check_laws()
-        if self.presets and self.slots:
-            self._check_groups(self.presets, {slot.name: slot.interface for slot in self.joint_slots})
         return self
 
     def _check_laws(self) -> None:
@@ -319,15 +319,43 @@ class McsConfig(Model):
         """Return the configuration with slots and presets of a cell, where it has none of its own.
 
         Raises:
-            FieldError: A preset names a joint that there is not, or has no groups; the law of a group gives other
-                commands than a slot of it takes; or the preset in force is not there.
+            FieldError: A joint, device, frame, group or preset is named that there is not; joint slots have another
+                order than the cell's joints; a preset has no groups; or the law of a group gives other commands than a
+                slot of it takes.
         """
+        self._check_slots(cell)
         presets = self.presets or cell.partitions
+        frames = (WORLD, *cell.description.links, *cell.light_names)
+        for preset, groups in self.presets.items():
+            for name, group in groups.items():
+                for frame in group.frames:
+                    if frame not in frames:
+                        where = ("presets", preset, name, "pair" if group.pair else "wrist")
+                        raise FieldError(where, f"there is no frame '{frame}'{nearest(frame, frames)}")
+        for name in self.group_control:
+            known = [group for groups in presets.values() for group in groups]
+            if name not in known:
+                raise FieldError(("group_control", name), f"there is no group '{name}'{nearest(name, known)}")
         slots = self.slots or slots_of(cell, self.testbed.clock)
         self._check_groups(presets, {slot.name: slot.interface for slot in slots if slot.kind == "joint"})
         if (preset := self.preset or next(iter(presets))) not in presets:
             raise FieldError(("preset",), f"preset '{preset}' is not one of {', '.join(sorted(presets))}")
         return self.model_copy(update={"presets": presets, "slots": slots, "preset": preset})
+
+    def _check_slots(self, cell: Cell) -> None:
+        """Refuse slots with names of no joint or device of the cell, and joint slots in another order."""
+        known: dict[Kind, Collection[str]] = {
+            "joint": cell.joint_names, "gripper": cell.devices("gripper"), "wrench": cell.devices("force")
+        }  # fmt: skip
+        for rank, slot in enumerate(self.slots):
+            if slot.name not in known[slot.kind]:
+                text = f"'{slot.name}' is not a {slot.kind} of the cell{nearest(slot.name, known[slot.kind])}"
+                raise FieldError(("slots", rank, "name"), text)
+        for slot, joint in zip_longest(self.joint_slots, cell.joint_names) if self.slots else ():
+            if slot is None or slot.name != joint:
+                found = "missing" if slot is None else f"the slot of {slot.name}"
+                text = f"where {joint} is expected is {found}; joint slots have the order of the cell's joints"
+                raise FieldError(("slots",) if slot is None else ("slots", self.slots.index(slot), "name"), text)
 
     def _check_groups(self, presets: Mapping[str, Mapping[str, Group]], joints: Mapping[str, Interface]) -> None:
         for preset, groups in presets.items():

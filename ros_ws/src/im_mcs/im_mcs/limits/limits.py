@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,21 +31,13 @@ class JointLimits:
     Args:
         cell: Joints and the cell's limits.
         shares: Shares of them that MCS allows itself.
-        slots: All slots: those of joints have the names and the order of the cell's joints; of a limit of a slot's own
-            and the cell's, the narrower one holds. Empty: no slot has limits of its own.
+        slots: All slots; of a limit of a slot's own and the cell's, the narrower one holds.
 
     Raises:
-        ConfigError: They are those of another cell, or leave a joint no position.
+        ConfigError: They leave a joint no position.
     """
 
     def __init__(self, cell: Cell, shares: LimitShares, slots: Sequence[Slot] = ()) -> None:
-        named = [slot.name for slot in slots if slot.kind == "joint"]
-        for rank, (slot, joint) in enumerate(zip_longest(named, cell.joint_names) if slots else ()):
-            if slot != joint:
-                text = f"slots: joint slot {rank + 1} is {slot}, and joint {rank + 1} of the cell is {joint}"
-                raise ConfigError(
-                    f"{text}; joint slots have the names of the cell's joints, in their order", joint=slot
-                )
         own = {slot.name: slot.limits for slot in slots if slot.limits is not None}
         narrow = [own.get(name, _NONE) for name in cell.joint_names]
         self.names = cell.joint_names

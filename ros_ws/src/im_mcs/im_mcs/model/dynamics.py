@@ -56,6 +56,8 @@ class CellModel:
         Raises:
             NotFoundError: There is no such frame.
         """
+        if self.pin.existFrame(frame, pin.FrameType.BODY):  # a joint may have the name of a link
+            return int(self.pin.getFrameId(frame, pin.FrameType.BODY))
         if not self.pin.existFrame(frame):
             raise NotFoundError(kind="frame", name=frame, known=[f.name for f in self.pin.frames])
         return int(self.pin.getFrameId(frame))

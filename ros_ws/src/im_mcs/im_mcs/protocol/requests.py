@@ -300,6 +300,14 @@ def _share(scale: float) -> float:
     return scale
 
 
+class SettleBounds(ServoRequest):
+    """When a group counts as at rest, as ``servo.settle`` of the configuration; 0 stands for the value there."""
+
+    tolerance: Amount = 0.0
+    still_tolerance: Amount = 0.0
+    timeout_s: Amount = 0.0
+
+
 class MoveRequest(ServoRequest):
     """Follow a path; a scale of 0 stands for 1.
 
@@ -312,6 +320,7 @@ class MoveRequest(ServoRequest):
     policy: Annotated[Policy, Field(strict=False, description=f"one of {', '.join(Policy)}")] = Policy.REFUSE
     speed_scale: Annotated[float, Field(description=f"between {SLOWEST:g} and 1 (0 stands for 1)")] = 1.0
     until_force: Annotated[float, Field(ge=0, le=LARGEST, description=f"a finite number >= 0 [N]{_BOUND}")] = 0.0
+    settle: SettleBounds = SettleBounds()
     sender: By = NOBODY
 
     @field_validator("speed_scale")

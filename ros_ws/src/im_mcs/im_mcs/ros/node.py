@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from im_core import clock
 from im_core.rate_groups import RateStatistics
 from im_core.ros import run as ros_run
 from im_core.ros.messages.rates import rate_status
@@ -32,6 +33,7 @@ from im_mcs.ros.topics.path_markers import PathMarkers
 from im_mcs.ros.topics.publishers import Publishers
 
 _STATE_PERIOD_S = 0.5
+_LONGEST_UNTOLD_S = 5.0
 _DIAGNOSTICS_PERIOD_S = 1.0
 
 
@@ -60,7 +62,7 @@ class McsNode(ManagedNode):
         if rate != 0.0:
             config = config.at_sample_rate(rate)
         self._last: dict[str, Any] | None = None
-        self._fresh = False
+        self._fresh, self._state_told = False, 0.0
         self._rates: tuple[RateStatistics, ...] = ()
         self._mcs = McsAccess(self, config, config_file, self._publish_state)
         cell = self._mcs.cell
@@ -128,7 +130,10 @@ class McsNode(ManagedNode):
 
     def _publish_state(self) -> None:
         snapshot = self._mcs.client().snapshot() if self._mcs.keeper.running else None
-        keeper = self._mcs.keeper
+        keeper, now = self._mcs.keeper, clock.monotonic()
+        if not keeper.explained and now < self._state_told + _LONGEST_UNTOLD_S:
+            return  # the cause of the state is on the way, and published with it
+        self._state_told = now
         self._topics.state(self._mcs.config, self._mcs.state, keeper.reason, snapshot, keeper.read_past)
 
     def _publish_diagnostics(self) -> None:

@@ -142,6 +142,7 @@ class ServoKeeper:
         self._owner: ServoOwner | None = None
         self._starting: tuple[ServoOwner, Promise] | None = None
         self._changes: deque[tuple[State, dict[str, str], str, bool]] = deque()
+        self._explained = State.COLD
 
     @property
     def running(self) -> bool:
@@ -158,6 +159,13 @@ class ServoKeeper:
         what = (self._reason or self._death) if self._hang is None else self._hang.message
         latched = f"an emergency stop is latched ({self._stop.cause}); reset it (/mcs/reset)"
         return "; ".join(filter(None, (what, latched if self._stop.cause else "")))
+
+    @property
+    def explained(self) -> bool:
+        """Whether :attr:`reason` is that of :attr:`state`: a snapshot shows a state before its cause is heard."""
+        if self._owner is None or self._hang is not None or self._stop.cause:
+            return True
+        return self._owner.client.state() is self._explained
 
     @property
     def lost(self) -> bool:
@@ -256,6 +264,7 @@ class ServoKeeper:
         """Stop at once, in any state of MCS, and latch the stop; describe the result in a sentence. From any thread."""
         owner, hang = self._owner, self._hang
         said = self._stop.stop(reason, None if owner is None else owner.client)
+        self._testbed_lost = False  # before the answer: a reservation right after the answer mends no requested stop
         self._node.spawn(calling(self._follow_stop))
         if owner is None:
             return f"{self.reason}; {said}"
@@ -263,7 +272,6 @@ class ServoKeeper:
 
     def _follow_stop(self) -> None:
         """Let the node follow a requested stop; in the loop."""
-        self._testbed_lost = False
         self.follow()
         self._changed()
         self._node.spawn(self._synchronise())
@@ -309,7 +317,7 @@ class ServoKeeper:
 
     def _take_owner(self, owner: ServoOwner) -> None:
         """Take over a servo process; pass on an emergency stop latched meanwhile, or found."""
-        self._owner = owner
+        self._owner, self._explained = owner, owner.client.state()
         if not self._stop.cause and self._circuits.is_cut():
             self._hold("the emergency stop circuit was found cut")
         if self._stop.cause:
@@ -369,6 +377,7 @@ class ServoKeeper:
             lifecycle.follow("cleanup")
         while self._changes:
             state, groups, self._reason, lost = self._changes.popleft()
+            self._explained = state
             if state in POWERED:
                 self._death = ""
             if state is State.ESTOPPED:

@@ -209,6 +209,7 @@ class ControlledGroup:
         if request.until_force and not self.context.force_sensors:
             raise DataError(f"group '{self.name}' has no force sensor, and the move is to end at a force")
         tolerances = tolerances_of(self.context, move)
+        self.monitor.bound(request.settle)
         queued = Queued(goal, move, request.policy, request.speed_scale, tolerances, request.until_force)
         if request.policy is Policy.REPLACE:
             replaced = self._replaced(goal)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_mcs.limits.configuration import Servo
+from im_mcs.protocol.requests import SettleBounds
 
 
 class RestPhase(StrEnum):
@@ -22,8 +23,9 @@ class RestMonitor:
     """Judge of rest from encoder readings alone, tick by tick: the same readings give the same tick.
 
     *Settling* ends when, over a short window, every joint's mean error is within tolerance and the means of both halves
-    agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm that
-    stands still may be further off: friction holds it there, and what counts is the position measured. *Measuring*
+    agree within what encoder noise explains (three standard deviations). After half the time allowed, an arm may be
+    further off, and its halves may differ by more: friction holds it there, or what its jaws hold keeps it trembling,
+    and what counts is the position measured, with a variance to which the halves add. *Measuring*
     then averages a window of ``rest_window_ticks`` readings; if its halves disagree the arm has moved, and settling
     begins anew. So it does when the mean of a later short window is off that of the rest by as much: brakes may slip.
 
@@ -34,22 +36,28 @@ class RestMonitor:
     """
 
     def __init__(self, resolution: NDArray[np.float64], noise: NDArray[np.float64], settings: Servo) -> None:
-        reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
+        self._reading_sd = np.sqrt(noise**2 + resolution**2 / 12.0)
         self._quantisation = _quantisation_variance(resolution, noise)
-        settle = settings.settle
-        self._settle_window, self._rest_window = settle.window_ticks, settings.rest_window_ticks
-        # by the length of a window: how much the means of its halves may differ
-        self._drift = {
-            count: 3.0 * np.sqrt(2.0) * (reading_sd / np.sqrt(count // 2)) + settle.tolerance / 4.0
-            for count in (self._settle_window, self._rest_window)
-        }
-        mean_sd = reading_sd / np.sqrt(self._settle_window)
-        self._tolerance, self._still_tolerance = (
-            tolerance + 3.0 * mean_sd for tolerance in (settle.tolerance, settle.still_tolerance)
-        )
-        self.timeout_s = settings.settle.timeout_s
-        self._timeout_ticks = round(self.timeout_s / settings.period_s)
+        self._settings = settings
+        self._settle_window, self._rest_window = settings.settle.window_ticks, settings.rest_window_ticks
+        self.bound(SettleBounds())
         self.restart()
+
+    def bound(self, bounds: SettleBounds) -> None:
+        """Judge by these bounds from now on, and by those of the configuration where one is 0."""
+        settle, period_s = self._settings.settle, self._settings.period_s
+        noise = 3.0 * self._reading_sd / np.sqrt(self._settle_window)
+        # of the mean error, at first and late
+        allowed = bounds.tolerance or settle.tolerance, bounds.still_tolerance or settle.still_tolerance
+        self._tolerance, self._still_tolerance = allowed[0] + noise, allowed[1] + noise
+        # by the length of a window, and whether it is late: how much the means of its halves may differ
+        self._most_drift = {
+            (count, late): 3.0 * np.sqrt(2.0) * (self._reading_sd / np.sqrt(count // 2)) + allowed[late] / 4.0
+            for count in (self._settle_window, self._rest_window)
+            for late in (False, True)
+        }
+        self.timeout_s = bounds.timeout_s or settle.timeout_s
+        self._timeout_ticks = round(self.timeout_s / period_s)
 
     def restart(self) -> None:
         """Restart the judgement: the group is about to move, or has lost the hold."""
@@ -101,12 +109,12 @@ class RestMonitor:
         mean = _mean(readings)
         if target is not None:
             self.last_error = target - mean
-        if not self._still(readings):
+        late = 2 * self.settling_ticks > self._timeout_ticks
+        drift = np.abs(_drift(readings))
+        if not (drift <= self._most_drift[len(readings), late]).all():
             self._settle()
             return
         if self.phase is RestPhase.SETTLING:
-            # friction may hold an arm beside its setpoint for good
-            late = 2 * self.settling_ticks > self._timeout_ticks
             tolerance = self._still_tolerance if late else self._tolerance
             if target is not None and (np.abs(self.last_error) > tolerance).any():
                 return
@@ -117,6 +125,8 @@ class RestMonitor:
         self.phase = RestPhase.AT_REST
         self.q = mean
         self.variance = readings.var(axis=0, ddof=1) / len(readings) + self._quantisation
+        if late:
+            self.variance = self.variance + drift**2 / 4.0
         self._readings = deque(maxlen=self._settle_window)
 
     def _watch(self, q: NDArray[np.float64]) -> None:
@@ -125,7 +135,7 @@ class RestMonitor:
         if len(self._readings) == self._settle_window:
             off = np.abs(_mean(np.array(self._readings)) - self.q)
             self._readings.clear()
-            if not (off <= self._drift[self._settle_window]).all():
+            if not (off <= self._most_drift[self._settle_window, False]).all():
                 self.restart()
 
     def _settle(self) -> None:
@@ -133,10 +143,10 @@ class RestMonitor:
             self._readings = deque(maxlen=self._settle_window)
         self.phase = RestPhase.SETTLING
 
-    def _still(self, readings: NDArray[np.float64]) -> bool:
-        half = len(readings) // 2
-        drift = _mean(readings[half:]) - _mean(readings[:half])
-        return bool((np.abs(drift) <= self._drift[len(readings)]).all())
+
+def _drift(readings: NDArray[np.float64]) -> NDArray[np.float64]:
+    half = len(readings) // 2
+    return _mean(readings[half:]) - _mean(readings[:half])
 
 
 def _mean(readings: NDArray[np.float64]) -> NDArray[np.float64]:

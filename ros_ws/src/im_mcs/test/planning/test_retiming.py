@@ -105,7 +105,8 @@ def test_trapezoidal_profiles_stay_on_their_line(rig, way, config, step, share, 
     rows[0] += rig.home
     goal, trajectory, _ = follow(rig, t, *rows[:many])
     assert rig.code(goal) is None
-    assert rig.results[goal][1]["retimed"] == trajectory.report
+    told = f"re-timed along its path: {trajectory.duration:.3f} s instead of {t[-1]:.3f} s, because of "
+    assert rig.results[goal][1]["retimed"].startswith(told)
     off = rig.q - rig.home
     off -= (off @ way / (way @ way))[:, None] * way
     assert np.abs(off).max() < 1e-7

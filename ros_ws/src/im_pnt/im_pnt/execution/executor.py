@@ -186,29 +186,6 @@ class Executor:
         """Receiver of each entry before the effect; None: no journal."""
         return self.rule.record
 
-    def count_on(self, former: "Executor") -> None:
-        """Continue the numbers of the replaced net before any event: none is given twice.
-
-        Others know actions and jobs by their numbers: a server would take the goal of one for that of the other.
-        """
-        self.rule.notifier.sequence, self.rule.ledger.count = former.sequence, former.rule.ledger.count
-
-    def rename(self, net: Net, record: Record | None) -> None:
-        """Go on under another name.
-
-        Args:
-            net: The net as written, under that name.
-            record: Takes what happens from now on.
-        """
-        rule = self.rule
-        self.written, rule.net, rule.record = net, replace(rule.net, name=net.name, former=net.former), record
-        rule.notifier.rename(net.name)
-        for activity in rule.activities.values():
-            activity.net = net.name
-        for job in rule.ledger.jobs():
-            if job.request is not None:
-                job.request = replace(job.request, net=net.name)
-
     # From any thread.
 
     def command(self, command: Command, on_closed: Callable[[CommandResult], None] | None = None) -> Job:

@@ -3,8 +3,6 @@
 import inspect
 import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping, MutableMapping
-from copy import deepcopy
-from dataclasses import replace
 from typing import Any
 
 from im_core import plugins
@@ -19,9 +17,6 @@ from im_pnt.model.net import Guard, Net, Transition
 
 ProgressSink = Callable[[Lineage, str, float], None]
 JsonObject = dict[str, object]
-Post = Callable[[Callable[[], None]], None]
-"""Has something called in the loop, soon; from any thread."""
-
 Plain = object
 """A value of JSON, perhaps with expressions in it."""
 
@@ -195,59 +190,8 @@ class ActionContext:
         """
         return self._values is None or self._values.fill_now(condition, self, answer) is True
 
-    def apart(self, post: Post) -> "ApartContext":
-        """Return the context for a function in a separate thread.
-
-        Args:
-            post: Has in the loop what may be done there only.
-        """
-        return ApartContext(self, self._lineage, self._activity, post)
-
     def _private(self, what: str) -> JsonObject:
         return self._own.setdefault(what, {})
-
-
-class ApartContext(ActionContext):
-    """Context of a function in a separate thread, with a copy of the job, made before the start.
-
-    Args:
-        origin: What it would be told in the loop.
-        lineage: Whom that is for.
-        activity: The action.
-        post: Has something called in the loop.
-    """
-
-    __slots__ = ("_before", "_origin", "_post")
-
-    def __init__(self, origin: ActionContext, lineage: Lineage, activity: Activity | None, post: Post) -> None:
-        def progress(_: Lineage, text: str, fraction: float) -> None:
-            post(lambda: origin.progress(text, fraction))
-
-        if (job := lineage.job) is not None:
-            command = replace(job.command, arguments=deepcopy(job.command.arguments))
-            arguments, results, replies, memory = deepcopy((job.arguments, job.results, job.replies, job.memory))
-            job = replace(job, command=command, arguments=arguments, results=results, replies=replies, memory=memory)
-        shared = origin._shared
-        super().__init__(origin.net, origin.transition, Lineage(job, lineage.failure), activity, progress, shared)
-        self._origin, self._post = origin, post
-        self._before = deepcopy((self.result, self.memory))
-
-    @property
-    def cancelled(self) -> bool:
-        """Whether the command, the request or the very action was cancelled, also after the start."""
-        return self._origin.cancelled
-
-    def on_cancel(self, callback: Callable[[], None]) -> None:
-        """Call a function in the loop at the cancellation of the action; soon if already cancelled."""
-        self._post(lambda: self._origin.on_cancel(callback))
-
-    def leave(self) -> None:
-        """Write the results of the function into the job; in the loop, after the end."""
-        own = (self.result, self.memory)
-        for before, now, kept in zip(self._before, own, (self._origin.result, self._origin.memory), strict=True):
-            for key in before.keys() - now.keys():
-                kept.pop(key, None)
-            kept.update({key: value for key, value in now.items() if key not in before or before[key] != value})
 
 
 ActionFunction = Callable[[ActionContext], object | Awaitable[object]]

@@ -316,6 +316,7 @@ class Activity:
         on_cancel: Called when it is asked to end early.
         on_release: Called when its job is not held any more.
         on_abandon: Called with the error when its job is abandoned.
+        told: What its transition says of it, with values; None: not known yet, or nothing is said.
         begun_as: Incarnation and net, as goals were named when it began, if they are named otherwise since; or empty.
     """
 
@@ -336,6 +337,7 @@ class Activity:
     doubt: ImError | None = None
     doubted: float = 0.0
     timer: Timer | None = None
+    told: str | None = None
     on_cancel: list[Callable[[], None]] = field(default_factory=list)
     on_release: list[Callable[[], None]] = field(default_factory=list)
     on_abandon: list[Callable[[ImError], None]] = field(default_factory=list)

@@ -1,7 +1,10 @@
 """Succession of a busy net: the former version ends its commands, and the tokens at rest go over to the new one."""
 
+from dataclasses import replace
+
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.jobs import NO_LINEAGE
+from im_pnt.execution.journal_entries import Record
 from im_pnt.model.expand import expand
 from im_pnt.model.net import Net
 from im_pnt.model.resources import given_back
@@ -67,3 +70,29 @@ def hand_over(former: Executor, successor: Executor) -> bool:
             successor.rule.mark_place(place, count, NO_LINEAGE)
             found = True
     return found
+
+
+def count_on(former: Executor, successor: Executor) -> None:
+    """Continue the numbers of the replaced net before any event: none is given twice.
+
+    Others know actions and jobs by their numbers: a server would take the goal of one for that of the other.
+    """
+    successor.rule.notifier.sequence, successor.rule.ledger.count = former.sequence, former.rule.ledger.count
+
+
+def rename(executor: Executor, net: Net, record: Record | None) -> None:
+    """Have a net go on under another name.
+
+    Args:
+        executor: The net.
+        net: The net as written, under that name.
+        record: Takes what happens from now on.
+    """
+    rule = executor.rule
+    executor.written, rule.net, rule.record = net, replace(rule.net, name=net.name, former=net.former), record
+    rule.notifier.rename(net.name)
+    for activity in rule.activities.values():
+        activity.net = net.name
+    for job in rule.ledger.jobs():
+        if job.request is not None:
+            job.request = replace(job.request, net=net.name)

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from im_core.errors import ImError, StateError
 from im_pnt.expression.errors import ExpressionError
-from im_pnt.expression.evaluation import Lookup
+from im_pnt.expression.evaluation import Lookup, as_text
 from im_pnt.expression.template import Way, filled, read_answers, read_objects
 from im_pnt.model.net import Net
 
@@ -139,6 +139,28 @@ class NetValues:
         for name, ways in read_objects(value).items():
             objects[name] = await self._known_objects().read(told.object(name), self._kinds[name], ways)
         return self._filled(value, told, objects, own)
+
+    def tell(self, text: str, told: Told, tell: Callable[[str], None]) -> None:
+        """Hand over a text with the expressions evaluated, or as written where an expression has no value.
+
+        Args:
+            text: The text.
+            told: What its transition is told.
+            tell: Called with it; at once where no data object is in it.
+        """
+        if self._objects is None or not read_objects(text):
+            try:
+                shown = as_text(self.fill_now(text, told))
+            except ImError:  # an index beyond the end of a list
+                shown = text
+            tell(shown)
+            return
+        found = [text]
+
+        async def read() -> None:
+            found.append(as_text(await self.fill(text, told)))
+
+        self._objects.run(read(), lambda _: tell(found[-1]))
 
     def conclude(self, told: Told, result: dict[str, object], own: Mapping[str, object], done: Done) -> None:
         """Return and store the values of a transition after the good end of the action.

@@ -96,14 +96,15 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
         yield ("request", "arguments"), dict(action.fields), ANY
     if transition.guard is not None and OPENS in transition.guard.name:
         yield ("guard",), transition.guard.name, BOOLEAN
+    for path in (path for node in nodes(transition.says) for path in references(node)):
+        if path[:2] == ("answers", transition.name):
+            raise PlacedError(("says",), f"answers.{transition.name} is not known as the action begins")
+    yield ("says",), transition.says, ANY
     context = "" if transition.strategy is None else transition.strategy.context
-    for where, text in ((("says",), transition.says), (("strategy", "context"), context)):
-        for path in (path for node in nodes(text) for path in references(node)):
-            if path[0] != "arguments":
-                raise PlacedError(
-                    where, "names more than arguments; answers and data are not known as the action begins"
-                )
-        yield where, text, ANY
+    if any(path[0] != "arguments" for node in nodes(context) for path in references(node)):
+        sentence = "names more than arguments; answers and data are not known as the action begins"
+        raise PlacedError(("strategy", "context"), sentence)
+    yield ("strategy", "context"), context, ANY
     for name, value in transition.result.items():
         yield ("result", name), value, ANY
     for name, value in transition.store.items():

@@ -118,7 +118,8 @@ def read_answers(net: Net) -> dict[str, tuple[Way, ...]]:
     for transition in net.transitions.values():
         guard = transition.guard.name if transition.guard is not None else ""
         until = getattr(transition.action, "until", None) or ""
-        values += [getattr(transition.action, "fields", {}), until, guard, transition.result, transition.store]
+        values += [getattr(transition.action, "fields", {}), until, guard, transition.says]
+        values += [transition.result, transition.store]
     return _ways(values, "answers")
 
 

@@ -151,7 +151,7 @@ class _Reader:
         return count.number
 
     def _final(self, element: Element) -> None:
-        """Add the places of final markings."""
+        """Add the places of final markings; a list without any, as ProM writes, says nothing."""
         check(element, self._namespaces)
         found = dict.fromkeys(self.graph.final or ())
         for marking in element.all("marking"):
@@ -163,7 +163,7 @@ class _Reader:
                     raise entry.error(f"there is no place '{identity[:60]}'{nearest(identity, self.graph.places)}")
                 if self._black(entry, counted(replace(entry, attributes={}), 1, 0)):
                     found[self.graph.places[identity].name] = None
-        self.graph.final = tuple(found)
+            self.graph.final = tuple(found)
 
     def _arc(self, arc: Element, source: str, target: str) -> None:
         graph, (kind, weight) = self.graph, self._inscribed(arc)

@@ -93,15 +93,15 @@ def counted(label: Element, default: int, minimum: int) -> Count:
     return Count(number, token_class)
 
 
-def label_flag(element: Element, label: str, default: bool | None = None) -> bool | None:
-    """Return the truth value of a label.
+def label_flag(element: Element, label: str) -> bool | None:
+    """Return the truth value of a label; None without one.
 
     Raises:
         NetFileError: It is neither true nor false.
     """
     text = label_text(element, label)
     if not text:
-        return default
+        return None
     if text.lower() not in ("true", "false"):
         raise (find_label(element, label) or element).error(f"{quoted_text(text)} is neither true nor false")
     return text.lower() == "true"

@@ -24,6 +24,8 @@ from im_pnt.pnml.label import (
 )
 
 _STOCHASTIC = "StochasticPetriNet"
+_KEYS = ("distributionType", "distributionParameters", "weight", "priority", "invisible", "trainingData")
+"""Keys of a transition there; trainingData are the observed times that a distribution was fitted to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +111,8 @@ def _stochastic(tool: Element) -> tuple[float, int]:
     said: dict[str, str] = {}
     for entry in tool.children:
         key = entry.attributes.get("key", "")
-        if entry.tag != "property" or key in said:
-            raise entry.error(f"is not understood in toolspecific of {_STOCHASTIC}")
+        if entry.tag != "property" or key not in _KEYS or key in said:
+            raise entry.error(f"{quoted_text(key)} is not understood in toolspecific of {_STOCHASTIC}, or there twice")
         said[key] = entry.text.strip()
     kind = said.get("distributionType", "IMMEDIATE")
     if kind not in ("IMMEDIATE", "UNDEFINED"):

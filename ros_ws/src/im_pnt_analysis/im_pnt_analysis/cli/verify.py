@@ -44,6 +44,8 @@ What was proved is kept ($XDG_CACHE_HOME/im/proofs). A machine finds it there, a
 
 Exit code: 0 verified, 1 refused, 2 a file or an option is wrong, 3 not refused, but not proved either."""
 
+FIT = "values fit the types of the messages"
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
@@ -86,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(report.to_dict() | {"types": types}, indent=1))
     else:
-        said = [("types", types)] if types else []
+        said = [("types", types)] if types and (options.all or types != FIT) else []
         said += [("told", sentence) for sentence in endless]
         named = titles([net for net in nets if net.name in report.nets])
         print("\n".join([readable(report, named, options.all), *(f"  {key:<14}{text}" for key, text in said)]))
@@ -160,4 +162,4 @@ def checked_types(nets: Sequence[Net]) -> str:
     types: MessageTypes = makers[0]()
     for net in nets:
         check_net(net, types)
-    return "values fit the types of the messages"
+    return FIT

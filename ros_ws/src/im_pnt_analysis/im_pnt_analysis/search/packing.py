@@ -12,7 +12,6 @@ nothing is borrowed from the next field. A place without a guard holds one unit 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import gcd
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -109,17 +108,6 @@ class WordComparison:
     rows: npt.NDArray[np.intp] | slice
     amount: Words
     mask: Words
-
-
-class PackedTransition(NamedTuple):
-    """A transition in whole-marking integers; enabled where every ``mask`` bit stays and no ``stop_mask`` bit does."""
-
-    amount: int
-    mask: int
-    stop_amount: int
-    stop_mask: int
-    change: int
-    row: int
 
 
 class Packing:
@@ -337,30 +325,6 @@ class Packing:
                 rows[row] |= enabled[other]
         return rows
 
-    def near_rows(self) -> list[frozenset[int]]:
-        """Return for each row the transitions possibly enabled or disabled by the step."""
-        tests: list[set[int]] = [set() for _ in self.fields]
-        for transition, arcs in enumerate(zip(self.units.inputs, self.units.inhibitors, strict=True)):
-            if self.possible[transition]:
-                for place, _ in (*arcs[0], *arcs[1]):
-                    tests[place].add(transition)
-        changes = (self.units.change[members[0]] for members in self.members)
-        return [frozenset().union(*(tests[place] for place, _ in change)) for change in changes]
-
-    def whole(self) -> list[tuple[int, PackedTransition]]:
-        """Return the transitions able to fire, as constants for whole-marking integers."""
-        result = []
-        for transition, row in enumerate(self.row_of):
-            if row == -2:
-                continue
-            needs, stops = (self._amounts(transition, inputs=inputs) for inputs in (True, False))
-            change = sum(
-                delta << (self.fields[place].word * WORD + self.fields[place].shift)
-                for place, delta in self.units.change[transition]
-            )
-            result.append((transition, PackedTransition(*_joined(needs), *_joined(stops), change, row)))
-        return result
-
 
 def _lay_out(units: Units, bounds: Sequence[int | None], widths: Sequence[int]) -> tuple[BitField, ...]:
     fields: list[BitField] = []
@@ -382,8 +346,3 @@ def _hash(places: int, attempt: int) -> list[int]:
     """Return an odd factor for each place; the sum of the products is a hash, changed by a constant in a firing."""
     dice = np.random.Generator(np.random.PCG64(_KEY_SEED + attempt))
     return [2 * int(factor) + 1 for factor in dice.integers(0, 1 << 63, places, dtype=np.uint64)]
-
-
-def _joined(amounts: dict[int, tuple[int, int]]) -> tuple[int, int]:
-    amount = sum(value << (WORD * word) for word, (value, _) in amounts.items())
-    return amount, sum(mask << (WORD * word) for word, (_, mask) in amounts.items())

@@ -4,21 +4,12 @@ from collections.abc import Callable, Sequence
 
 from im_core.clock import thread_cpu
 from im_pnt.model.compiled import Compiled
-from im_pnt_analysis.search.frontier import NarrowFrontier, OverflowedError, expand_wide
+from im_pnt_analysis.search.frontier import OverflowedError, expand
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.search.packing import TooManyTokensError
 from im_pnt_analysis.search.state_space import CollisionError, StateSpace
 
 _TESTS_AT_ONCE = 1 << 18
-_LAYER_US, _WORD_US = 150.0, 15.0
-"""What a layer costs in arrays, and what each word of its markings adds [us]."""
-_TEST_US = 0.004
-"""What a transition and marking cost there in addition [us]."""
-_MARKING_US = 8.0
-"""What a marking costs by itself [us]."""
-_WIDEST = 200
-_MET_AT_ONCE = 500_000
-_CLOCK_EVERY = 64
 
 
 class Search:
@@ -55,10 +46,7 @@ class Search:
         self._progress = progress
         self._layer_end = 1
         self._widths = (0, 1)
-        transitions = max(1, len(compiled.transitions))
-        gain = max(_TEST_US, _MARKING_US - _TEST_US * transitions)
-        self._narrow = min(_WIDEST, 1 + int((_LAYER_US + _WORD_US * self.found.packing.words) / gain))
-        self._block = max(256, _TESTS_AT_ONCE // transitions)
+        self._block = max(256, _TESTS_AT_ONCE // max(1, len(compiled.transitions)))
 
     @property
     def complete(self) -> bool:
@@ -85,12 +73,9 @@ class Search:
         try:
             while self.expanded < found.count and not self.stopped:
                 try:
-                    if found.count - self.expanded <= self._narrow:
-                        self._go_narrow(limits, deadline)
-                    else:
-                        end = min(self._layer_end, self.expanded + self._block)
-                        expand_wide(found, self.expanded, end, self._kinds)
-                        self._advance(end)
+                    end = min(self._layer_end, self.expanded + self._block)
+                    expand(found, self.expanded, end, self._kinds)
+                    self._advance(end)
                 except OverflowedError as error:
                     found.widen(error.guards)
                 except CollisionError:
@@ -117,23 +102,3 @@ class Search:
         if expanded == self._layer_end:
             self._widths = (self._widths[1], self.found.count - expanded)
             self._layer_end = self.found.count
-
-    def _go_narrow(self, limits: SearchLimits, deadline: float) -> None:
-        narrow = NarrowFrontier(self.found, self.expanded, self._kinds)
-        begin, expanded, layer_end = self.expanded, self.expanded, self._layer_end
-        try:
-            while expanded < narrow.count:
-                narrow.expand(expanded)
-                expanded += 1
-                if expanded == layer_end:
-                    self._widths = (self._widths[1], narrow.count - expanded)
-                    layer_end = narrow.count
-                if narrow.count - expanded > 2 * self._narrow:
-                    break
-                if narrow.count > limits.states or expanded - begin > _MET_AT_ONCE:
-                    break
-                if expanded % _CLOCK_EVERY == 0 and thread_cpu() > deadline:
-                    break
-        finally:
-            self.expanded, self._layer_end = expanded, layer_end
-            narrow.flush()

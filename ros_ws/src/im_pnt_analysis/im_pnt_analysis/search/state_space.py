@@ -22,9 +22,6 @@ class Visited:
     def __init__(self) -> None:
         self._runs: list[tuple[Words, Numbers]] = []
 
-    def __bool__(self) -> bool:
-        return bool(self._runs)
-
     def find(self, keys: Words) -> Numbers:
         """Return the numbers of sorted keys, -1 for unknown ones."""
         result = np.full(len(keys), -1, np.int32)
@@ -34,15 +31,6 @@ class Visited:
             hit = np.flatnonzero(known[at] == keys)
             result[hit] = numbers[at[hit]]
         return result
-
-    def find_one(self, key: int) -> int:
-        """Return the number of one key, -1 if unknown."""
-        wanted = np.uint64(key)
-        for known, numbers in self._runs:
-            at = int(known.searchsorted(wanted))
-            if at < len(known) and known[at] == wanted:
-                return int(numbers[at])
-        return -1
 
     def add(self, keys: Words, numbers: Numbers) -> None:
         """Add sorted new keys."""

@@ -31,16 +31,15 @@ class Diagram:
     Args:
         order: Places from the top level to the lowest one.
         deadline: Time of :func:`im_core.clock.thread_cpu` at which to give up [s]; None: never.
-        max_nodes: Number of nodes at which to give up.
     """
 
-    def __init__(self, order: Sequence[int], deadline: float | None = None, max_nodes: int = 1_500_000) -> None:
+    def __init__(self, order: Sequence[int], deadline: float | None = None) -> None:
         self.order = tuple(order)
         self.depth = len(self.order)
         self.level = {place: self.depth - i for i, place in enumerate(self.order)}
         self.pairs: list[Pairs] = [(), ()]
         self._deadline = deadline
-        self._max_nodes = max_nodes
+        self._max_nodes = 1_500_000
         self._unique: dict[Pairs, Node] = {}
         self._unions: dict[tuple[Node, Node], Node] = {}
         self._intersections: dict[tuple[Node, Node], Node] = {}

@@ -245,7 +245,6 @@ def expected_command(
     *,
     seed: int = 0,
     runs: int = 1000,
-    failures: float = 0.0,
     progress: Callable[[str], None] = lambda text: None,
 ) -> CommandDuration:
     """Compute the duration of a command, from the symbol to the answer.
@@ -255,7 +254,6 @@ def expected_command(
         symbol: The command.
         seed: Seed of the simulated runs.
         runs: Number of simulated runs.
-        failures: Probability that an action without ``success`` fails.
         progress: Is told now and then how far it is.
 
     Raises:
@@ -267,7 +265,7 @@ def expected_command(
     """
     if runs < 2:
         raise NetError(f"{runs} runs are too few for a spread; at least 2 are needed")
-    model = timed_net(nets, failures=failures, command=symbol)
+    model = timed_net(nets, command=symbol)
     exact = exact_totals(model, symbol)
     played = play_command(model, symbol, seed, runs, progress)
     if exact is None:

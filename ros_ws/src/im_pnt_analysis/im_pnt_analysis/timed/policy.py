@@ -98,14 +98,16 @@ class _Option:
     weight: float = 1.0
 
 
+_MOST_STATES, _SEARCH_S = 20_000, 60.0
+"""Limits of the search of the markings: their number, and CPU time [s]."""
+
+
 def best_policy(
     nets: Sequence[Net],
     rewards: Rewards,
     *,
     command: str | None = None,
     chosen: Collection[str] | None = None,
-    seconds: float = 60.0,
-    states: int = 20_000,
 ) -> BestPolicy:
     """Compute the choices with the most reward: of one command from symbol to answer, or a second in the long run.
 
@@ -115,15 +117,13 @@ def best_policy(
         command: Symbol of the command; None: the long run.
         chosen: Transitions that are chosen; None: all that have neither guard nor symbol nor delay nor another weight
             than 1, or have a strategy.
-        seconds: CPU time for the search of the markings [s].
-        states: Markings at most.
 
     Raises:
         NetError: The nets do not fit together, a name is not known, a delay is of a kind that cannot be computed, the
             command may never end, or there are too many markings.
     """
     net = timed_net(nets, command=command)
-    found = reach(net, states=states, seconds=seconds)
+    found = reach(net, states=_MOST_STATES, seconds=_SEARCH_S)
     require_computable(found)
     process = _Process(net, found, rewards, chosen)
     best, occupied = _solved(process.options, ending=command is not None)

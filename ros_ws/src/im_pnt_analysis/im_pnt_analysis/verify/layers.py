@@ -22,7 +22,7 @@ from im_pnt_analysis.search.packing import TooManyTokensError
 from im_pnt_analysis.search.reachability import Search
 from im_pnt_analysis.verify.problem import problem_of
 
-LIMITS = SearchLimits(states=200_000, seconds=5.0)
+LIMITS = SearchLimits(states=500_000, seconds=5.0)
 """Where it is given up to show that a net comes to rest by itself."""
 
 

@@ -6,15 +6,13 @@ from im_pnt.model.groups import groups
 from im_pnt.model.net import Net
 from im_pnt_analysis.search.limits import SearchLimits
 from im_pnt_analysis.verify.proofs import kept
-from im_pnt_analysis.verify.report import Progress, Report
+from im_pnt_analysis.verify.report import Report
 
 LOAD_LIMITS = SearchLimits(states=2_000_000, seconds=20.0)
 """Of each verification of a node or a machine that waits for it: CPU time, which a busy computer does not shorten."""
 
 
-def verify_to_load(
-    nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS, progress: Progress = lambda text: None
-) -> Report:
+def verify_to_load(nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS) -> Report:
     """Verify nets, alone or composed, unless a proof of the unchanged nets is kept.
 
     Of several, only those are composed that must be (:mod:`im_pnt_analysis.verify.layers`), with nets that stand for
@@ -23,7 +21,6 @@ def verify_to_load(
     Args:
         nets: Nets as written.
         limits: Where the search gives up.
-        progress: Is told what goes on.
 
     Raises:
         NetError: They do not fit together.
@@ -36,20 +33,17 @@ def verify_to_load(
     def prove() -> Report:
         from im_pnt_analysis.verify.together import verify_in_parts  # all that searches; few starts need it
 
-        return verify_in_parts(nets, limits, progress)
+        return verify_in_parts(nets, limits, lambda text: None)
 
     return kept(nets, prove)
 
 
-def verify_to_start(
-    nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS, progress: Progress = lambda text: None
-) -> Iterator[Report]:
+def verify_to_start(nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS) -> Iterator[Report]:
     """Verify the nets of a machine: each alone, as the node does, then communicating ones together.
 
     Args:
         nets: All nets of the machine, as written.
         limits: Where each search gives up.
-        progress: Is told what goes on.
 
     Yields:
         A report for each, the first that is refused at the end.
@@ -59,7 +53,7 @@ def verify_to_start(
     """
     alone = [[net] for net in nets]
     for together in (*alone, *(group for group in groups(nets) if len(group) > 1)):
-        report = verify_to_load(together, limits, progress)
+        report = verify_to_load(together, limits)
         yield report
         if report.refusals:
             return

@@ -44,65 +44,56 @@ class Proof(pydantic.BaseModel):
     assumptions: list[str]
 
 
-class Proofs:
-    """The proofs of a user.
+def find_proof(nets: Sequence[Net]) -> Report | None:
+    """Return the verdict on nets verified before; None without one.
 
     Args:
-        folder: Where they are; None: in the user's cache folder, if there can be one.
+        nets: Nets as written, in any order.
     """
+    key = fingerprint(nets)
+    try:
+        proof = Proof.model_validate(load_json(_folder() / f"{key}.json", files.MEBIBYTE))
+    except (DataError, StoreError, pydantic.ValidationError):
+        return None
+    if proof.fingerprint != key:
+        return None
+    report = Report([net.name for net in nets], proved_before=True, assumptions=proof.assumptions)
+    answers = {"bounded": True, "has_deadlock": False, "resources_return": True, "resources_held": True}
+    report.answer("proved before", states=proof.states, **answers)
+    report.leave("not asked")
+    report.decide()
+    return report
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._folder = folder
 
-    def find(self, nets: Sequence[Net]) -> Report | None:
-        """Return the verdict on nets verified before; None without one.
+def keep_proof(nets: Sequence[Net], report: Report) -> None:
+    """Keep the proof of nets; without room for the proof, the nets will be verified again.
 
-        Args:
-            nets: Nets as written, in any order.
-        """
-        key = fingerprint(nets)
-        try:
-            proof = Proof.model_validate(load_json(self._made() / f"{key}.json", files.MEBIBYTE))
-        except (DataError, StoreError, pydantic.ValidationError):
-            return None
-        if proof.fingerprint != key:
-            return None
-        report = Report([net.name for net in nets], proved_before=True, assumptions=proof.assumptions)
-        answers = {"bounded": True, "has_deadlock": False, "resources_return": True, "resources_held": True}
-        report.answer("proved before", states=proof.states, **answers)
-        report.leave("not asked")
-        report.decide()
-        return report
+    Args:
+        nets: Nets as written.
+        report: The verdict, which is that they may.
+    """
+    key = fingerprint(nets)
+    proof = Proof(fingerprint=key, states=report.states, assumptions=report.assumptions)
+    with contextlib.suppress(StoreError, DataError, OSError):
+        folder = _folder()
+        write_whole(folder / f"{key}.json", proof.model_dump_json())
+        kept = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
+        for path in kept[:-MOST]:
+            path.unlink(missing_ok=True)
 
-    def keep(self, nets: Sequence[Net], report: Report) -> None:
-        """Keep the proof of nets; without room for the proof, the nets will be verified again.
 
-        Args:
-            nets: Nets as written.
-            report: The verdict, which is that they may.
-        """
-        key = fingerprint(nets)
-        proof = Proof(fingerprint=key, states=report.states, assumptions=report.assumptions)
-        with contextlib.suppress(StoreError, DataError, OSError):
-            folder = self._made()
-            write_whole(folder / f"{key}.json", proof.model_dump_json())
-            kept = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime)
-            for path in kept[:-MOST]:
-                path.unlink(missing_ok=True)
-
-    def _made(self) -> Path:
-        return make_folder(self._folder or cache_dir() / "proofs")
+def _folder() -> Path:
+    return make_folder(cache_dir() / "proofs")
 
 
 def kept(nets: Sequence[Net], prove: Callable[[], Report]) -> Report:
     """Return the kept proof of nets, or a new one."""
-    proofs = Proofs()
-    report = proofs.find(nets)
+    report = find_proof(nets)
     if report is None:
         report = prove()
         report.composed = report.composed or list(nets)
         if report.ok:
-            proofs.keep(nets, report)
+            keep_proof(nets, report)
     return report
 
 

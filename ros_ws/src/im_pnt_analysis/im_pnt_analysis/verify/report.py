@@ -302,13 +302,14 @@ def _answers(report: Report, everything: bool) -> Iterator[tuple[str, str]]:
         yield "  growing", _some(report.unbounded_places, everything)
     count = "" if not report.deadlock_states else f", {report.deadlock_states} markings"
     yield "deadlock", told("has_deadlock", f"{'yes' if report.has_deadlock else 'no'}{count}")
-    for name in ("live", "reversible"):
-        if everything or getattr(report, name) is not None:
-            yield name, told(name)
+    if everything or report.live is not None:
+        yield "live", told("live")
+    if everything:
+        yield "reversible", told("reversible")
     yield "returning", told("resources_return")
     if report.resources_held is not True or report.methods["resources_held"] != NOTHING_ACTS:
         yield "held", told("resources_held")
-    if everything or report.never_enabled is not None:
+    if everything or report.never_enabled:
         yield "never enabled", told("never_enabled", _some(report.never_enabled or [], everything))
 
 

@@ -32,8 +32,8 @@ from im_pnt_analysis.verify.answers import (
 from im_pnt_analysis.verify.problem import Problem, problem_of
 from im_pnt_analysis.verify.report import Progress, Report
 
-_FEW, _MANY = 20_000, 2_000_000
-"""Markings after which explicit search lets other methods try: on nets of unknown bound, and on any."""
+_FIRST, _FEW, _MANY = 1_000, 20_000, 2_000_000
+"""Markings after which search looks for growth, and lets other methods try: on nets of unknown bound, on any."""
 
 _ROWS, ALL_ROWS = 400, 2_000
 """P-semiflows to look for where only the verdict is wanted, which needs no more than bounds, and where all are."""
@@ -147,10 +147,12 @@ class _Verification:
         report = self.report
         test = GrowthTest(search.found)
         later = self._later()
-        for count in (_FEW, 4 * _FEW, 16 * _FEW, _MANY):
+        for count in (_FIRST, _FEW, 4 * _FEW, 16 * _FEW, _MANY):
             self._some(search, count, later)
             if search.complete or self._grows(test, search):
                 break
+            if count == _FIRST:  # growth along a line is seen by now
+                continue
             if count == _FEW:
                 self.progress("bounds by linear programming")
                 solve_bounds(report, self.problem, later)

@@ -1,6 +1,5 @@
 """Drawings of nets: SVG to look at, DOT for other tools, positions for the live display."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from itertools import pairwise
@@ -105,13 +104,8 @@ def path(points: list[Point]) -> str:
     return "".join(words)
 
 
-def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
-    """Return a drawing as an SVG document.
-
-    Args:
-        drawing: What to draw.
-        tokens: Marking to show; None: the initial one.
-    """
+def svg(drawing: Drawing) -> str:
+    """Return a drawing as an SVG document, with the initial marking."""
     width = drawing.layout.width + 2 * _MARGIN
     height = drawing.layout.height + 2 * _MARGIN
     lines = [
@@ -125,9 +119,7 @@ def svg(drawing: Drawing, tokens: Mapping[str, int] | None = None) -> str:
     ]
     for arc, points in zip(drawing.arcs, drawing.points(), strict=True):
         lines.append(_svg_arc(arc, points))
-    for node in drawing.nodes:
-        count = node.tokens if tokens is None else tokens.get(node.place, 0)
-        lines.append(_svg_node(node, drawing.layout.positions[node.name], count))
+    lines += [_svg_node(node, drawing.layout.positions[node.name]) for node in drawing.nodes]
     return "\n".join([*lines, "</svg>", ""])
 
 
@@ -185,7 +177,7 @@ def _svg_arc(arc: DrawnArc, points: list[Point]) -> str:
     return line
 
 
-def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
+def _svg_node(node: DrawnNode, at: Point) -> str:
     x, y = at
     if node.kind == "transition":
         upper, fill = y - node.box.height / 2, "white" if node.timed else "#dfe8f2"
@@ -206,8 +198,8 @@ def _svg_node(node: DrawnNode, at: Point, tokens: int) -> str:
         )
     radius = REFERENCE_RADIUS if node.kind == "reference" else RADIUS
     dash = "" if node.kind == "place" else ' stroke-dasharray="3 2"'
-    mark = "" if not tokens else f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{tokens}</text>'
-    if tokens == 1:
+    mark = "" if not node.tokens else f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{node.tokens}</text>'
+    if node.tokens == 1:
         mark = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{0.4 * radius:.1f}" fill="#111"/>'
     size = ' font-size="9"' if node.kind == "reference" else ""
     notes = "".join(

@@ -14,7 +14,7 @@ from im_core.errors import DataError
 from im_pnt_display.page.messages import finite
 
 #: Kinds of markers that the page draws, as ``visualization_msgs/msg/Marker`` numbers them.
-MARKER_KINDS = {1: "cube", 2: "sphere", 3: "cylinder", 4: "strip", 5: "list"}
+MARKER_KINDS = {1: "cube", 2: "sphere", 3: "cylinder", 4: "strip", 5: "list", 11: "faces"}
 _ADD = 0
 MOST_POINTS = 5000
 """Points of a marker."""

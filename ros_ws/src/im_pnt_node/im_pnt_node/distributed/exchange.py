@@ -29,6 +29,7 @@ from im_pnt.execution.firing.rule import ABANDONED_CODE
 from im_pnt.execution.jobs import NO_COMMAND, Activity, Command, Job, JobKey, Owner, Request, TokenContext, scope_of
 from im_pnt.execution.journal_entries import Record
 from im_pnt.execution.notification import Departure, Observer
+from im_pnt.execution.succession import rename
 from im_pnt.model.action import RequestAction
 from im_pnt.model.net import Net, RemotePlace
 from im_pnt_node.distributed.entries import (
@@ -138,7 +139,7 @@ class Exchange:
             record: Takes what happens to it from now on.
         """
         self._keep_names(executor)
-        executor.rename(net, record)
+        rename(executor, net, record)
         for job in executor.jobs():
             if job.request is not None and job.request.id in self.inboxes.in_work:
                 self.inboxes.in_work[job.request.id] = replace(self.inboxes.in_work[job.request.id], net=net.name)

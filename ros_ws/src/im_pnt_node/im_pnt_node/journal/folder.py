@@ -95,7 +95,8 @@ class _File:
         os.fdatasync(self._file)
 
     def close(self) -> None:
-        os.close(self._file)
+        with contextlib.suppress(OSError):  # it is closed all the same, and what was promised is written
+            os.close(self._file)
 
 
 class Folder:
@@ -129,11 +130,18 @@ class Folder:
             raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            holder = os.read(lock, 32).decode("ascii", "replace").strip() or "unknown"
-            os.close(lock)
+        except BlockingIOError as error:
+            told = b""
+            with contextlib.suppress(OSError):
+                told = os.read(lock, 32)
+                os.close(lock)
+            holder = told.decode("ascii", "replace").strip() or "unknown"
             text = f"{self.name}: the journal is in use by process {holder}; a journal belongs to one process"
             raise JournalError(text, file=self.name, pid=holder) from error
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.close(lock)
+            raise JournalError(f"{self.name}: the journal cannot be locked: {error}", file=self.name) from error
         with contextlib.suppress(OSError):  # a disk that is full: the lock holds, though it does not say whose it is
             os.ftruncate(lock, 0)
             os.write(lock, b"%d\n" % os.getpid())

@@ -5,11 +5,12 @@ from copy import deepcopy
 from typing import Any, Protocol
 
 from im_core.errors import DataError, ImError
-from im_pnt.execution.actions import ActionOwner, Ask, FunctionRunner, Perform
+from im_pnt.execution.actions import ActionOwner
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity, Reply
 from im_pnt.execution.journal_entries import ActivityEnded, take_data
+from im_pnt.execution.runner import Ask, FunctionRunner, Perform
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import FunctionAction
 from im_pnt_node.rerun.progress import RerunProgress

@@ -21,10 +21,10 @@ from typing import TypeVar
 
 from im_core.errors import ImError
 from im_pnt.errors import encode_error
-from im_pnt.execution.actions import Ask, Requests
 from im_pnt.execution.events import Answer
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.runner import Ask, Requests
 from im_pnt_node.distributed.codec import ANSWER, encode_json
 
 ValueT = TypeVar("ValueT")

@@ -13,7 +13,7 @@ from im_pnt.errors import JournalError, NetError, VerificationError
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.functions import Functions
 from im_pnt.execution.journal_entries import Record
-from im_pnt.execution.succession import begin_succession, hand_over, hindrance_of_succession
+from im_pnt.execution.succession import begin_succession, count_on, hand_over, hindrance_of_succession
 from im_pnt.expression.scope import check_net
 from im_pnt.model.net import Net
 from im_pnt.netfile.schema.names import MAX_NAME
@@ -360,7 +360,7 @@ class Loader:
         if state is not None:
             restore_net(executor, state)
         elif net.name in self._nets:
-            executor.count_on(self._nets[net.name])
+            count_on(self._nets[net.name], executor)
         (enter or self._exchange.add)(executor)
         if net.former:
             self._formers.append(executor)

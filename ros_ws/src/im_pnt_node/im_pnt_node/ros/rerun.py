@@ -21,10 +21,10 @@ from im_core.errors import DataError, ImError
 from im_core.options import seconds
 from im_core.ros.messages.interfaces import decoded, interface_class, type_name
 from im_core.ros.messages.message_fields import filled
-from im_pnt.execution.actions import Ask, Perform
 from im_pnt.execution.events import Answer, Outcome
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.runner import Ask, Perform
 from im_pnt.execution.values import Objects
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.groups import nets_by_name

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from im_core.errors import ImError
-from im_pnt.execution.actions import FunctionRunner, Perform
 from im_pnt.execution.events import CommandCancelled, RequestArrived, RequestCancelled
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import DOUBT_CODE
 from im_pnt.execution.functions import ActionContext, Functions, GuardFunction
 from im_pnt.execution.jobs import Activity, ActivityState, Command, CommandResult, Job, Request
 from im_pnt.execution.notification import Firing, Observer, Phase
+from im_pnt.execution.runner import FunctionRunner, Perform
 from im_pnt.execution.timers import Timer, Timers
 from im_pnt.execution.values import Done
 from im_pnt.expression.template import Way

@@ -39,7 +39,7 @@ class CameraProcess:
         wait_s = patience_s()
         self._channel = CameraChannel.attach(channel_name(instance), CameraChannel.layout(cell), wait_s)
         self._instance, self._truth = instance, truth
-        self._scene = SceneMirror(cell, settings.renderer)
+        self._scene: SceneMirror | None = None
         self._cell, self._settings = cell, settings
         self._link = CameraEnd.attach(instance, wait_s)
         self._bank = self._new_bank()
@@ -118,9 +118,12 @@ class CameraProcess:
         self._bank = self._new_bank()
 
     def _new_bank(self) -> CameraBank:
-        """Create the cameras of the present testbed: the truth, and the period, possibly not the cell's own."""
+        """Create scene and cameras of the present testbed: the truth, and the period, possibly not the cell's own."""
         truth = _await_truth(self._truth, self._link.seed)
         cell = self._cell.at_period(round(self._link.period_s, 9))  # whole nanoseconds in the link
+        if self._scene is not None:
+            self._scene.close()
+        self._scene = SceneMirror(truth.built(cell), self._settings.renderer)
         return CameraBank(cell, truth, self._settings, self._scene, self._link.seed)
 
     def _send(self, reply: CameraReply) -> None:

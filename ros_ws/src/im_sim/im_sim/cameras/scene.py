@@ -61,7 +61,7 @@ class SceneMirror:
         return (0.0, 0.0) if self.renderer == "egl" else (0.5, -0.5)
 
     def set_joints(self, q: Array) -> None:
-        """Move to joint positions, shape (18,) [rad or m]."""
+        """Move to joint positions, shape (n,) [rad or m]."""
         pybullet.resetJointStatesMultiDof(
             self._body, self._joints, [[float(value)] for value in q], physicsClientId=self._client
         )

@@ -53,6 +53,8 @@ class TestbedNode(ManagedNode):
         fast = "simulated seconds a second of wall time; 0: as fast as it goes"
         self._factor = declare("factor", 1.0, fast, span=(0.0, math.inf))
         self._seed = declare("seed", 0, "of everything that is drawn at random", span=(0, 2**31 - 1))
+        told = "whether arms are as drawn, not off by 0.3 to 1 mm"
+        self._perfect_arm = declare("perfect_arm", False, told)
         self._period = declare("period", 0.0, "of a tick of the testbed [s]; 0: the cell's", span=(0.0, 0.1))
         self._clock_publisher = self.create_publisher(Clock, "/clock", qos.CLOCK)
         self._lights_publisher = self.create_publisher(String, "/testbed/lights", qos.LATCHED)
@@ -69,11 +71,11 @@ class TestbedNode(ManagedNode):
         self._cell = load_cell()
         if self._period != 0.0:
             self._cell = self._cell.at_period(self._period)
-        self._truth = draw_truth(self._cell, self._seed)
+        self._truth = draw_truth(self._cell, self._seed, perfect_arm=self._perfect_arm)
         run_dir = names.run_dir()
         write_whole(run_dir / FILE_NAME, self._truth.model_dump_json(indent=1))
         arguments = ["--instance", names.instance(), "--factor", repr(self._factor)]
-        arguments += ["--seed", str(self._seed)]
+        arguments += ["--seed", str(self._seed), "--truth", str(run_dir / FILE_NAME)]
         arguments += ["--period", repr(self._cell.period)]
         self._child = ChildProcess.of_module("im_sim.physics", arguments, log=run_dir / "physics.log")
         self._link = self._attach(self._child)

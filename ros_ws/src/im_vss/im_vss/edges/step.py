@@ -15,6 +15,8 @@ Image = NDArray[np.uint8]
 Distance = Callable[[Array], Array]
 
 _ITERATIONS = 30
+_BLUR_PX = 1.0
+"""Guess of the blur that a fit begins with [px]."""
 _TOLERANCE_PX = 1e-4
 _SIGMA_PX = (0.3, 4.0)
 _STEP_PX = 1e-4
@@ -43,7 +45,7 @@ class StepFit:
     contrast_snr: float
 
 
-def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise, sigma: float = 1.0) -> StepFit | None:
+def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise) -> StepFit | None:
     """Fit a curve between two brightnesses, seen through a Gaussian blur, to the pixels around the curve.
 
     Gauss-Newton on (shape, lower brightness, contrast, blur), each pixel weighted by the variance that the noise model
@@ -54,7 +56,6 @@ def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise
         distance: Signed distance of each pixel from the curve of some parameters, shape (m,) [px].
         start: Parameters near the solution, shape (n,).
         noise: Noise of the sensor.
-        sigma: Guess of the blur [px].
 
     Returns:
         The fit, None where the pixels support none.
@@ -67,7 +68,7 @@ def fit_step(values: Array, distance: Distance, start: Array, noise: SensorNoise
     if side.all() or not side.any():
         return None
     low = float(np.median(values[~side]))
-    theta = np.concatenate((start, [low, float(np.median(values[side])) - low, sigma]))
+    theta = np.concatenate((start, [low, float(np.median(values[side])) - low, _BLUR_PX]))
     for _ in range(_ITERATIONS):
         mean, jacobian = _model(theta, distance, usable)
         weight = 1.0 / noise.variance(np.maximum(mean, 0.0))

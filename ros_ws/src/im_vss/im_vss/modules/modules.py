@@ -30,7 +30,7 @@ class VmSnap(VisionModule):
         Raises:
             ImError: See :meth:`VisionModule.run` and :meth:`im_cell.frames.FrameSource.take_frames`.
         """
-        frames = self.run(lease, partial(self.rig.source.take_frames, order, exposed))
+        frames = self.run(lease, partial(self.rig.cameras.take_frames, order, exposed))
         if abs(frames.exposure_s - order.exposure_s) > _SAME_S:
             lease.client.tell(f"exposed for {frames.exposure_s:g} s, not for {order.exposure_s:g} s")
         for camera, taken in frames.frames.items():
@@ -54,7 +54,7 @@ class VmImageDisp(VisionModule):
 
     def _show(self, frames: tuple[Frame, ...]) -> None:
         for frame in frames:
-            self.rig.screen.raw(frame)
+            self.rig.outputs.raw(frame)
             self.rig.monitors.show(frame)
 
 
@@ -75,7 +75,7 @@ class VmSpotDisp(VisionModule):
         for marker in markers:
             shown = self.rig.monitors.draw(marker)
             if shown is not None:
-                self.rig.screen.display(marker.camera, shown.image, shown.stamp_ns)
+                self.rig.outputs.display(marker.camera, shown.image, shown.stamp_ns)
 
 
 class VmLaser(VisionModule):

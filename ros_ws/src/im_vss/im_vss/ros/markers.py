@@ -1,7 +1,5 @@
 """Markers of the cameras' views and residuals, the lights, targets and the workspace, for RViz and Foxglove."""
 
-from collections.abc import Mapping
-
 import numpy as np
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, String
@@ -28,8 +26,37 @@ _PLATE_M = 0.002
 _WORKSPACE = ColorRGBA(r=0.3, g=0.5, b=1.0, a=0.12)
 
 
-class CellMarkers:
-    """``/markers`` of ``/vss``, latched, for subscribers only.
+class ResidualMarkers:
+    """Namespace ``residuals`` of ``/markers``, latched, for subscribers only: the spots of the last calibrations.
+
+    Args:
+        node: The node that publishes.
+        book: Calibrations of the cameras.
+    """
+
+    def __init__(self, node: ManagedNode, book: CameraBook) -> None:
+        self._book = book
+        self._shown: MarkerArray | None = None
+        self._publisher = node.create_publisher(MarkerArray, "/markers", qos.LATCHED)
+
+    def publish(self) -> None:
+        """Publish what has changed since the last call, or everything to the first subscriber."""
+        if not self._publisher.get_subscription_count():
+            self._shown = None
+            return
+        present = MarkerArray(markers=self._markers())
+        if present != self._shown:
+            self._shown = present
+            self._publisher.publish(present)
+
+    def _markers(self) -> list[Marker]:
+        left = self._book.residuals
+        ranked = enumerate(self._book.entries())
+        return [_residuals(rank, entry, *left[entry.name]) for rank, entry in ranked if entry.name in left]
+
+
+class CellMarkers(ResidualMarkers):
+    """``/markers`` of ``/vss``.
 
     Namespaces ``cameras``, ``residuals``, ``lights``, ``objects`` and ``workspace``. Each is in the frame it is
     fixed to, which ``/tf`` moves. A camera that is as drawn is grey.
@@ -38,33 +65,20 @@ class CellMarkers:
         node: The node that publishes.
         cell: Lights.
         book: Calibrations of the cameras.
-        left: Spots and residuals of the last calibration of each camera, shape (n, 2) [px], kept up by another.
     """
 
-    def __init__(
-        self, node: ManagedNode, cell: Cell, book: CameraBook, left: Mapping[str, tuple[Array, Array]]
-    ) -> None:
-        self._cell, self._book, self._left = cell, book, left
+    def __init__(self, node: ManagedNode, cell: Cell, book: CameraBook) -> None:
+        super().__init__(node, book)
+        self._cell = cell
         self._lights = dict.fromkeys(cell.light_names, False)
-        self._shown: MarkerArray | None = None
-        self._publisher = node.create_publisher(MarkerArray, "/markers", qos.LATCHED)
         node.create_subscription(String, "/testbed/lights", self._switched, qos.LATCHED)
 
-    def publish(self) -> None:
-        """Publish what has changed since the last call, or everything to the first subscriber."""
-        if not self._publisher.get_subscription_count():
-            self._shown = None
-            return
+    def _markers(self) -> list[Marker]:
         markers = [_view(rank, entry) for rank, entry in enumerate(self._book.entries())]
-        for rank, entry in enumerate(self._book.entries()):
-            if entry.name in self._left:
-                markers.append(_residuals(rank, entry, *self._left[entry.name]))
+        markers += super()._markers()
         markers += [_plate(rank, target) for rank, target in enumerate(self._cell.targets)]
         markers += [self._light(rank, name, lit) for rank, (name, lit) in enumerate(self._lights.items())]
-        present = MarkerArray(markers=[*markers, _workspace(Workspace())])
-        if present != self._shown:
-            self._shown = present
-            self._publisher.publish(present)
+        return [*markers, _workspace(Workspace())]
 
     def _switched(self, message: String) -> None:
         self._lights = lights_told(message.data, self._cell)

@@ -1,12 +1,8 @@
 """Node ``/vss``: ROS shell of the Vision Services System; translates messages, decides nothing."""
 
 import sys
-import threading
-import traceback
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from sensor_msgs.srv import SetCameraInfo
 
@@ -17,53 +13,41 @@ from im_core import clock, names, plugins
 from im_core.errors import ImError, StoreError
 from im_core.files import read_text, write_whole
 from im_core.processes.startup import patience_s
+from im_core.ros import qos
 from im_core.ros import run as ros_run
 from im_core.ros.calls import run_in_thread
-from im_core.ros.node import ManagedNode
+from im_core.ros.messages.status import ok_status, to_status
+from im_msgs.msg import CalibrationFiles as CalibrationFilesMessage
+from im_msgs.srv import TakeCalibration
 from im_vss.camera_book import CameraBook
 from im_vss.camera_poses import Mounts
-from im_vss.catalogue import load_catalogue
+from im_vss.catalogue import PROCESS
 from im_vss.laser.book import LaserBook
 from im_vss.laser.scanner import LinkedScanner
 from im_vss.rig import LaserRig, Rig
-from im_vss.ros.client_liveness import Askers
+from im_vss.ros.calibration_messages import TAKE, TRUTH, CalibrationReader, to_message
 from im_vss.ros.controls import ControlParameters, ImageStream
 from im_vss.ros.light_tracker import LightTracker
 from im_vss.ros.markers import CellMarkers
 from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
-from im_vss.ros.ports import Port
-from im_vss.ros.state import DiagnosticsPort, StatePort
+from im_vss.ros.services_node import FILES_S, ServicesNode
+from im_vss.ros.state import DiagnosticsPort
 from im_vss.services.snap import SnapRequest
 from im_vss.settings import load_settings
-from im_vss.vsm import PROCESS, VisionServicesManager
 
 WATCH_PERIOD_S = 1.0
 
-#: How long it may take to write the files of a calibration [s].
-FILES_S = 30.0
 
-
-#: Libraries of the calibration that take seconds to load, and at rest a fifth of the memory of this process.
-_CALIBRATION = ("scipy.special", "scipy.stats", "im_calibration.reporting.plots")
-
-
-class VssNode(ManagedNode):
-    """ROS shell of :class:`im_vss.vsm.VisionServicesManager`."""
+class VssNode(ServicesNode):
+    """ROS shell of :class:`im_vss.vsm.VisionServicesManager` in the process of the cameras."""
 
     def __init__(self) -> None:
-        super().__init__("vss")
-        declare = self.declared.declare
-        self._files = {
-            "settings": declare("settings", "", "file of the Services in use and their settings; empty: the package's"),
-            "catalogue": declare("catalogue", "", "file of all Services that exist; empty: the package's"),
-            "calibration": declare("calibration", "", "folder of calibrations to start with; empty: as drawn"),
-        }
-        self._process = declare("process", PROCESS, "name of this process in the catalogue; it runs the Services there")
+        super().__init__(PROCESS)
+        told = "folder of calibrations to start with; empty: as drawn"
+        self._files["calibration"] = self.declared.declare("calibration", "", told)
         self._source: FrameSource | None = None
-        self._vsm: VisionServicesManager | None = None
         self._laser: LaserRig | None = None
-        self._loads_ahead = False
 
     def phase_configure(self) -> None:
         """Load the Services in use and start the cameras."""
@@ -78,7 +62,9 @@ class VssNode(ManagedNode):
             self._laser = LaserRig(LinkedScanner(names.instance(), cell.scanner), laser_book)
             laser_book.on_change = self._calibrated
         self._outputs = ImageOutputs(self, self._book, laser_book)
-        self._markers = CellMarkers(self, cell, self._book, self._outputs.left)
+        self._files_publisher = self.create_publisher(CalibrationFilesMessage, TRUTH, qos.LATCHED)
+        self._reader = CalibrationReader(cell, settings.cameras, names.run_dir() / "calibration_taken")
+        self._markers = CellMarkers(self, cell, self._book)
         self._book.on_change = self._calibrated
         frame_source = plugins.load(settings.frame_source.implementation, FrameSource, "frame source")
         setup = FrameSourceSetup(
@@ -92,7 +78,7 @@ class VssNode(ManagedNode):
         )
         self._source = frame_source(setup)
         tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
-        self._rig = Rig(
+        rig = Rig(
             settings,
             cell,
             self._book,
@@ -104,23 +90,18 @@ class VssNode(ManagedNode):
             laser=self._laser,
         )
         stream = ImageStream(self, self._take_images, self._source.await_image)
-        self._controls = ControlParameters(self, settings, self._rig.controls, stream)
-        catalogue = load_catalogue(self._file("catalogue"))
-        self._vsm = VisionServicesManager(self._rig, catalogue, self._process)
+        self._controls = ControlParameters(self, settings, rig.controls, stream)
+        self.load_services(rig)
         self._source.start()
 
     def phase_start(self) -> None:
         """Offer the Services, as soon as the cameras are ready."""
         assert self._source is not None
-        assert self._vsm is not None
         self._source.wait_ready()
-        self._outputs.publish_calibrations()
-        for name, entry in self._vsm.catalogue.services.items():
-            port = plugins.load(entry.port, Port, "port")(self._rig)
-            askers = Askers(self, f"/vss/{name}")
-            self.create_service(port.kind, f"/vss/{name}", partial(self._serve, name, port, askers))
-        StatePort(self, self._vsm)
-        DiagnosticsPort(self, self._vsm, self._book, None if self._laser is None else self._laser.book)
+        self._publish_calibrations()
+        vsm = self.offer_services()
+        DiagnosticsPort(self, vsm, self._book, None if self._laser is None else self._laser.book)
+        self.create_service(TakeCalibration, TAKE, self._take)
         for camera in self._book.entries():
             self.create_service(
                 SetCameraInfo, f"/{camera.name}/set_camera_info", partial(self._set_camera_info, camera.name)
@@ -130,40 +111,11 @@ class VssNode(ManagedNode):
 
     def phase_shutdown(self) -> None:
         """Let go of the cameras."""
-        if self._vsm is not None:
-            self._vsm.close()
+        super().phase_shutdown()
         if self._laser is not None:
             self._laser.scanner.close()
         if self._source is not None:
             self._source.close()
-
-    async def _serve(self, name: str, port: Port, askers: Askers, request: Any, response: Any) -> Any:
-        """Carry out a request of a Service, in a thread; an error becomes the status."""
-        vsm = self._vsm
-        assert vsm is not None
-        self._load_ahead()
-        alive = askers.present()
-        remarks: list[str] = []
-
-        def serve() -> None:
-            port.answer(vsm.request(name, port.request(request), alive, remarks.append), response)
-
-        try:
-            await run_in_thread(self, serve)
-        except ImError as error:
-            port.refuse(error, response)
-        except Exception as error:  # a fault of this program must not end the node
-            self.get_logger().error(traceback.format_exc())
-            port.refuse(ImError(f"fault in /vss: {error!r}", code="internal"), response)
-        else:
-            port.succeed(response, list(dict.fromkeys(remarks)))
-        return response
-
-    def _load_ahead(self) -> None:
-        """Load the needs of a calibration beside the first request: neither the start nor the request has to wait."""
-        if not self._loads_ahead:
-            self._loads_ahead = True
-            threading.Thread(target=lambda: [import_module(name) for name in _CALIBRATION], daemon=True).start()
 
     def _take_images(self, cameras: tuple[str, ...]) -> int:
         """Take and show an image with each camera; when the exposure ended, testbed time [ns].
@@ -221,7 +173,24 @@ class VssNode(ManagedNode):
     def _calibrated(self) -> None:
         """Report a calibration taken into use, with written files; in any thread."""
         self._note_in_use()
+        self._publish_calibrations()
+
+    def _publish_calibrations(self) -> None:
         self._outputs.publish_calibrations()
+        self._files_publisher.publish(to_message(self._book.files(), self._kept))
+
+    async def _take(
+        self, request: TakeCalibration.Request, response: TakeCalibration.Response
+    ) -> TakeCalibration.Response:
+        """Use a calibration of another process."""
+        try:
+            taken = partial(self._reader.use, request.files, self._book, self._kept)
+            await run_in_thread(self, taken, timeout_s=FILES_S)
+        except ImError as error:
+            response.status = to_status(error)
+            return response
+        response.success, response.status, response.folder = True, ok_status(), str(self._kept)
+        return response
 
     def _note_in_use(self) -> None:
         if self._in_use is None:
@@ -236,10 +205,6 @@ class VssNode(ManagedNode):
         self._markers.publish()
         if self._source is not None and (obituary := self._source.revive()):
             self.get_logger().error(f"{obituary}; it is started again")
-
-    def _file(self, parameter: str) -> Path | None:
-        value = self._files[parameter]
-        return Path(value) if value else None
 
 
 def main() -> int:

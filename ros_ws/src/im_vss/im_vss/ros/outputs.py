@@ -8,7 +8,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tf2_msgs.msg import TFMessage
 
-from im_cell.camera_model import Array
 from im_cell.frames import Frame
 from im_cell.frames import Image as Pixels
 from im_core.ros import qos
@@ -20,11 +19,7 @@ from im_vss.stereo import ImageRectification
 
 
 class ImageOutputs:
-    """The :class:`im_vss.monitor.Screen` of the node: images are published to the subscribers.
-
-    Attributes:
-        left: Spots and residuals of the last calibration of each camera, shape (n, 2) [px].
-    """
+    """The :class:`im_vss.monitor.Screen` of the node: images are published to the subscribers."""
 
     def __init__(self, node: ManagedNode, book: CameraBook, laser: LaserBook | None) -> None:
         """Create ``image_raw``, ``camera_info``, ``image_display`` and ``spot`` of each camera, and ``/tf_static``.
@@ -44,7 +39,6 @@ class ImageOutputs:
         self._rectifications: dict[str, tuple[CameraEntry, ImageRectification]] = {}
         self._info = self._publishers(names, CameraInfo, "camera_info", qos.LATCHED)
         self._display = self._publishers(names, Image, "image_display", qos.IMAGES)
-        self.left: dict[str, tuple[Array, Array]] = {}
         self._spot = self._publishers(names, PointStamped, "spot", qos.EVENTS)
         self._tf_static = node.create_publisher(TFMessage, "/tf_static", qos.LATCHED)
 
@@ -70,10 +64,6 @@ class ImageOutputs:
         """Publish the place of the light, x and y in pixels; data sets are made of such messages in bags."""
         header = to_header(self._book[camera].frame, stamp_ns)
         self._spot[camera].publish(PointStamped(header=header, point=Point(x=place[0], y=place[1])))
-
-    def residuals(self, camera: str, spots: Array, residuals: Array) -> None:
-        """Keep the spots and residuals of the last calibration of a camera for the markers."""
-        self.left[camera] = spots, residuals
 
     def publish_calibrations(self) -> None:
         """Publish the calibrations and poses of cameras and laser scanner, as far as known."""

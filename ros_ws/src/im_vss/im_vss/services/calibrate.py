@@ -91,7 +91,7 @@ class SvcCalibrate(VisionService):
             write_observations(request.directory, problem)
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
         for camera, residuals in zip(calibration.cameras, calibration.residuals, strict=True):
-            self.rig.screen.residuals(camera.name, problem.spots[cameras.index(camera.name)], residuals)
+            self.rig.book.residuals[camera.name] = problem.spots[cameras.index(camera.name)], residuals
         mounted, covariance = on_their_mounts(calibration, request, self.rig.book, self.rig.mounts.at)
         if request.directory is not None:
             write_calibration(request.directory, calibration, problem, self.rig.book, mounted, covariance)

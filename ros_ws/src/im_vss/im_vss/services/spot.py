@@ -120,7 +120,7 @@ def find_in_pairs(
             off, on = images.frames[camera]
             findings[camera] = service.tool("tool_spot_find")(off, on, *lights)
             if (spot := findings[camera].spot) is not None:
-                service.rig.screen.spot(camera, (spot.u, spot.v), on.stamp_ns)
+                service.rig.outputs.spot(camera, (spot.u, spot.v), on.stamp_ns)
     with watch.step("display_s"):
         service.tool("tool_spot_disp")(client, findings)
     spots = tuple(CameraSpot(camera, images.frames[camera][1].stamp_ns, found) for camera, found in findings.items())

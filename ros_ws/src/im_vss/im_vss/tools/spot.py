@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.frames import Frame, Image
-from im_core.errors import DataError
+from im_core.errors import DataError, StateError
 from im_vss.spot import SearchDisc, SpotFinding, SpotFit, find_spot
 from im_vss.stereo import Point, epipolar_distance, triangulate
 from im_vss.tools.tool import Tool
@@ -69,20 +69,29 @@ class ToolSpotFind(Tool):
             light: Where the robot's pose put the light when `on` was exposed, shape (3,) [m]; None: not known then.
         """
         sensor = on.controls.of(self.rig.settings.sensor)
-        finding = find_spot(on.image, off.image, sensor, self.rig.settings.spot, self._region(on, light))
+        region = self._region(on, light)
+        fixed = self.rig.book[on.camera].parent == "world"  # on an arm the prediction is told, and binds nothing
+        finding = find_spot(on.image, off.image, sensor, self.rig.settings.spot, region if fixed else None)
+        finding = replace(finding, region=region)
         if finding.spot is None and not finding.candidates and (why := self.rig.why_dark()):
             return replace(finding, cause=f"no light seen: {why}")
         return finding
 
     def _region(self, frame: Frame, light: NDArray[np.float64] | None) -> SearchDisc | None:
-        """Where the light must be if the robot's pose at the exposure is known and the camera is fixed."""
+        """Where the light must be if the robot's pose at the exposure is known; on an arm, anywhere in the image."""
         entry = self.rig.book[frame.camera]
         light = self.rig.light_position(frame.stamp_ns) if light is None else light
-        if light is None or entry.parent != "world":
+        if light is None:
             return None
-        uv = entry.model.project(light)
         radii = self.rig.settings.region
         radius = radii.calibrated if entry.calibrated else radii.nominal
+        if entry.parent != "world":
+            try:
+                rotation, origin = self.rig.mounts.at(entry.parent, [frame.stamp_ns])
+            except StateError:
+                return None
+            light, radius = rotation.T @ (light - origin), float(np.hypot(entry.model.width, entry.model.height))
+        uv = entry.model.project(light)
         if not bool(entry.model.contains(uv, margin=-radius)):
             return None
         return SearchDisc(float(uv[0]), float(uv[1]), radius)

@@ -6,8 +6,8 @@ import sys
 
 from action_msgs.msg import GoalStatus
 
+from im_bringup.ros.client_output import DONE, FAILED
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
-from im_bringup.ros.interruptible import DONE, FAILED
 from im_core.errors import StateError
 from im_core.ros.guard import GuardedActionClient
 from im_core.ros.peers.servers import node_of

@@ -8,8 +8,9 @@ from typing import Any
 from rclpy.action import get_action_names_and_types
 from rclpy.node import Node
 
+from im_bringup.ros.client_output import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE
 from im_bringup.ros.interfaces import settle
-from im_bringup.ros.interruptible import DONE, FAILED, INTERRUPTED, NOT_RUNNING, USAGE, InterruptibleNode, spun
+from im_bringup.ros.interruptible import InterruptibleNode, spun
 from im_core.errors import ArgumentError, ImError, NotFoundError, StateError, StoreError, WaitTimeoutError
 from im_core.files import write_whole
 from im_core.names import run_dir

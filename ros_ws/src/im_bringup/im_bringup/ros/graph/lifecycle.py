@@ -5,8 +5,8 @@ import sys
 
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.graph.client import GraphClient, GraphParser, absolute, print_all
-from im_bringup.ros.interruptible import DONE
 from im_core.errors import ArgumentError, StateError
 
 _STATE = "/get_state"

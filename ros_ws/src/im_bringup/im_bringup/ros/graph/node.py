@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from rclpy.action.graph import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
 from rclpy.node import Node
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.graph.client import GraphClient, GraphParser
-from im_bringup.ros.interruptible import DONE
 
 
 def parser() -> GraphParser:

@@ -7,9 +7,9 @@ from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.parameter import get_parameter_value, parameter_value_to_python
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.graph.client import GraphClient, GraphParser, absolute, print_all
 from im_bringup.ros.interfaces import LISTING
-from im_bringup.ros.interruptible import DONE
 from im_core.errors import NotFoundError, StateError
 
 

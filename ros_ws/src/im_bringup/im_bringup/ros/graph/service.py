@@ -3,8 +3,8 @@
 import argparse
 import sys
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
-from im_bringup.ros.interruptible import DONE
 
 
 def parser() -> GraphParser:

@@ -10,8 +10,8 @@ import numpy as np
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from im_bringup.ros.client_output import DONE
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
-from im_bringup.ros.interruptible import DONE
 from im_core import clock
 from im_core.errors import StateError
 from im_core.options import at_least, seconds

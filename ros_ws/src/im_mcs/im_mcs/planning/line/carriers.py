@@ -17,6 +17,8 @@ _SHARES = (0.5, 1.0)
 # Distance from a limit, and singular value, from which on an arm is comfortable.
 _MARGIN = 0.3
 _SINGULAR_VALUE = 0.12
+# Share of both with which the arm can do without the carriers.
+_ENOUGH = 0.2
 # What a second that the carriers need for their way costs.
 _EFFORT = 0.05
 # Any line that is passed to its end is better than one that is not.
@@ -26,9 +28,10 @@ _FAILURE = 100.0
 class CarrierChoice:
     """Choice of the carriers' places at the end of a line; on the way the carriers keep step with the wrist.
 
-    Some ends are tried, always the same ones: staying, following the line halfway and wholly with a linear axis, and
-    what inverse kinematics of the whole group would take. That one wins whose arm stays farthest from joint limits
-    and singularities, less an effort for the carriers' way.
+    They stay where the arm alone keeps off joint limits and singularities: what moves less meets less. Otherwise some
+    ends are tried, always the same ones: following the line halfway and wholly with a linear axis, and what inverse
+    kinematics of the whole group would take. That one wins whose arm stays farthest from limits and singularities,
+    less an effort for the carriers' way.
 
     Args:
         model: Kinematics.
@@ -68,11 +71,13 @@ class CarrierChoice:
         """
         if not self._moved.any() or parameter_length(self._tracker.pose(q_all), target, self._lever, via) < SAME_M:
             return q_all
-        ends = [q_all[self._arm.carriers], *self._followed(q_all, target)]
+        best, chosen = yield from self._trial(q_all, target, via, q_all[self._arm.carriers])
+        if best >= _ENOUGH:
+            return chosen
+        ends = self._followed(q_all, target)
         whole = yield from self._whole_group(q_all, target)
         if whole is not None:
             ends.append(whole[self._arm.carriers])
-        best, chosen = -np.inf, q_all
         for end in ends:
             score, reached = yield from self._trial(q_all, target, via, end)
             if score > best:

@@ -66,7 +66,9 @@ class RetimedTrajectory(PiecewisePolynomial):
             f"re-timed along its path: {self.duration:.3f} s instead of {self.asked.duration:.3f} s, because of "
             f"{facts['quantity']} of {facts['joint']} at {facts['time']:.3f} s"
         )
-        return self.smoothed + (f", then {retimed}" if self.duration > self.asked.duration else "") or retimed
+        if not self.smoothed:
+            return retimed
+        return f"{self.smoothed}, then {retimed}" if self.duration > self.asked.duration else self.smoothed
 
 
 def retime(

@@ -22,6 +22,13 @@ from im_mcs.ros.topics.path_markers import PathMarkers
 from im_mcs.state import Event
 from im_msgs.msg import GroupPath
 
+_IN_FORCE = "0: the configuration's (servo.settle). In force from the next motion on."
+_SETTLE = {
+    "tolerance": (f"Largest mean error of each joint at rest [rad or m]; {_IN_FORCE}", 1.0),
+    "still_tolerance": (f"The same of an arm held by friction, after half of timeout_s; {_IN_FORCE}", 1.0),
+    "timeout_s": (f"Testbed time until an unsettled motion fails [s]; {_IN_FORCE}", 1000.0),
+}
+
 
 @dataclass(frozen=True)
 class Arrival:
@@ -41,6 +48,8 @@ class Arrival:
 class Motions:
     """Sender of MOVE requests; shows the followed path, and stops motions.
 
+    Parameters: ``tolerance``, ``still_tolerance`` and ``timeout_s`` below ``settle``.
+
     Args:
         access: MCS.
         markers: What shows it to viewers.
@@ -53,6 +62,8 @@ class Motions:
         self._replaced: Counter[str] = Counter()
         self._stopped: Counter[str] = Counter()
         groups, node = access.group_names, access.node
+        for name, (what, largest) in _SETTLE.items():
+            node.declared.declare(f"settle.{name}", 0.0, what, span=(0.0, largest), changeable=True)
         self._paths = {group: node.create_publisher(GroupPath, f"/{group}/path", qos.LATCHED) for group in groups}
 
     def arrive(self, group: str, handle: ServerGoalHandle | None = None) -> Arrival:
@@ -98,13 +109,15 @@ class Motions:
                     on_progress(*told)
 
         try:
+            settle = {name: self._mcs.node.get_parameter(f"settle.{name}").value for name in _SETTLE}
             sender = await self._mcs.sender(client)  # meanwhile a stop or a newer goal may come
             self._require_wanted(arrival)
             replaced = self._replaced[group]
             if arguments["policy"] == Policy.REPLACE:
                 self._replaced[group] = arrival.rank
             try:
-                return await self._mcs.request(Event.MOVE, {**arguments, "sender": sender}, begin, progress)
+                asked = {**arguments, "settle": settle, "sender": sender}
+                return await self._mcs.request(Event.MOVE, asked, begin, progress)
             except ImError:
                 if not shown and self._replaced[group] == arrival.rank:
                     self._replaced[group] = replaced  # it was refused: what came before it may go on

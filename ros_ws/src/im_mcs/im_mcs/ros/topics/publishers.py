@@ -8,17 +8,19 @@ import numpy as np
 import pinocchio as pin
 from control_msgs.msg import DynamicJointState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Point, TransformStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
 
-from im_cell.robot import Cell, robot_description
+from im_cell.robot import Cell, Hull, robot_description
 from im_core.ros import qos
 from im_core.ros.messages.stamps import to_stamp
+from im_mcs.collision.bodies import faces_of
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
 from im_mcs.ros import messages
@@ -28,7 +30,7 @@ from im_msgs.msg import McsState
 
 
 class Publishers:
-    """Topics of MCS; ``/robot_description`` and ``/tf_static`` are published at once and latched.
+    """Topics of MCS; ``/robot_description``, ``/tf_static`` and ``/markers`` of hulls are published at once, latched.
 
     Args:
         node: The node that publishes.
@@ -54,6 +56,10 @@ class Publishers:
         self._tf_static.publish(TFMessage(transforms=self._frames.fixed()))
         self._description = node.create_publisher(String, "/robot_description", qos.LATCHED)
         self._description.publish(String(data=description))
+        if cell.hulls:
+            self._hulls = node.create_publisher(MarkerArray, "/markers", qos.LATCHED)
+            markers = [_hull(rank, hull, cell.color_of(hull.link)) for rank, hull in enumerate(cell.hulls)]
+            self._hulls.publish(MarkerArray(markers=markers))
 
     def state(
         self, config: McsConfig, state: State, reason: str, snapshot: NDArray[np.void] | None, past: PowerReading | None
@@ -91,6 +97,17 @@ def _array(stamp_ns: int, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArr
     message = DiagnosticArray(status=list(statuses))
     message.header.stamp = to_stamp(stamp_ns)
     return message
+
+
+def _hull(rank: int, hull: Hull, color: Sequence[float]) -> Marker:
+    """Return the faces of a hull, without its margin."""
+    marker = Marker(ns="hulls", id=rank, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=True)
+    marker.header.frame_id = hull.link
+    marker.scale.x = marker.scale.y = marker.scale.z = marker.color.a = 1.0
+    marker.color.r, marker.color.g, marker.color.b = color
+    corners = faces_of(np.array(hull.points)).reshape(-1, 3).tolist()
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z in corners]
+    return marker
 
 
 class JawSpeeds:

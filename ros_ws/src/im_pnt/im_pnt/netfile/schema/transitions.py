@@ -97,6 +97,7 @@ class TransitionFile(FilePart):
             "dependentSchemas": {
                 **{key: {"anyOf": [{"required": [effect]} for effect in _EFFECTS]} for key in _NEED_ACTION},
                 "servers": {"anyOf": [{"required": [key]} for key in (*_EFFECTS, "delay")]},
+                "arguments": {"required": ["use"]},
                 **{
                     action: {"not": {"anyOf": [{"required": [other]} for other in ACTIONS if other != action]}}
                     for action in ACTIONS
@@ -225,6 +226,10 @@ class TransitionFile(FilePart):
                     raise WrongKeyError(
                         ("cancels",), f"does not go together with '{key}'; cancel in a transition of its own"
                     )
+        if "arguments" in given and "use" not in given:
+            raise WrongKeyError(
+                ("arguments",), "is for 'use'; those of a request stand in it: {to: net.service, arguments: {...}}"
+            )
         if self.keeps_failure and given & set(_EFFECTS):
             raise WrongKeyError(("keeps_failure",), "is for a transition without action")
         if not given & set(_EFFECTS):

@@ -170,12 +170,13 @@ export class CellView {
     if (!marker || HIDDEN.test(name)) return;
     const three = this.three, { kind, color, scale, points } = marker;
     let object;
+    const drawn = () => new three.BufferGeometry().setFromPoints(points.map((point) => new three.Vector3(...point)));
     if (kind === "strip" || kind === "list") {
-      const geometry = new three.BufferGeometry().setFromPoints(points.map((point) => new three.Vector3(...point)));
+      const geometry = drawn();
       const { color: tint } = this.material(color), line = new three.LineBasicMaterial({ color: tint });
       object = new (kind === "strip" ? three.Line : three.LineSegments)(geometry, line);
     } else {
-      const geometry = { cube: () => new three.BoxGeometry(), sphere: () => new three.SphereGeometry(0.5, 20, 14),
+      const geometry = { faces: () => { const faces = drawn(); faces.computeVertexNormals(); return faces; }, cube: () => new three.BoxGeometry(), sphere: () => new three.SphereGeometry(0.5, 20, 14),
         cylinder: () => new three.CylinderGeometry(0.5, 0.5, 1, 24).rotateX(Math.PI / 2) }[kind]();
       object = new three.Mesh(geometry, this.material(color));
       object.scale.set(...scale);

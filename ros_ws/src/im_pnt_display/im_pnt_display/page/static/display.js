@@ -18,6 +18,7 @@ const markings = new Map();  // name -> {tokens, active, cancelling, in_doubt, m
 const breakpoints = new Map();  // name -> transitions that wait to be confirmed each time
 const refusals = new Map();  // name -> {message, counterexample}
 const commands = new Map();  // name -> {progress, end} of its newest command
+let begun = null;  // the net of the newest command
 const firings = [];
 const unfolded = new Set();  // nets of which a failure has brought tokens to a part that is folded
 const token = new URLSearchParams(location.search).get("token");
@@ -66,7 +67,7 @@ function keepPage() {
 function follow() {
   const readers = [...nets.values()].filter((net) => net.symbols.length);
   const largest = (a, b) => (b.drawing.nodes.length > a.drawing.nodes.length ? b : a);
-  return [...commands.keys()].at(-1) ?? (readers.length ? readers.reduce(largest).net : [...nets.keys()].sort()[0]);
+  return nets.has(begun) ? begun : (readers.length ? readers.reduce(largest).net : [...nets.keys()].sort()[0]);
 }
 
 function shownNets() {
@@ -138,7 +139,7 @@ function showStep(counterexample, step) {
 function showMoment(moment) {
   const drawn = JSON.stringify(moment.nets) === JSON.stringify(recording.shown);
   recording.shown = moment.nets;
-  nets.clear(); markings.clear(); commands.clear(); firings.length = 0;
+  nets.clear(); markings.clear(); commands.clear(); firings.length = 0; begun = null;
   for (const number of moment.nets) enterNet(recording.overview.drawings[number]);
   for (const marking of moment.markings) markings.set(marking.net, marking);
   firings.push(...moment.firings);
@@ -288,15 +289,16 @@ function listProgress(name) {
 function noteCommand(firing) {
   const net = nets.get(firing.net);
   if (!net?.symbols.length) return;
-  const { progress, symbol } = firing;
-  if (net.symbols.includes(symbol)) {
+  const { progress, symbol } = firing, begins = net.symbols.includes(symbol), ends = symbol && !begins;
+  if (begins) {
     commands.delete(firing.net);
     unfolded.delete(firing.net);
   }
+  if (begins || !ends && !commands.has(firing.net)) begun = firing.net;
   if (!commands.has(firing.net)) commands.set(firing.net, { progress: 0, end: "" });
   const command = commands.get(firing.net);
   command.progress = Math.max(progress, 0);
-  if (symbol && !net.symbols.includes(symbol)) command.end = symbol.endsWith("_failed") ? "failed" : "done";
+  if (ends) command.end = symbol.endsWith("_failed") ? "failed" : "done";
   listProgress(firing.net);
 }
 
@@ -359,7 +361,7 @@ function drawChanges(now) {
 function take(change) {
   switch (change.kind) {
     case "snapshot":
-      nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0;
+      nets.clear(); markings.clear(); commands.clear(); refusals.clear(); firings.length = 0; begun = null;
       operable = change.operable && token !== null && !wrongToken;
       desk.allow(operable);
       stopped.clear();

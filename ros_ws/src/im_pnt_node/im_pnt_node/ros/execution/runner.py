@@ -12,9 +12,10 @@ from im_core.ros.coroutines import calling
 from im_core.ros.heartbeats import Heartbeats
 from im_core.ros.node import ManagedNode
 from im_pnt.errors import NetError
-from im_pnt.execution.actions import FunctionRunner
+from im_pnt.execution.apart import ApartContext
 from im_pnt.execution.functions import ActionContext, ActionFunction, Functions
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.runner import FunctionRunner
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction, TopicAction
 from im_pnt.model.net import Net
 from im_pnt_node.distributed.exchange import Exchange
@@ -99,7 +100,7 @@ class NodeRunner(FunctionRunner):
         def post(work: Callable[[], None]) -> None:
             self._node.spawn(calling(work))
 
-        apart = context.apart(post)
+        apart = ApartContext(context, post)
         outcome = await run_in_thread(self._node, _outcome_of, function, apart, tell_after_s=LONGEST_S)
         try:
             if isinstance(outcome, Exception):

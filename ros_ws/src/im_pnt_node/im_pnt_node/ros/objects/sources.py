@@ -43,7 +43,8 @@ class Sources:
             topic: Its name.
             message_type: Its type.
             profile: Quality of service.
-            check: Raises what is wrong with a message that makes no sense; the last that did stays then.
+            check: Raises what is wrong with a message that makes no sense, or returns False for one of no use; the last
+                of use stays then.
         """
         self._last[topic] = None
         self._node.create_subscription(message_type, topic, partial(self._hear, topic, check), profile)
@@ -131,7 +132,8 @@ class Sources:
             done(None)
 
     def _hear(self, topic: str, check: Callable[[Any], object], message: Any) -> None:
-        check(message)
+        if check(message) is False:
+            return
         self._last[topic] = message
         self._log.add("heard", topic, *packed_message(message))
         self._changed(f"topic:{topic}")
