@@ -1,72 +1,122 @@
 """The place of a killed process in the middleware is taken by nobody: what begins next hears all that goes on."""
 
+import contextlib
 import os
-import re
+import signal
 import subprocess
 import sys
+import threading
 
 import pytest
+from std_msgs.msg import Int32
 
-from im_bringup.tasks.dead_ports import DeadPorts
-from im_core import clock
-from im_core.shm_names import SHM, lock
+from im_core.ros.node import ManagedNode
+from im_core.ros.rclpy_fixes.dead_ports import DeadPorts
+from im_core.shm_names import SHM
 
 LISTENER = """
 import rclpy
+from rclpy.node import Node
 from std_msgs.msg import Int32
+from im_core.ros.guard import GuardedNode
 rclpy.init()
-node = rclpy.create_node("listener")
+node = {kind}("listener")
 node.create_subscription(Int32, "/told", lambda message: print(message.data, flush=True), 10)
+print("begun", flush=True)
 rclpy.spin(node)
 """
 PATIENCE_S = 60.0
+#: How long no message may come, of twenty a second, until a listener counts as deaf [s].
+SILENCE_S = 6.0
+#: ``PortNode`` of Fast DDS 2.14: 1024 states of readers of 20 bytes, and the name of the shared memory.
+READERS, STATE_SIZE, NAME = 1024, 20, b"fastrtps\0"
+IN_USE, WAITS, IS_BUSY = 1, 2, 4
 
 
-def ports_in_use():
-    """Ports of living processes in this ROS domain, in shared memory."""
-    first = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"])
-    found = set()
-    for path in SHM.glob("fastrtps_port*_el"):
-        port = int(re.search(r"\d+", path.name)[0])
-        try:
-            os.close(lock(path))
-        except OSError:
-            if first <= port < first + 250:
-                found.add(port)
-    return found
+class Listener:
+    """A process that prints what it hears; its output is read by a thread."""
+
+    def __init__(self, kind):
+        command = [sys.executable, "-c", LISTENER.format(kind=kind)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout.readline() == "begun\n"
+        self._heard = threading.Event()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        for _ in self.process.stdout:
+            self._heard.set()
+
+    def hears(self, seconds=PATIENCE_S):
+        return self._heard.wait(seconds)
+
+    def kill(self, between_messages=False):
+        """Ends it with SIGKILL; at will where its readers have told one message and do not wait for the next one."""
+        os.kill(self.process.pid, signal.SIGSTOP)
+        if between_messages:
+            for port in self._ports():
+                with (SHM / port).open("r+b") as file:
+                    states = file.read().find(NAME) - READERS * STATE_SIZE
+                    file.seek(states)
+                    before = file.read(1)[0]
+                    assert before & IN_USE
+                    file.seek(states)
+                    file.write(bytes([before & ~(WAITS | IS_BUSY)]))
+        self.process.kill()
+        self.process.wait(PATIENCE_S)
+
+    def _ports(self):
+        """The ports that it has locked."""
+        for descriptor in os.listdir(f"/proc/{self.process.pid}/fd"):
+            with contextlib.suppress(OSError):
+                path = os.readlink(f"/proc/{self.process.pid}/fd/{descriptor}")
+                if path.startswith(f"{SHM}/fastrtps_port") and path.endswith("_el"):
+                    yield path.removeprefix(f"{SHM}/").removesuffix("_el")
 
 
 @pytest.fixture
-def told(ros):
-    """Tells the time again and again; begins before the listeners."""
-    from std_msgs.msg import Int32
+def listener(ros):
+    """Begins listeners to a node that tells twenty messages a second."""
+    teller = ros(ManagedNode("teller"))
+    publisher = teller.create_publisher(Int32, "/told", 10)
+    teller.create_timer(0.05, lambda: publisher.publish(Int32(data=7)))
+    begun = []
 
-    from im_core.ros.node import ManagedNode
+    def begin(kind):
+        begun.append(Listener(kind))
+        return begun[-1]
 
-    node = ros(ManagedNode("teller"))
-    publisher = node.create_publisher(Int32, "/told", 10)
-    node.create_timer(0.05, lambda: publisher.publish(Int32(data=7)))
+    yield begin
+    for each in begun:
+        each.process.kill()
+        each.process.wait(PATIENCE_S)
 
 
-def test_a_process_hears_where_another_was_killed(told):
-    ports, seen, before = DeadPorts(int(os.environ["ROS_DOMAIN_ID"])), [], ports_in_use()
+@pytest.fixture
+def deadly(listener):
+    """A listener killed at the moment that leaves the next one at its port deaf."""
+    first = listener("Node")
+    assert first.hears()
+    first.kill(between_messages=True)
+
+
+def test_fast_dds_still_leaves_the_next_process_deaf(listener, deadly):
+    deaf = listener("Node")
+    assert not deaf.hears(SILENCE_S)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_the_next_node_hears(listener, deadly, times):
+    for _ in range(times):
+        following = listener("GuardedNode")
+        assert following.hears()
+        following.kill(between_messages=True)
+
+
+def test_the_next_process_of_another_hears_where_the_port_is_held(listener, deadly):
+    ports = DeadPorts()
     try:
-        for _ in range(2):
-            listener = subprocess.Popen([sys.executable, "-c", LISTENER], stdout=subprocess.PIPE, text=True)
-            try:
-                assert listener.stdout.readline() == "7\n"
-                seen.append(ports_in_use() - before)
-            finally:
-                listener.kill()
-                listener.wait(PATIENCE_S)
-            deadline = clock.monotonic() + PATIENCE_S
-            while not ports.hold():
-                assert clock.monotonic() < deadline, "no port was left by the killed process"
-                clock.sleep(0.05)
-            before |= ports_in_use()
-        first, second = seen
-        assert first
-        assert second
-        assert not first & second
+        assert ports.hold()
+        assert listener("Node").hears()
     finally:
         ports.close()

@@ -13,7 +13,7 @@ from im_core.errors import LinkError
 from im_core.ownership import is_own, require_own
 from im_core.patience import Patience
 from im_core.processes.procfs import ProcessId
-from im_core.shm_names import SHM, left, lock, remove_all
+from im_core.shm_names import SHM, left, lock, mapped, remove_all
 
 _DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
@@ -123,10 +123,10 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
         if match is not None:
             files.setdefault(match.group(1), []).append(path)
     removed, dying = [], False
-    mapped = _mapped_names()
+    in_use = mapped()
     for paths in files.values():
         locks = [path for path in paths if _LOCK.search(path.name)]
-        in_memory = any(path.name in mapped for path in paths)
+        in_memory = any(path.name in in_use for path in paths)
         if in_memory:
             continue
         if any(not _unlocked(path) for path in locks):
@@ -137,17 +137,6 @@ def _remove_dds_segments() -> tuple[list[str], bool]:
                 path.unlink()
                 removed.append(path.name)
     return removed, dying
-
-
-def _mapped_names() -> set[str]:
-    """Return the names of the files of /dev/shm mapped into the memory of processes."""
-    names: set[str] = set()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        try:
-            names.update(re.findall(r"/dev/shm/(\S+)", maps.read_text(encoding="utf-8", errors="replace")))
-        except OSError:
-            continue
-    return names
 
 
 def _unlocked(path: Path) -> bool:

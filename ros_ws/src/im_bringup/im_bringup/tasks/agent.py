@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from im_bringup.security.permissions import ENCLAVE_OVERRIDE, enclave_arguments
-from im_bringup.tasks.dead_ports import DeadPorts
 from im_bringup.tasks.deployment import Deployment, ParameterValue
 from im_bringup.tasks.loads import ProcessLoad
 from im_bringup.tasks.memory_limit import DEFAULT_MIB, excess, limit_memory, refused
@@ -29,6 +28,7 @@ from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskReport
 from im_core.processes.loop_heartbeat import Pulse
 from im_core.processes.process import ChildProcess, await_ends, last_words, may_copy
 from im_core.processes.startup import UNPROVED
+from im_core.ros.rclpy_fixes.dead_ports import DeadPorts
 from im_core.text.yamltext import write_yaml
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.
@@ -160,7 +160,7 @@ class Agent:
         self.respawn = False
         self._order = ""
         self._usage = ProcessLoad()
-        self._dead_ports = DeadPorts(int(environment.get("ROS_DOMAIN_ID") or 0))
+        self._dead_ports = DeadPorts()
 
     def start(self) -> list[Started]:
         """Start all processes.

@@ -38,6 +38,7 @@ from im_core.ros.peers.servers import node_of
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.backlog import serve_waiting
+from im_core.ros.rclpy_fixes.dead_ports import passed_over
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.rclpy_fixes.timers import punctual_timer
 from im_core.ros.urgent import UrgentReaders
@@ -94,7 +95,8 @@ class GuardedNode(Node):
         self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
-        super().__init__(name, **options)
+        with passed_over():
+            super().__init__(name, **options)
         self._logger: RcutilsLogger = Logger(Node.get_logger(self).name)
 
     @property

@@ -1,0 +1,82 @@
+"""Ports of killed readers are held where processes still write: Fast DDS gives them to nobody."""
+
+import mmap
+import os
+from contextlib import ExitStack
+
+import pytest
+
+from im_core.ros.rclpy_fixes import dead_ports
+from im_core.ros.rclpy_fixes.dead_ports import MOST_HELD, DeadPorts, passed_over
+from im_core.shm_names import SHM, lock, mapped
+
+
+@pytest.fixture
+def port(tmp_path, monkeypatch):
+    """Makes the lock file of a port, whose reader lives or not, with the port in the memory of a process or not."""
+    monkeypatch.setattr(dead_ports, "SHM", tmp_path)
+    written = set()
+    monkeypatch.setattr(dead_ports, "mapped", lambda: written)
+    with ExitStack() as held:
+
+        def make(number, lives=False, in_memory=True):
+            path = tmp_path / f"fastrtps_port{number}_el"
+            path.touch()
+            if lives:
+                held.callback(os.close, lock(path))
+            if in_memory:
+                written.add(f"fastrtps_port{number}")
+            return path
+
+        yield make
+
+
+def is_free(path):
+    try:
+        os.close(lock(path))
+    except OSError:
+        return False
+    return True
+
+
+def test_ports_of_killed_readers_are_held_until_the_end(port):
+    dead, _, unused = port(7411), port(7413, lives=True), port(7415, in_memory=False)
+    ports = DeadPorts()
+    assert ports.hold() == ["fastrtps_port7411"]
+    assert not is_free(dead)
+    assert is_free(unused)
+    assert ports.hold() == []
+    ports.close()
+    assert is_free(dead)
+
+
+def test_other_files_of_fast_dds_are_left_alone(tmp_path, port):
+    (port(7411).parent / "fastrtps_port7411_el").unlink()
+    for name in ("fastrtps_port7411_sl", "fastrtps_0123456789abcdef_el", "fastrtps_port7411", "fastrtps_port_el"):
+        (tmp_path / name).touch()
+    (tmp_path / "fastrtps_port7411_el").symlink_to("/etc/passwd")
+    assert DeadPorts().hold() == []
+
+
+def test_the_oldest_are_given_back_where_there_are_too_many(port):
+    paths = [port(7400 + number) for number in range(MOST_HELD + 3)]
+    ports = DeadPorts()
+    assert len(ports.hold()) == len(paths)
+    assert [is_free(path) for path in paths] == [True] * 3 + [False] * MOST_HELD
+
+
+def test_dead_ports_are_held_while_a_node_is_made(port):
+    dead = port(7411)
+    with passed_over():
+        assert not is_free(dead)
+    assert is_free(dead)
+
+
+def test_a_removed_file_in_memory_is_seen():
+    name = f"im_test_{os.getpid()}"
+    path = SHM / name
+    path.write_bytes(b"written")
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0):
+        path.unlink()
+        assert name in mapped()
+    assert name not in mapped()
