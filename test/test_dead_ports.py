@@ -10,8 +10,8 @@ import threading
 import pytest
 from std_msgs.msg import Int32
 
+from im_core.dead_ports import DeadPorts
 from im_core.ros.node import ManagedNode
-from im_core.ros.rclpy_fixes.dead_ports import DeadPorts
 from im_core.shm_names import SHM
 
 LISTENER = """

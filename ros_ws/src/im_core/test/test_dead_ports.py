@@ -6,8 +6,8 @@ from contextlib import ExitStack
 
 import pytest
 
-from im_core.ros.rclpy_fixes import dead_ports
-from im_core.ros.rclpy_fixes.dead_ports import MOST_HELD, DeadPorts, passed_over
+from im_core import dead_ports
+from im_core.dead_ports import MOST_HELD, DeadPorts, passed_over
 from im_core.shm_names import SHM, lock, mapped
 
 

@@ -18,6 +18,7 @@ from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names
 from im_core.config import package_file
+from im_core.dead_ports import DeadPorts
 from im_core.errors import LinkError
 from im_core.executables import path_of
 from im_core.files import make_folder, read_text, write_whole
@@ -28,7 +29,6 @@ from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskReport
 from im_core.processes.loop_heartbeat import Pulse
 from im_core.processes.process import ChildProcess, await_ends, last_words, may_copy
 from im_core.processes.startup import UNPROVED
-from im_core.ros.rclpy_fixes.dead_ports import DeadPorts
 from im_core.text.yamltext import write_yaml
 
 #: Every process of a machine has this in its environment, with the machine's instance as value.

@@ -26,6 +26,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
+from im_core.dead_ports import passed_over
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
 from im_core.ros.failures import Failures, few, sentence
@@ -38,7 +39,6 @@ from im_core.ros.peers.servers import node_of
 from im_core.ros.rclpy_fixes import one_reader
 from im_core.ros.rclpy_fixes.action_events import ActionEvents
 from im_core.ros.rclpy_fixes.backlog import serve_waiting
-from im_core.ros.rclpy_fixes.dead_ports import passed_over
 from im_core.ros.rclpy_fixes.late_answers import LateAnswers, unreached
 from im_core.ros.rclpy_fixes.timers import punctual_timer
 from im_core.ros.urgent import UrgentReaders

@@ -1,4 +1,4 @@
-"""Pass over ports of Fast DDS in shared memory whose readers were killed, while processes still write there.
+"""Pass over ports of Fast DDS in shared memory with a killed reader and living writers.
 
 - Upstream: a new process gets the first port without a living reader. The watch of the senders notices a dead reader
   that waited for a message or was busy with one. A reader killed between the two looks alive for ever: senders go on
