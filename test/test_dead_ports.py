@@ -10,7 +10,6 @@ import threading
 import pytest
 from std_msgs.msg import Int32
 
-from im_core.dead_ports import DeadPorts
 from im_core.ros.node import ManagedNode
 from im_core.shm_names import SHM
 
@@ -39,7 +38,7 @@ class Listener:
     def __init__(self, kind):
         command = [sys.executable, "-c", LISTENER.format(kind=kind)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout.readline() == "begun\n"
+        assert "begun\n" in iter(self.process.stdout.readline, "")
         self._heard = threading.Event()
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -111,12 +110,3 @@ def test_the_next_node_hears(listener, deadly, times):
         following = listener("GuardedNode")
         assert following.hears()
         following.kill(between_messages=True)
-
-
-def test_the_next_process_of_another_hears_where_the_port_is_held(listener, deadly):
-    ports = DeadPorts()
-    try:
-        assert ports.hold()
-        assert listener("Node").hears()
-    finally:
-        ports.close()

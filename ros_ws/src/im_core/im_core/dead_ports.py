@@ -3,7 +3,8 @@
 - Upstream: a new process gets the first port without a living reader. The watch of the senders notices a dead reader
   that waited for a message or was busy with one. A reader killed between the two looks alive for ever: senders go on
   to write into the removed memory, and each next process at that port hears nothing of them.
-- Mend: lock such ports while a process takes its own; Fast DDS passes over a locked port.
+- Mend: lock such ports while a process takes its own; Fast DDS passes over a locked port. They are not locked for
+  longer: where the last writer removes a locked port, each new process would print an error.
 - Issue: none is known.
 - Seen: Fast DDS 2.14 (Jazzy), ``SharedMemGlobal.hpp``.
 - Test: ``test_fast_dds_still_leaves_the_next_process_deaf`` in ``test/test_dead_ports.py`` fails once upstream has
@@ -12,55 +13,37 @@
 
 import os
 import re
-from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 from im_core.ownership import is_own
 from im_core.shm_names import SHM, lock, mapped
 
-#: Ports held at most: Fast DDS tries 100, and living processes need some.
-MOST_HELD = 24
+#: Ports passed over at most, the last made first: Fast DDS tries 100, and living processes need some.
+MOST_HELD = 48
 #: The lock file of a port with one reader.
 _LOCK_FILE = re.compile(r"(fastrtps_port\d+)_el")
 
 
-class DeadPorts:
-    """Keeps the locks of ports of dead readers."""
+@contextmanager
+def passed_over() -> Iterator[list[str]]:
+    """Hold the dead ports while a block makes a node: with the first node of a process, Fast DDS chooses its ports.
 
-    def __init__(self) -> None:
-        self._held: deque[int] = deque()
-
-    def hold(self) -> list[str]:
-        """Lock each port without a living reader in the memory of a process; return the names of the new ones."""
-        free, found = [], []
-        for path in filter(is_own, sorted(SHM.glob("fastrtps_port*_el"))):
-            if match := _LOCK_FILE.fullmatch(path.name):
-                with suppress(OSError):  # of a living process, held already, or gone meanwhile
-                    free.append((match[1], lock(path)))
-        written = mapped() if free else set()
-        for port, descriptor in free:
-            if port in written:
-                self._held.append(descriptor)
-                found.append(port)
+    Yields:
+        Names of the ports.
+    """
+    made, locks = {}, {}
+    for path in filter(is_own, SHM.glob("fastrtps_port*_el")):
+        if match := _LOCK_FILE.fullmatch(path.name):
+            with suppress(OSError):  # removed by the last writer, or of a living process
+                made[match[1]] = (SHM / match[1]).stat().st_mtime_ns
+                locks[match[1]] = lock(path)
+    with ExitStack() as held:
+        written = mapped() if locks else set()
+        dead = sorted(written & locks.keys(), key=made.__getitem__)[-MOST_HELD:]
+        for port, descriptor in locks.items():
+            if port in dead:
+                held.callback(os.close, descriptor)
             else:
                 os.close(descriptor)
-        while len(self._held) > MOST_HELD:
-            os.close(self._held.popleft())
-        return found
-
-    def close(self) -> None:
-        """Release all ports."""
-        while self._held:
-            os.close(self._held.popleft())
-
-
-@contextmanager
-def passed_over() -> Iterator[None]:
-    """Hold the dead ports while a block makes a node: with the first node of a process, Fast DDS chooses its ports."""
-    ports = DeadPorts()
-    ports.hold()
-    try:
-        yield
-    finally:
-        ports.close()
+        yield dead

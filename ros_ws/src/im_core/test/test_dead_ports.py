@@ -7,13 +7,13 @@ from contextlib import ExitStack
 import pytest
 
 from im_core import dead_ports
-from im_core.dead_ports import MOST_HELD, DeadPorts, passed_over
+from im_core.dead_ports import MOST_HELD, passed_over
 from im_core.shm_names import SHM, lock, mapped
 
 
 @pytest.fixture
 def port(tmp_path, monkeypatch):
-    """Makes the lock file of a port, whose reader lives or not, with the port in the memory of a process or not."""
+    """Makes a port and its lock file, whose reader lives or not, with the port in the memory of a process or not."""
     monkeypatch.setattr(dead_ports, "SHM", tmp_path)
     written = set()
     monkeypatch.setattr(dead_ports, "mapped", lambda: written)
@@ -22,6 +22,7 @@ def port(tmp_path, monkeypatch):
         def make(number, lives=False, in_memory=True):
             path = tmp_path / f"fastrtps_port{number}_el"
             path.touch()
+            (tmp_path / f"fastrtps_port{number}").touch()
             if lives:
                 held.callback(os.close, lock(path))
             if in_memory:
@@ -39,37 +40,33 @@ def is_free(path):
     return True
 
 
-def test_ports_of_killed_readers_are_held_until_the_end(port):
-    dead, _, unused = port(7411), port(7413, lives=True), port(7415, in_memory=False)
-    ports = DeadPorts()
-    assert ports.hold() == ["fastrtps_port7411"]
-    assert not is_free(dead)
-    assert is_free(unused)
-    assert ports.hold() == []
-    ports.close()
+def test_ports_of_killed_readers_are_held_while_a_node_is_made(port):
+    dead, _, unused, gone = port(7411), port(7413, lives=True), port(7415, in_memory=False), port(7417)
+    gone.with_name("fastrtps_port7417").unlink()
+    with passed_over() as passed:
+        assert passed == ["fastrtps_port7411"]
+        assert not is_free(dead)
+        assert is_free(unused)
+        assert is_free(gone)
     assert is_free(dead)
 
 
 def test_other_files_of_fast_dds_are_left_alone(tmp_path, port):
-    (port(7411).parent / "fastrtps_port7411_el").unlink()
-    for name in ("fastrtps_port7411_sl", "fastrtps_0123456789abcdef_el", "fastrtps_port7411", "fastrtps_port_el"):
-        (tmp_path / name).touch()
+    port(7411).unlink()
     (tmp_path / "fastrtps_port7411_el").symlink_to("/etc/passwd")
-    assert DeadPorts().hold() == []
+    for name in ("fastrtps_port7411_sl", "fastrtps_0123456789abcdef_el", "fastrtps_port_el"):
+        (tmp_path / name).touch()
+    with passed_over() as passed:
+        assert passed == []
 
 
-def test_the_oldest_are_given_back_where_there_are_too_many(port):
+def test_the_last_made_are_held_where_there_are_too_many(tmp_path, port):
     paths = [port(7400 + number) for number in range(MOST_HELD + 3)]
-    ports = DeadPorts()
-    assert len(ports.hold()) == len(paths)
-    assert [is_free(path) for path in paths] == [True] * 3 + [False] * MOST_HELD
-
-
-def test_dead_ports_are_held_while_a_node_is_made(port):
-    dead = port(7411)
+    for number in range(len(paths)):
+        os.utime(tmp_path / f"fastrtps_port{7400 + number}", (number, number))
     with passed_over():
-        assert not is_free(dead)
-    assert is_free(dead)
+        assert [is_free(path) for path in paths] == [True] * 3 + [False] * MOST_HELD
+    assert all(map(is_free, paths))
 
 
 def test_a_removed_file_in_memory_is_seen():

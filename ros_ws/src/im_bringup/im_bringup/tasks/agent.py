@@ -18,7 +18,6 @@ from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
 from im_core import clock, names
 from im_core.config import package_file
-from im_core.dead_ports import DeadPorts
 from im_core.errors import LinkError
 from im_core.executables import path_of
 from im_core.files import make_folder, read_text, write_whole
@@ -160,7 +159,6 @@ class Agent:
         self.respawn = False
         self._order = ""
         self._usage = ProcessLoad()
-        self._dead_ports = DeadPorts()
 
     def start(self) -> list[Started]:
         """Start all processes.
@@ -181,7 +179,6 @@ class Agent:
             self._tell(slot)
             if slot.child is not None and (code := slot.child.poll()) is not None:
                 slot.child = None
-                self._dead_ports.hold()  # before the next process chooses a port
                 events.append(Died(slot.command.tasks, self._plan(slot, code, now)))
                 slot.failure, slot.kill_at = "", math.inf
             elif slot.child is not None and now >= slot.kill_at:
@@ -272,7 +269,6 @@ class Agent:
         for child in everyone:
             child.send_signal(signal.SIGKILL)
         await_ends(everyone, patience, _KILL_AFTER_S + 0.4)
-        self._dead_ports.close()
         return killed
 
     def _start(self, slot: _Slot) -> Started:
