@@ -465,6 +465,24 @@ def test_a_command_that_fails_after_its_node_was_started_again_says_so(ros, tmp_
     assert second.commands.ended.last("serve").message.endswith("; before that: lone was started again")
 
 
+@pytest.mark.parametrize("file", ["lone.yaml", "mended.yaml"])
+def test_a_net_at_rest_in_the_journal_gives_way_to_the_file_of_the_next_start(ros, tmp_path, wait_until, file):
+    parameters = [Parameter("standalone", value=True), Parameter("journal_dir", value=str(tmp_path / "journal"))]
+    functions = {"try": lambda ctx: None, "mend": lambda ctx: None}
+
+    def lone(path):
+        return PntNode("lone", [path], functions, verifier=verify_to_load, parameter_overrides=parameters)
+
+    (tmp_path / "lone.yaml").write_text(LONE)
+    first = lone(tmp_path / "lone.yaml")
+    first.phase_configure()
+    first.destroy_node()
+    (tmp_path / file).write_text(LONE.replace("action: try", "action: mend"))
+    second = ros(lone(tmp_path / file))
+    wait_until(lambda: second.begun, "the node to begin")
+    assert second.exchange.nets["lone"].written.transitions["try"].action.name == "mend"
+
+
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):
     node = ros(Server("front", tmp_path, journal_sync="tape"))
     wait_until(lambda: node.failed, "the node to refuse")

@@ -38,12 +38,14 @@ class Library:
         verify: As given.
         left_out: Why nets of files are not loaded: the cell lacks what they need; by name of the file.
         changed: Nets of the journal whose files are not there any more as they were.
+        newer: Nets of the files that a person gave, where the journal has others of their names.
     """
 
     def __init__(self, files: Sequence[Path], verifier: Verifier) -> None:
         self.files, self.verify = list(files), verifier
         self.left_out: dict[str, str] = {}
         self.changed: list[str] = []
+        self.newer: list[Net] = []
         self._kept: Path | None = None
         self._known: dict[str, Net] = {}
         self._nodes: dict[str, str] = {}
@@ -59,7 +61,7 @@ class Library:
         self._node = node
         node.create_subscription(NetDescription, "/pnt/nets", self._learn, qos.LATCHED_NETS)
 
-    def nets(self, found: Mapping[str, tuple[str, str]]) -> list[Net]:
+    def nets(self, found: Mapping[str, tuple[str, str]], typed: bool) -> list[Net]:
         """Load the first nets, without those that need more parts than the cell has.
 
         A mission goes on with its nets as they were: of a file that has changed since, with the one that was kept.
@@ -67,12 +69,18 @@ class Library:
         Args:
             found: The nets of the journal, with the files they came from, and their fingerprints; empty: those the node
                 was made with.
+            typed: Whether a person gave the files with this start.
 
         Raises:
             NetFileError: A file is not a net.
             NetError: Two files have nets of the same name.
         """
         files = [self._as_it_was(name, *known) for name, known in found.items()] if found else self.files
+        for file in self.files if found and typed else ():
+            with contextlib.suppress(ImError):  # no net any more, or gone: the mission goes on without the file
+                net = load_net(file)
+                if net.name in found and fingerprint(net) != found[net.name][1]:
+                    self.newer.append(net)
         nets, self.left_out = load_present(files)
         return list(nets_by_name(nets).values())
 

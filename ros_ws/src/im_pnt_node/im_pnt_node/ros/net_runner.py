@@ -48,6 +48,7 @@ VERIFIER = "im_pnt_analysis:verify_to_load"
 PAGE = "im_pnt_display"
 DOM_S = 5.0
 PATIENCE_S = 5.0
+_LOOK_S = 0.05
 """How long cancelled commands may go on without any action under way [s]."""
 
 
@@ -188,13 +189,15 @@ class RunNode(PntNode):
                 self.exit_code = REFUSED
                 self.finished()
                 return
-            await pause(self, 0.05)
+            await pause(self, _LOOK_S)
         if self._order is None:
             self.finished()
 
     async def _obey(self, order: Order) -> None:
         self.exit_code = REFUSED  # until it is done
         try:
+            while not self.begun:
+                await pause(self, _LOOK_S)
             going_on = [each for each in self.commands.open() if each.job.command.symbol == order.symbol]
             same = next((each for each in going_on if each.job.command.arguments == order.arguments), None)
             if same is not None:

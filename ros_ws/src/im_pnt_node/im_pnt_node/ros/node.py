@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rclpy.parameter import Parameter
 
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, ImError
 from im_core.names import ESTOP, RESUMES, RUN, results_dir, run_dir
 from im_core.processes.startup import net_digest, nets_sentence
 from im_core.ros.dom import DomClient
@@ -77,6 +77,7 @@ class PntNode(ManagedNode):
         commands: The commands that have not ended.
         loader: Takes nets in and out.
         seed: Seed of choices.
+        begun: Whether the nets may fire: those of changed files are there, and data objects are read.
     """
 
     def __init__(
@@ -140,7 +141,7 @@ class PntNode(ManagedNode):
             self._recorder,
         )
         self._book = StrategyBook()
-        self._looked = False
+        self.begun = False
         self.heartbeats.on_incarnation(self._task_began)
         self.dom.damaged = self._observer.lost_object
 
@@ -184,11 +185,12 @@ class PntNode(ManagedNode):
             self._library.keep_in(folder / "nets")
             stopped = (self._journal_dir.parent / ESTOP).exists()
             held = None if journal.of_this_run else stopped or not os.environ.get(RESUMES)
-        self.loader.begin(self.completed(self._library.nets(journal.found if journal else {})))
+        self.loader.begin(self.completed(self._library.nets(journal.found if journal else {}, RUN not in os.environ)))
         self._library.keep(executor.written for executor in self.exchange.nets.values())
-        for net in self._library.changed:
+        newer = {net.name for net in self._library.newer}
+        for name in (name for name in self._library.changed if name not in newer):
             self.get_logger().warning(
-                f"the file of net {net} has changed since the mission began, which goes on with the net as it was; "
+                f"the file of net {name} has changed since the mission began, which goes on with the net as it was; "
                 "load the file, or begin a new mission"
             )
         self.detail = nets_sentence(self.exchange.nets)
@@ -279,11 +281,26 @@ class PntNode(ManagedNode):
     # The loop.
 
     async def _begin(self) -> None:
-        """Read the data objects of guards and marked places; nothing fires before."""
+        """Take newer nets, and read the data objects of guards and marked places; nothing fires before."""
+        for net in self._library.newer:
+            await self._renew(net)
         await self._validity.compare()
-        self._looked = True
+        self.begun = True
         self._mission.begin()
         self._loop.wake()
+
+    async def _renew(self, net: Net) -> None:
+        """Take a net in the place of the one that the journal has, unless that is busy."""
+        told = f"net {net.name} of {net.source} is another than that of the journal"
+        if busy := "; ".join(self.exchange.nets[net.name].at_rest().reasons):
+            self.get_logger().warning(f"{told}, which is busy and goes on as it was: {busy}")
+            return
+        try:
+            await self.load_net(net)
+        except ImError as error:
+            self.get_logger().warning(f"{told}, which goes on as it was: {error.message}")
+        else:
+            self.get_logger().info(f"{told}, and takes its place")
 
     def _task_began(self, task: str, again: bool) -> None:
         if again:
@@ -292,7 +309,7 @@ class PntNode(ManagedNode):
             self.spawn(self._validity.compare())
 
     def _may_turn(self) -> bool:
-        return (self.ready and self._looked) or self._stopped
+        return (self.ready and self.begun) or self._stopped
 
     def _tidy(self) -> None:
         """Give up requests without a waiting job, and write the journal entries of the change."""

@@ -132,7 +132,7 @@ class TransitionFile(FilePart):
             str,
             TextForm(
                 rf"\s*(not\s+)?({FUNCTION}|\$\{{.*\}})\s*",
-                "is not a name or ${...}, nor 'not' and one of these",
+                "is not a name or ${...}, nor 'not' and one of these; an expression stands in ${ }",
                 like_truth=True,
             ),
         ]
