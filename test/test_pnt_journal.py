@@ -480,7 +480,7 @@ def test_a_net_at_rest_in_the_journal_gives_way_to_the_file_of_the_next_start(ro
     (tmp_path / file).write_text(LONE.replace("action: try", "action: mend"))
     second = ros(lone(tmp_path / file))
     wait_until(lambda: second.begun, "the node to begin")
-    assert second.exchange.nets["lone"].written.transitions["try"].action.name == "mend"
+    assert second.exchange.nets["lone"].written.transitions["try"].action.function == "mend"
 
 
 def test_a_journal_that_waits_for_something_else_is_refused(tmp_path, ros, wait_until):
