@@ -127,3 +127,15 @@ def test_each_message_of_the_troubleshooting_is_one_that_is_printed():
     messages = [message for message in messages if message != "message"]
     assert len(messages) > 15
     assert not [message for message in messages if message not in said]
+
+
+def test_files_of_the_docs_that_programs_name_exist():
+    sources = [*ROOT.glob("ros_ws/src/*/im*/**/*.py"), *ROOT.glob("bench/**/*.py"), *(ROOT / "scripts").iterdir()]
+    named = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sources
+        if path.is_file()
+        for name in re.findall(r"\bdocs/[\w/]+\.\w+", path.read_text(encoding="utf-8"))
+        if not (ROOT / name).exists()
+    }
+    assert not named

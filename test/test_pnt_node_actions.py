@@ -516,7 +516,7 @@ def test_a_server_that_was_there_is_waited_for_also_before_it_was_needed(machine
 def test_two_servers_of_one_name_are_asked_nothing(machine, monkeypatch):
     """Each would carry out the goal: two robots without namespaces, or one that was left in the background."""
     node, hardware, _, _ = machine
-    monkeypatch.setattr("im_pnt_node.ros.execution.actions.SUCCESSION_S", 1.0)
+    monkeypatch.setattr("im_pnt_node.ros.execution.actions.SUCCESSION_S", 1e6)  # two that live are no succession
     twin, goals = rclpy.create_node("twin"), []
     servers = [
         ActionServer(each, FollowJointTrajectory, "/elsewhere/follow", hardware._trajectory,
@@ -529,6 +529,29 @@ def test_two_servers_of_one_name_are_asked_nothing(machine, monkeypatch):
     twin.destroy_node()
     assert "2 nodes serve the action /elsewhere/follow: /hardware, /twin; nothing is sent" in message
     assert goals == []
+
+
+def test_a_second_server_that_is_discovered_while_the_first_settles_counts(machine, monkeypatch):
+    node, hardware, _, _ = machine
+    settled = []
+
+    async def settle(waiting, seconds):
+        settled.append(seconds)
+        await pause(waiting, 0.01)
+
+    known = {"servers_of": lambda *_: ["/hardware", "/twin"][: 1 + bool(settled)], "sure_to_live": lambda *_: 2}
+    for name, value in {**known, "pause": settle, "SETTLING_S": 1e6}.items():
+        monkeypatch.setattr(f"im_pnt_node.ros.execution.actions.{name}", value)
+    server = ActionServer(hardware, FollowJointTrajectory, "/elsewhere/follow", hardware._trajectory)
+    wait = node._runner._kinds[GoalAction].prepare(
+        GoalAction("/elsewhere/follow", "control_msgs/action/FollowJointTrajectory")
+    )
+    while not wait.ready():
+        clock.sleep(0.02)
+    message = run(node, "elsewhere").status.message
+    server.destroy()
+    assert "2 nodes serve the action /elsewhere/follow: /hardware, /twin; nothing is sent" in message
+    assert settled[0] > 1e3
 
 
 @pytest.mark.parametrize("waits", [True, False])

@@ -18,7 +18,7 @@ from im_pnt_analysis.timed.policy import BestPolicy, Rewards, best_policy
 _DESCRIPTION = """Computes which of the transitions that contend for a token to take in which marking, so that a net
 gains the most: in one command from its symbol to its answer (--command), or a second in the long run.
 
-  scripts/im pnt policy docs/nets/delivery.yaml --command deliver              the soonest answer
+  scripts/im pnt policy docs/nets/pick_and_place.yaml --command pick            the soonest answer
   scripts/im pnt policy cell.yaml --reward put=10 --reward drop!=-50 --reward waiting=-0.1/s
 
 A reward NAME=VALUE is of each end of a transition, NAME! of its failure, NAME+ of its begin; NAME=VALUE/s is of each

@@ -56,6 +56,11 @@ def server_ends(node: Node, name: str) -> list[TopicEndpointInfo]:
     return [end for end in ends if (process := _process_of(node, end)) is None or not process.ended()]
 
 
+def sure_to_live(node: Node, name: str) -> int:
+    """Count the servers of a name whose processes are known to live; arguments as of :func:`servers_of`."""
+    return sum(_process_of(node, end) is not None for end in server_ends(node, name))
+
+
 def _process_of(node: Node, end: TopicEndpointInfo) -> ProcessId | None:
     """Find the process of an end when it is seen first; None on another host, of another user, or in doubt.
 

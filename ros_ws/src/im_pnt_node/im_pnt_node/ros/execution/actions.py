@@ -19,7 +19,7 @@ from im_core.ros.messages.interfaces import interface_class
 from im_core.ros.messages.message_fields import filled
 from im_core.ros.messages.status import status_to_error
 from im_core.ros.node import ManagedNode
-from im_core.ros.peers.servers import doubted, offered_alike, server_ends, servers_of
+from im_core.ros.peers.servers import doubted, offered_alike, server_ends, servers_of, sure_to_live
 from im_pnt.errors import NetError
 from im_pnt.execution.functions import ActionContext, Functions
 from im_pnt.execution.jobs import Activity
@@ -181,17 +181,17 @@ class Surroundings:
                     where = f"in ROS domain {self.node.context.get_domain_id()}"
                     raise StateError(f"nobody offers {what} {where}{offered_alike(self.node, name)}")
             await pause(self.node, 0.05)
-        if task is None:
-            await self._until_alone(name, what, unwanted)
         heard = self.heartbeats.heard_since(task) if task else None
         settled = SETTLING_S + max(server.made, heard or server.made)
         if settled > monotonic():
             await pause(self.node, settled - monotonic())
+        if task is None:  # now that a second server has been discovered, too
+            await self._until_alone(name, what, unwanted)
 
     async def _until_alone(self, name: str, what: str, unwanted: Callable[[], bool]) -> None:
         began = monotonic()
         while len(servers := servers_of(self.node, name)) > 1 and not unwanted():
-            if monotonic() > began + SUCCESSION_S:
+            if monotonic() > began + SUCCESSION_S or sure_to_live(self.node, name) > 1:
                 told = f"{len(servers)} nodes serve {what}: {few(servers)}; nothing is sent, for each would take it"
                 raise StateError(f"{told}; end all but one, or give each a namespace", servers=servers)
             await pause(self.node, LOOK_S)
