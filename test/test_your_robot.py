@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from std_msgs.msg import String
 
 from im_core import clock
+from im_core.ros.node import ManagedNode
 from im_pnt_analysis.cli import main as pnt
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -268,3 +270,25 @@ def test_a_signal_that_comes_while_the_command_begins_cancels_the_command(tmp_pa
     child = process(sys.executable, "-c", INTERRUPTED, tmp_path / "stuck.yaml", "--symbol", "ask")
     assert child.wait(120.0) == 1
     assert "cancels ask; once more ends at once" in child.out.read_text()
+
+
+SAY = """
+net: say
+places: {idle: 1, said: , failed: }
+escalate: failed
+transitions:
+  tell: {symbol: say, in: idle, out: said, topic: {name: /said, type: std_msgs/msg/String, message: {data: hello}}}
+  end: {in: said, out: idle, emit: say_done}
+  give_up: {in: failed, out: idle, emit: say_failed}
+"""
+
+
+def test_a_message_of_a_process_that_has_just_begun_is_heard(tmp_path, ros, line, wait_until):
+    heard = []
+    node = ros(ManagedNode("hearer"))
+    node.create_subscription(String, "/said", lambda message: heard.append(message.data), 10)
+    (tmp_path / "say.yaml").write_text(SAY)
+    told = line(f"run {tmp_path}/say.yaml --symbol say")
+    wait_until(lambda: told.poll() is not None, "the end of the command")
+    assert told.returncode == 0
+    wait_until(lambda: heard == ["hello"], "the message")

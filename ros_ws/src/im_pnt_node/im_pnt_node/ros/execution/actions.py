@@ -334,26 +334,31 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
         self._surroundings.node.destroy_client(endpoint.client)
 
 
-class TopicActions(RosActions[Publisher]):
-    """Publisher of messages; an action has confirmed once the middleware has taken the message."""
+class TopicActions(RosActions[tuple[Publisher, float]]):
+    """Publisher of messages, with the time of its making; an action has confirmed once the middleware has a message."""
 
     async def perform(self, activity: Activity, context: ActionContext) -> dict[str, object]:
-        """Publish one message, without an answer.
+        """Publish one message, without an answer; a new publisher has to be discovered by its readers first.
 
         Raises:
             NetError: A field does not fit.
+            ImError: It was cancelled before it was sent.
         """
         action = activity.action
         assert isinstance(action, TopicAction)
+        publisher, made = self.prepare(action)
         message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
-        self.prepare(action).publish(message)
+        if made + SETTLING_S > monotonic():
+            await pause(self._surroundings.node, made + SETTLING_S - monotonic())
+        require_wanted(activity, action)
+        publisher.publish(message)
         return {}
 
-    def _make(self, name: str, type_name: str) -> Publisher:
-        return self._surroundings.node.create_publisher(interface_class(type_name), name, qos.EVENTS)
+    def _make(self, name: str, type_name: str) -> tuple[Publisher, float]:
+        return self._surroundings.node.create_publisher(interface_class(type_name), name, qos.EVENTS), monotonic()
 
-    def _destroy(self, endpoint: Publisher) -> None:
-        self._surroundings.node.destroy_publisher(endpoint)
+    def _destroy(self, endpoint: tuple[Publisher, float]) -> None:
+        self._surroundings.node.destroy_publisher(endpoint[0])
 
 
 # What they are made of, and what is read from answers.
@@ -405,7 +410,7 @@ async def handled(
     return plain_fields(answer, context.answer_ways, f"the answer of {action.name}")
 
 
-def require_wanted(activity: Activity, action: ServiceAction | GoalAction) -> None:
+def require_wanted(activity: Activity, action: ServiceAction | GoalAction | TopicAction) -> None:
     """Refuse to send for an action with a request to end.
 
     Raises:
