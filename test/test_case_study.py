@@ -98,7 +98,9 @@ def test_the_nets_are_the_program(first_run):
 
     _, firings = first_run
     ended = [(f.net, f.transition) for f in firings if f.phase == Firing.END]
-    read = [("calibrate_camera", name) for name in ("read_first_pos", "read_planned_pos", "read_next_pos")]
+    read = [
+        ("calibrate_camera", name) for name in ("read_first_pos", "read_next_pos.planned", "read_next_pos.unplanned")
+    ]
     assert sum(map(ended.count, read)) == FEW
     assert ended.count(("motion_coordinator", "move_manip")) == FEW
     assert ended.count(("calibrate_camera", "loop_done")) + ended.count(("calibrate_camera", "skip_done")) == 1
@@ -130,15 +132,15 @@ def the_arm_goes_on_while_the_light_is_searched(firings):
                 ("look", Firing.END),
                 ("move_robot", Firing.START),
                 ("find_spot", Firing.START),
-                ("keep_observation", Firing.END),
+                ("keep_observation.keep", Firing.END),
             )
         )
         assert looked < goes < pose.index(("move_robot", Firing.END))
         assert looked < searches < kept
         assert pose.index(("find_pos", Firing.END)) < goes
-        if ("plan_ahead", Firing.START) in pose:
-            assert pose.index(("plan_ahead", Firing.START)) < looked, "before the arm may go"
-            assert pose.index(("plan_ahead", Firing.END)) < goes
+        if ("plan_ahead.plan", Firing.START) in pose:
+            assert pose.index(("plan_ahead.plan", Firing.START)) < looked, "before the arm may go"
+            assert pose.index(("plan_ahead.plan", Firing.END)) < goes
 
 
 def test_calibration_reaches_the_standard_interfaces(first_run, machine):

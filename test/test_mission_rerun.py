@@ -85,10 +85,10 @@ def changed(tmp_path) -> Callable[..., Path]:
 
 
 def test_a_changed_guard_is_the_first_difference(capsys, changed):
-    net = changed("    guard: plans_ahead\n", "    guard: cancelled\n")
+    net = changed("    guard: not stays\n", "    guard: cancelled\n")
     told = differs(capsys, BAGS / "undisturbed", "--nets", net)
-    assert "net calibrate_camera, transition plan_ahead.start, command 1 (/dispatcher)" in told
-    assert "the bag:  plan_ahead.start fires" in told
+    assert "net calibrate_camera, transition move_robot.start, command 1 (/dispatcher)" in told
+    assert "the bag:  move_robot.start fires" in told
     assert "its guard cancelled is false" in told
 
 
@@ -122,8 +122,8 @@ def test_a_tolerance_allows_what_comes_later(capsys, changed):
 def test_a_changed_function_is_the_first_difference(capsys, monkeypatch):
     monkeypatch.setattr(PoseLoop, "more_poses", lambda self: self.remaining > 1)
     told = differs(capsys, BAGS / "undisturbed")
-    assert "the bag:  plan_ahead.start fires" in told
-    assert "now:      end_ahead fires" in told
+    assert "the bag:  plan_ahead.plan.start fires" in told
+    assert "now:      plan_ahead.end fires" in told
 
 
 def test_another_request_is_the_first_difference(capsys, monkeypatch):

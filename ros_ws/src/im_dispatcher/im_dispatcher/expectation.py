@@ -8,7 +8,7 @@ from im_pnt.model.net import Net
 from im_pnt_analysis import CommandDuration, compare, expected_command
 
 #: Ways back into the loop, and runs of the simulation where the expectation is not exact.
-LOOPS = ("plan_ahead", "read_next_pos", "skip_again")
+LOOPS = ("plan_ahead.plan", "read_next_pos.unplanned", "skip_again")
 RUNS = 200
 
 

@@ -14,7 +14,7 @@ places: {idle: 1, ready: , moved: , lost: }
 transitions:
   begin: {in: idle, out: ready, symbol: calibrate_camera}
   move: {in: ready, out: moved, action: move, delay: 2.0, on_failure: lost}
-  read_next_pos: {in: moved, out: ready, guard: more, weight: 5}
+  skip_again: {in: moved, out: ready, guard: more, weight: 5}
   loop_done: {in: moved, out: idle, guard: not more, emit: calibrate_camera_done}
   give_up: {in: lost, out: idle, emit: calibrate_camera_failed}
 """

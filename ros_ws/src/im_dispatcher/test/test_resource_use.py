@@ -58,13 +58,13 @@ class Played:
                 return {"group": group, "joints": [0.0] * 9}
             case "validate_path":
                 return {"group": group, "path": asked["path"]}
-            case "plan_ahead":
+            case "plan_ahead.plan":
                 return {"joints": [0.0] * 9}
             case "move_robot":
                 return {"planned": self.toss(ctx)}
             case "look" | "find_spot":
                 return {"cameras": self.dice.sample(["ceiling_left", "wall", "table"], 2), "light": f"{group}_led"}
-            case "keep_observation":
+            case "keep_observation.keep" | "keep_observation.keep_last":
                 return {"number": 1, "pose": "first"}
             case "compute_calibration":
                 return {**CALIBRATION, "group": group, "cameras": ["wall"]}
