@@ -50,7 +50,7 @@ def lock(path: Path) -> int:
 
 
 def mapped() -> set[str]:
-    """Return the names of the files of ``/dev/shm`` in the memory of processes, removed files included."""
+    """Return the names of files of ``/dev/shm`` in the memory of processes, also of removed files."""
     found: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with suppress(OSError):  # of another user, or gone meanwhile

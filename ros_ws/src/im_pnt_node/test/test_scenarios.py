@@ -25,7 +25,8 @@ from im_pnt_node.scenario.file import (
     StepFile,
     load_scenarios,
 )
-from im_pnt_node.scenario.run import Coverage, ScenarioRunner
+from im_pnt_node.scenario.report import Coverage
+from im_pnt_node.scenario.run import ScenarioRunner
 from im_pnt_node.scenario.verdict import judge, message_types, unreached
 
 ROOT = Path(__file__).resolve().parents[4]

@@ -30,7 +30,7 @@ class UrgentReaders:
         self._takes += others._takes
 
     def look(self) -> None:
-        """Take what waits, if the last look is :data:`LOOK_S` ago; within such a request nothing."""
+        """Take the waiting requests if the last look is :data:`LOOK_S` ago; take none within such a request."""
         if self._looking or not self._takes or clock.monotonic() < self._due:
             return
         self._looking = True

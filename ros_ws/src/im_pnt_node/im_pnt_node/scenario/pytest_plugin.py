@@ -53,7 +53,7 @@ class _Test(pytest.Item):
 
     def runtest(self) -> None:
         """Run the scenario."""
-        from im_pnt_node.scenario.run import Coverage
+        from im_pnt_node.scenario.report import Coverage
         from im_pnt_node.scenario.verdict import judge, message_types
 
         verdict = judge(self.scenarios, self.scenario, Coverage(), message_types())

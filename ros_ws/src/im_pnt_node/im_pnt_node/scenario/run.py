@@ -2,8 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from functools import partial
 
 from im_core.errors import ImError
@@ -11,12 +10,10 @@ from im_pnt.execution.events import CommandCancelled, RequestArrived, RequestCan
 from im_pnt.execution.executor import Executor
 from im_pnt.execution.firing.rule import DOUBT_CODE
 from im_pnt.execution.functions import ActionContext, Functions, GuardFunction
-from im_pnt.execution.jobs import Activity, ActivityState, Command, CommandResult, Job, Request
+from im_pnt.execution.jobs import Activity, ActivityState, Command, CommandResult, Request
 from im_pnt.execution.notification import Firing, Observer, Phase
 from im_pnt.execution.runner import FunctionRunner, Perform
-from im_pnt.execution.timers import Timer, Timers
-from im_pnt.execution.values import Done
-from im_pnt.expression.template import Way
+from im_pnt.execution.timers import Timers
 from im_pnt.model.action import (
     AwaitAction,
     FunctionAction,
@@ -29,6 +26,8 @@ from im_pnt.model.net import OTHERWISE, Guard, Net, Transition
 from im_pnt_node.distributed.exchange import Exchange
 from im_pnt_node.scenario.draws import Draws, ValueDraw
 from im_pnt_node.scenario.file import AnswerFile, Scenario, ScenarioSet, StepFile, split_name
+from im_pnt_node.scenario.mocks import SCOPE, AwaitedMessage, MockedObjects, Pause
+from im_pnt_node.scenario.report import Coverage, ScenarioOrder, ScenarioReport
 
 MOST_FIRINGS = 20_000
 """After which a run is taken for endless."""
@@ -39,88 +38,6 @@ _ANSWERED = (ServiceAction, GoalAction, AwaitAction)
 _TYPES = {ServiceAction: "_Response", GoalAction: "_Result", AwaitAction: ""}
 _CANCELLED = "the scenario cancels it"
 _BY_ITSELF = AnswerFile()
-
-
-@dataclass
-class ScenarioOrder:
-    """A command or request of a scenario.
-
-    Attributes:
-        number: Its number, that of its step from 1.
-        net: Its net.
-        name: Symbol or service.
-        is_request: Whether it is a request to a service.
-        began: When it was written [s].
-        arguments: Its arguments.
-        job: Its job; None: it is a request.
-        ended: When it ended [s]; None: it is open.
-        result: How it ended.
-    """
-
-    number: int
-    net: str
-    name: str
-    is_request: bool
-    began: float
-    arguments: dict[str, object]
-    job: Job | None = None
-    ended: float | None = None
-    result: CommandResult | None = None
-
-
-@dataclass
-class Coverage:
-    """Parts of nets reached by runs.
-
-    Attributes:
-        transitions: Transitions that have fired, by net.
-        guards: Answers of guards, by net and guard.
-    """
-
-    transitions: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
-    guards: dict[tuple[str, str], set[bool]] = field(default_factory=lambda: defaultdict(set))
-
-
-@dataclass
-class DrawnParts:
-    """Parts of a scenario file, as they were drawn.
-
-    Attributes:
-        steps: Commands and requests with all arguments, and cancellations.
-        answers: Answers by transition, in order.
-        guards: Answers of guards, in order.
-    """
-
-    steps: list[dict[str, object]] = field(default_factory=list)
-    answers: dict[str, list[dict[str, object]]] = field(default_factory=dict)
-    guards: dict[str, list[bool]] = field(default_factory=dict)
-
-
-@dataclass
-class ScenarioReport:
-    """Report of a run.
-
-    Attributes:
-        time: When it ended [s].
-        firings: Time [s], net, and transition with a mark as of :data:`~im_pnt_node.scenario.file.MARKS`.
-        orders: Commands and requests by the number of their step.
-        marking: Marked places by net.
-        unrest: Why a net is not at rest.
-        troubles: What nets have complained of.
-        not_begun: Numbers of steps whose ``while`` has not come.
-        endless: Whether it was ended by the limit of firings.
-        script: What was drawn, as parts of a scenario file: steps, answers, guards.
-    """
-
-    time: float = 0.0
-    firings: list[tuple[float, str, str]] = field(default_factory=list)
-    orders: dict[int, ScenarioOrder] = field(default_factory=dict)
-    marking: dict[str, dict[str, int]] = field(default_factory=dict)
-    unrest: list[str] = field(default_factory=list)
-    troubles: list[str] = field(default_factory=list)
-    not_begun: list[int] = field(default_factory=list)
-    endless: bool = False
-    script: DrawnParts = field(default_factory=DrawnParts)
 
 
 class ScenarioRunner(Observer):
@@ -148,10 +65,10 @@ class ScenarioRunner(Observer):
         self._guards = dict(self._file.guards)
         self._paused: set[Coroutine[object, object, None]] = set()
         self._asked: dict[tuple[str, str], tuple[int, bool]] = {}
-        self._objects = _MockedObjects(self._file.objects)
+        self._objects = MockedObjects(self._file.objects)
         self._waiting: dict[tuple[str, str], list[tuple[int, StepFile]]] = defaultdict(list)
         topics = (topic for step in self._file.steps for topic in step.messages)
-        self._listening: dict[str, list[_Hearing]] = {topic: [] for topic in topics}
+        self._listening: dict[str, list[AwaitedMessage]] = {topic: [] for topic in topics}
         self._latest: dict[str, Mapping[str, object]] = {}
         self._heard_at: dict[str, float] = {}
         self._watches = {(net.name, t.cancels) for net in scenarios.nets for t in net.transitions.values() if t.cancels}
@@ -269,11 +186,11 @@ class ScenarioRunner(Observer):
         self._outcome.orders[number] = order
         key = "symbol" if step.symbol is not None else "request"
         self._outcome.script.steps.append({"at": self._now, key: asked, "arguments": arguments})
-        command = Command(number, name if step.symbol else "", arguments, scope=f"{_SCOPE}{number}")
+        command = Command(number, name if step.symbol else "", arguments, scope=f"{SCOPE}{number}")
         if step.symbol is not None:
             order.job = executor.command(command, partial(self.end, order))
         else:
-            request = Request(f"{_SCOPE}{number}", net, name, "", "", "", command, arguments)
+            request = Request(f"{SCOPE}{number}", net, name, "", "", "", command, arguments)
             executor.post(RequestArrived(request))
 
     def end(self, order: ScenarioOrder, result: CommandResult) -> None:
@@ -284,7 +201,7 @@ class ScenarioRunner(Observer):
         """Take a reply to a request of the scenario; return whether it was one."""
         if request.caller_net:
             return False
-        order = self._outcome.orders[int(request.id.removeprefix(_SCOPE))]
+        order = self._outcome.orders[int(request.id.removeprefix(SCOPE))]
         self.end(order, CommandResult(error is None, error, results))
         return True
 
@@ -293,7 +210,7 @@ class ScenarioRunner(Observer):
         for executor in self._exchange.nets.values():
             executor.post(CommandCancelled(order.number, error))
         if order.is_request:
-            self._exchange.nets[order.net].post(RequestCancelled(f"{_SCOPE}{order.number}", error))
+            self._exchange.nets[order.net].post(RequestCancelled(f"{SCOPE}{order.number}", error))
 
     # Actions.
 
@@ -342,7 +259,7 @@ class ScenarioRunner(Observer):
                 return await self._heard(action, context, self._fields_read(transition, context, Draws()))
         answer = self._answer(key, transition, fields, context)
         mean = 0.0 if transition.delay is None else transition.delay.mean
-        pause = _Pause()
+        pause = Pause()
         after = math.inf if answer.silent else mean if answer.after is None else answer.after
         if not answer.silent:
             self._timers.at(self._now + after, pause.wake)
@@ -370,7 +287,7 @@ class ScenarioRunner(Observer):
         Raises:
             ImError: The condition has no value, or the wait is cancelled.
         """
-        hearing = _Hearing(action, context, empty)
+        hearing = AwaitedMessage(action, context, empty)
         context.on_cancel(hearing.pause.wake)
         listening = self._listening.setdefault(action.name, [])
         listening.append(hearing)
@@ -387,7 +304,7 @@ class ScenarioRunner(Observer):
             raise ImError(f"{action} was cancelled", code="cancelled")
         return hearing.fields
 
-    def _listen_for_silence(self, hearing: "_Hearing", action: AwaitAction, began: float, longest: float) -> None:
+    def _listen_for_silence(self, hearing: AwaitedMessage, action: AwaitAction, began: float, longest: float) -> None:
         """Have a wait fail once its topic has been silent for too long."""
         due = max(began, self._heard_at.get(action.name, began)) + longest
         if self._now < due:
@@ -454,7 +371,7 @@ class ScenarioRunner(Observer):
             pause = work.send(None)
         except StopIteration:
             return
-        assert isinstance(pause, _Pause)
+        assert isinstance(pause, Pause)
         pause.then = partial(self._go_on, work)
         self._paused.add(work)  # else only a cycle holds it, for garbage collection to break
 
@@ -489,61 +406,6 @@ class ScenarioRunner(Observer):
     def is_mocked(self, name: str) -> bool:
         """Return whether a registered guard is mocked: each that is no function of a user's module, or is written."""
         return name in self._guards or ":" not in name
-
-
-_SCOPE = "command-"
-
-
-class _Pause:
-    """Pause of a coroutine, ended once."""
-
-    def __init__(self) -> None:
-        self.then: Callable[[], None] | None = None
-        self._over = False
-
-    def __await__(self) -> Generator["_Pause", None, None]:
-        if not self._over:
-            yield self
-
-    def wake(self) -> None:
-        """End the pause."""
-        self._over, then, self.then = True, self.then, None
-        if then is not None:
-            then()
-
-
-class _Hearing:
-    """Wait for a message of a scenario.
-
-    Args:
-        action: The await.
-        context: What its condition is over.
-        empty: The fields that the net reads, empty.
-
-    Attributes:
-        pause: Ends with the first message that counts, or whose condition has no value.
-        fields: Its fields, None: there was none.
-        error: Why the condition has no value, or that its topic is silent.
-        timer: Strikes when it may be.
-    """
-
-    def __init__(self, action: AwaitAction, context: ActionContext, empty: Mapping[str, object]) -> None:
-        self._action, self._context, self._empty = action, context, empty
-        self.pause = _Pause()
-        self.fields: dict[str, object] | None = None
-        self.error: ImError | None = None
-        self.timer: Timer | None = None
-
-    def hear(self, message: Mapping[str, object]) -> None:
-        """Take a message."""
-        fields = {**self._empty, **message}
-        try:
-            if self._action.until is not None and not self._context.holds(self._action.until, fields):
-                return
-            self.fields = fields
-        except ImError as error:
-            self.error = error
-        self.pause.wake()
 
 
 class _WatchedFunctions(Functions):
@@ -589,47 +451,3 @@ class _ScenarioExchange(Exchange):
         """Send a reply to its net, or to the scenario."""
         if not self._run.replied(request, error, results):
             super().send_reply(request, error, results)
-
-
-class _MockedObjects:
-    """Data objects of a scenario (:class:`im_pnt.execution.values.Objects`).
-
-    Attributes:
-        stored: Fields by name, without the scope of the command.
-    """
-
-    def __init__(self, given: Mapping[str, Mapping[str, object]]) -> None:
-        self.stored: dict[str, Mapping[str, object]] = dict(given)
-
-    async def read(self, name: str, kind: str, ways: Sequence[Way]) -> Mapping[str, object]:
-        """Return the fields of an object."""
-        return self.latest(name, kind, ways)
-
-    def latest(self, name: str, kind: str, ways: Sequence[Way]) -> Mapping[str, object]:
-        """Return the fields of an object."""
-        del kind, ways
-        short = _short(name)
-        if short not in self.stored:
-            raise ImError(f"there is no data object '{short}' in the scenario", code="not_found")
-        return self.stored[short]
-
-    def stale(self) -> None:
-        """Do nothing: every read is new."""
-
-    async def put(self, name: str, kind: str, fields: Mapping[str, object], place: str = "") -> None:
-        """Store an object."""
-        del kind, place
-        self.stored[_short(name)] = fields
-
-    def run(self, work: Coroutine[object, object, None], done: Done) -> None:
-        """Run a coroutine, which waits for nothing."""
-        try:
-            work.send(None)
-        except StopIteration:
-            done(None)
-        except ImError as error:
-            done(error)
-
-
-def _short(name: str) -> str:
-    return name.partition("/")[2] if name.startswith(_SCOPE) else name

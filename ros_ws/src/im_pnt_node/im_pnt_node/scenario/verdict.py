@@ -12,7 +12,8 @@ from im_pnt.expression.types import MessageTypes, NoTypes
 from im_pnt.model.net import Guard
 from im_pnt_node.scenario.draws import Draws, ValueDraw, shrink
 from im_pnt_node.scenario.file import Scenario, ScenarioSet, StepFile, split_name
-from im_pnt_node.scenario.run import MOST_FIRINGS, Coverage, ScenarioOrder, ScenarioReport, ScenarioRunner
+from im_pnt_node.scenario.report import Coverage, ScenarioOrder, ScenarioReport
+from im_pnt_node.scenario.run import MOST_FIRINGS, ScenarioRunner
 
 _SHOWN = 30
 _NEAR_S = 1e-6
