@@ -15,6 +15,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
 from im_core.ownership import is_own
 from im_core.shm_names import SHM, lock, mapped
@@ -30,8 +31,11 @@ def passed_over() -> Iterator[list[str]]:
     """Hold the dead ports while a block makes a node: with the first node of a process, Fast DDS chooses its ports.
 
     Yields:
-        Names of the ports.
+        Names of the ports; none where the process has its ports.
     """
+    if _has_ports():
+        yield []
+        return
     made, locks = {}, {}
     for path in filter(is_own, SHM.glob("fastrtps_port*_el")):
         if match := _LOCK_FILE.fullmatch(path.name):
@@ -47,3 +51,13 @@ def passed_over() -> Iterator[list[str]]:
             else:
                 os.close(descriptor)
         yield dead
+
+
+def _has_ports() -> bool:
+    """Return whether the present process reads a port."""
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # closed meanwhile
+            path = descriptor.readlink()
+            if path.parent == SHM and _LOCK_FILE.fullmatch(path.name):
+                return True
+    return False

@@ -40,7 +40,8 @@ def is_free(path):
     return True
 
 
-def test_ports_of_killed_readers_are_held_while_a_node_is_made(port):
+def test_ports_of_killed_readers_are_held_while_a_node_is_made(port, monkeypatch):
+    monkeypatch.setattr(dead_ports, "_has_ports", lambda: False)  # the lock of the living one is of this process
     dead, _, unused, gone = port(7411), port(7413, lives=True), port(7415, in_memory=False), port(7417)
     gone.with_name("fastrtps_port7417").unlink()
     with passed_over() as passed:
@@ -67,6 +68,16 @@ def test_the_last_made_are_held_where_there_are_too_many(tmp_path, port):
     with passed_over():
         assert [is_free(path) for path in paths] == [True] * 3 + [False] * MOST_HELD
     assert all(map(is_free, paths))
+
+
+def test_a_process_with_a_port_looks_for_none(tmp_path, port):
+    port(7411)
+    with passed_over() as passed:
+        assert passed
+    descriptor = lock(port(7413))
+    with passed_over() as passed:
+        assert passed == []
+    os.close(descriptor)
 
 
 def test_a_removed_file_in_memory_is_seen():
