@@ -17,6 +17,7 @@ from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.targets.views import RobotPoses, TargetViews
 from im_cell.camera_model import CameraModel
 from im_cell.lens import EQUIDISTANT, RATIONAL_POLYNOMIAL, lens_of
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -90,7 +91,10 @@ def _targets_in_camera(views: TargetViews, c: int) -> dict[int, Array]:
     found = {}
     for k in usable:
         here = views.seen[c, k]
-        ideal = camera.undistort(views.spots[c, k, here])
+        try:
+            ideal = camera.undistort(views.spots[c, k, here])
+        except DataError:  # a lens to start from need not hold in each view
+            continue
         solved, turn, shift = cv2.solvePnP(views.points[here], ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
         if solved:
             found[int(k)] = _transform(np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift))
