@@ -53,7 +53,15 @@ def place_target(views: TargetViews) -> PlacedTarget:
         InconsistentDataError: No camera explains a camera's views; or the robot's poses do not belong to them as they
             are; what they would do with is named.
     """
-    seen = [_targets_in_camera(views, c) for c in range(len(views.camera_names))]
+    seen, faults = [], list[DegenerateDataError | InconsistentDataError]()
+    for c in range(len(views.camera_names)):
+        try:
+            seen.append(_targets_in_camera(views, c))
+        except (DegenerateDataError, InconsistentDataError) as error:
+            faults.append(error)
+    # a robot says for every camera where the target is: one that says little itself is judged with the others
+    if faults and (views.robot is None or not seen):
+        raise faults[0]
     if views.robot is None:
         places = _together(views, seen)
         still = np.tile(np.eye(4), (len(views.names), 1, 1))

@@ -82,14 +82,16 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 
 
 class ObjectsFile(Model):
-    """The free bodies of a cell, in its own file or in one beside it."""
+    """The free bodies and printed plates of a cell, in its own file or in one beside it."""
 
     objects: Annotated[tuple[FreeBody, ...], Field(max_length=MAX_BODIES)] = ()
+    targets: tuple[Target, ...] = ()
 
     @model_validator(mode="after")
     def _one_name_each(self) -> Self:
-        names = [body.name for body in self.objects]
-        for rank, name in enumerate(names):
-            if name in names[:rank]:
-                raise FieldError(("objects", rank, "name"), f"two objects have the same name, '{name}'")
+        for kind, parts in (("objects", self.objects), ("targets", self.targets)):
+            names = [part.name for part in parts]
+            for rank, name in enumerate(names):
+                if name in names[:rank]:
+                    raise FieldError((kind, rank, "name"), f"two {kind} have the same name, '{name}'")
         return self

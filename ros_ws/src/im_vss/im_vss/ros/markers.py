@@ -123,7 +123,7 @@ def _residuals(rank: int, entry: CameraEntry, spots: Array, residuals: Array) ->
 
 
 def _plate(rank: int, target: Target) -> Marker:
-    marker = _marker("objects", rank, "world", Marker.CUBE, _PLATE)
+    marker = _marker("objects", rank, target.parent, Marker.CUBE, _PLATE)
     rotation, position = target.pose()
     marker.pose = to_pose(position, rotation)
     marker.scale.x, marker.scale.y, marker.scale.z = target.plate, target.plate, _PLATE_M

@@ -18,6 +18,7 @@ from im_calibration import (
     InconsistentDataError,
     calibrate_possible,
     comparison,
+    dataset_of,
     largest_difference,
     problem_of,
     report_of,
@@ -123,7 +124,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs or ())
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)
-    write_observations(directory, problem)
+    write_observations(directory, dataset_of(problem))
     write_calibration(directory, calibration, problem, book, mounted, covariance)
     print(f"replay: {calibration.message}")
     code = _compared(call, json.loads(json.dumps(report_of(calibration, problem))), changed)
