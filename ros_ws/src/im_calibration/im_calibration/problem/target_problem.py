@@ -235,8 +235,8 @@ def table_of(views: TargetViews) -> dict[str, Any]:
         and {
             "poses": robot.poses.tolist(),
             "camera_moves": robot.camera_moves,
-            "sd_m": robot.sd_m,
-            "sd_rad": robot.sd_rad,
+            "sd_m": robot.sd_m if robot.covariances is None else None,
+            "sd_rad": robot.sd_rad if robot.covariances is None else None,
             "cov": None if robot.covariances is None else robot.covariances.tolist(),
             "J_arm": None if robot.arm is None else robot.arm.tolist(),
         },

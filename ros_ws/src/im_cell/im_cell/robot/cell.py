@@ -472,5 +472,6 @@ def load_cell(path: Path | str | None = None) -> Cell:
                 raise ConfigError(f"{beside}: parent of {target.name}: '{target.parent}' is no link of the cell")
             if target.name in taken:
                 raise ConfigError(f"{beside}: the cell has a target of the name '{target.name}' already")
-        cell = cell.model_copy(update={"objects": added.objects, "targets": (*cell.targets, *added.targets)})
+        targets, poses = (*cell.targets, *added.targets), added.board_poses or cell.board_poses
+        cell = cell.model_copy(update={"objects": added.objects, "targets": targets, "board_poses": poses})
     return cell

@@ -38,6 +38,9 @@ POSES = "calibration_poses"
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
 
+#: Arguments of the command that name its poses, and their defaults.
+_NAMED_POSES = {"poses_file": "", "target": "light"}
+
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5
 
@@ -111,7 +114,8 @@ class CalibrateCamera:
         """Read the poses and set the loop variable."""
         self._times.restart(ctx.command.id)
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
-        text = await self._host.noted_apart("poses", _poses_text, str(ctx.request_arguments.get("poses_file", "")))
+        named = [str(ctx.request_arguments.get(name, other)) for name, other in _NAMED_POSES.items()]
+        text = await self._host.noted_apart("poses", _poses_text, *named)
         file = read_json(PosesFile, text, "the poses")
         order = order_of(ctx.request_arguments, self._cameras, lambda _: file)
         poses = len(order.file.poses)
@@ -378,7 +382,7 @@ class CalibrateCamera:
         report = {
             **report,
             "light": ctx.memory["light"],
-            "target": ctx.memory["target"],
+            "board": ctx.memory["target"],
             "timing": self._host.noted("timing", timing),
             "seed": seed,
         }
@@ -415,8 +419,8 @@ class CalibrateCamera:
         return self._times
 
 
-def _poses_text(path: str) -> str:
-    return load_named_poses(path).model_dump_json()
+def _poses_text(path: str, target: str) -> str:
+    return load_named_poses(path, target).model_dump_json()
 
 
 def _write_observations(directory: str, cameras: list[str], target: str, observed: list[Mapping[str, object]]) -> str:

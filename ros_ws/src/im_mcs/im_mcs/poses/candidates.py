@@ -15,8 +15,8 @@ from im_mcs.poses.view import View, facing
 _BLOCK = 512
 # Nominal cameras and mounts may be off by this: the light faces them with this margin [rad].
 _FACING_MARGIN = 0.09
-# A board seen from farther off its axis is so foreshortened that its corners run together [rad].
-_BOARD_HALF_ANGLE = 1.05
+# Of a board seen from farther off its axis [rad], or with smaller squares in the image, the corners run together.
+_BOARD_HALF_ANGLE, _LEAST_SQUARE_PX = 1.05, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +28,14 @@ class Carried:
         axis: Direction that it faces there.
         least_cosine: Of the angle between that and a camera.
         rim: Places there that have to be in view with the middle, shape (k, 3) [m].
+        square: Side of the squares of a board [m]; 0 for the light.
     """
 
     offset: NDArray[np.float64]
     axis: NDArray[np.float64]
     least_cosine: float
     rim: NDArray[np.float64]
+    square: float
 
 
 def carried(cell: Cell, board: Target | None) -> Carried:
@@ -41,11 +43,11 @@ def carried(cell: Cell, board: Target | None) -> Carried:
     if board is None:
         axis = np.array(cell.led.axis) / np.linalg.norm(cell.led.axis)
         least_cosine = float(np.cos(min(cell.led.half_angle - _FACING_MARGIN, np.pi)))
-        return Carried(np.array(cell.led.offset), axis, least_cosine, np.zeros((0, 3)))
+        return Carried(np.array(cell.led.offset), axis, least_cosine, np.zeros((0, 3)), 0.0)
     rotation, position = board.pose()
     half = 0.5 * board.size * (np.array(board.corners) + 1.0)
     rim = position + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ rotation[:, :2].T
-    return Carried(position, rotation[:, 2], float(np.cos(_BOARD_HALF_ANGLE - _FACING_MARGIN)), rim)
+    return Carried(position, rotation[:, 2], float(np.cos(_BOARD_HALF_ANGLE - _FACING_MARGIN)), rim, board.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ def candidates(
             aim = pin.Quaternion.FromTwoVectors(axis, outward).matrix()
             rotation = aim @ pin.exp3(axis * (2.0 * np.pi * s[5]))
             wrist = pin.SE3(rotation, light - rotation @ offset)
-            if _whole(shown, wrist, views):
+            if _distinct(shown, wrist, views):
                 yield Candidate(light, wrist)
 
 
@@ -109,13 +111,20 @@ def held(shown: Carried, wrists: Iterable[pin.SE3], views: Sequence[View], max_t
         light, outward = wrist.act(shown.offset), wrist.rotation @ shown.axis
         towards, best = facing(light, views)
         turned = (towards @ outward).min() >= shown.least_cosine and best @ outward >= np.cos(max_tilt_rad)
-        if turned and _whole(shown, wrist, views):
+        if turned and _distinct(shown, wrist, views):
             yield Candidate(light, wrist)
 
 
-def _whole(shown: Carried, wrist: pin.SE3, views: Sequence[View]) -> bool:
-    """Whether all cameras see the rim."""
-    return all(view.sees(shown.rim @ wrist.rotation.T + wrist.translation).all() for view in views)
+def _distinct(shown: Carried, wrist: pin.SE3, views: Sequence[View]) -> bool:
+    """Whether all cameras see the rim, and the squares of a board large enough."""
+    for view in views:
+        towards = view.position - wrist.act(shown.offset)
+        across = view.lens.fx * shown.square * float(towards @ wrist.rotation @ shown.axis) / float(towards @ towards)
+        if shown.square and across < _LEAST_SQUARE_PX:
+            return False
+        if not view.sees(shown.rim @ wrist.rotation.T + wrist.translation).all():
+            return False
+    return True
 
 
 def _tilted(direction: NDArray[np.float64], angle: float, turn: float) -> NDArray[np.float64]:
