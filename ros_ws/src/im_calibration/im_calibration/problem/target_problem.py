@@ -177,7 +177,7 @@ def _roots(robot: RobotPoses, of: NDArray[np.intp], frames: Array, points: Array
     """
     if robot.covariances is not None:
         values, axes = np.linalg.eigh(robot.covariances)
-        return _levers(frames, points) @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of]
+        return np.asarray(_levers(frames, points) @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of])
     turn, shift = robot.sd_rad * np.eye(3), robot.sd_m * np.eye(3)
     if robot.camera_moves:
         # X = F q with F the inverse of the wrist's pose: a small turn w and shift s of the wrist, in its own axes,

@@ -23,7 +23,7 @@ from im_core import clock
 from im_core.errors import DataError, StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.text.bounded_json import read_data
-from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
+from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, Spot, SpotSet, TargetView
 from im_msgs.srv import Calibrate, FiducialPose, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
@@ -219,7 +219,8 @@ class VisionFunctions:
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
         """Store what was found, of a light if that was on all the time, and return the largest error of spots."""
-        target, seen = str(ctx.request_arguments["target"]), [*answer.spots, *answer.views]
+        target = str(ctx.request_arguments["target"])
+        seen: list[Spot | TargetView] = [*answer.spots, *answer.views]
         if not target:
             await self._lit.require(ctx, _light(ctx))
         missed = {each.camera: each.cause for each in seen if not each.found}
@@ -235,8 +236,8 @@ class VisionFunctions:
         spots = await self._host.dom.get(ctx.object("spots"), SpotSet)
         position = await self._host.dom.get(ctx.object("current_position"), GroupState)
         rest = _rest(position)
-        for seen in (*spots.spots, *spots.views):
-            rest.require_shown(seen.stamp.sec * 10**9 + seen.stamp.nanosec, pose)
+        for stamp in [*(spot.stamp for spot in spots.spots), *(view.stamp for view in spots.views)]:
+            rest.require_shown(stamp.sec * 10**9 + stamp.nanosec, pose)
         observation = Observation(pose=pose, wrist=position.wrist, rest_since=position.rest_since)
         if spots.views:
             observation.views = spots.views

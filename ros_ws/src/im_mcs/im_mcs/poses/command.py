@@ -34,6 +34,7 @@ exit codes: 0 the poses are written; 1 there are no such poses, and why; 2 wrong
 
 examples:  scripts/run.sh im_mcs poses --cameras wall table --output poses.yaml
            scripts/run.sh im_mcs poses --count 30
+           scripts/run.sh im_mcs poses --target board --cameras wall --output board_wall.yaml
 """
 
 

@@ -85,13 +85,17 @@ def _marker(camera: str, model: CameraModel, seen: Seen) -> Marker:
         case Lines():
             curves = tuple(Curve(_through_lens(model, fit)) for fit in seen.fits)
             return Marker(camera, f"{camera}: {_count(seen.fits, 'line')}", curves=curves)
-        case TargetPoints(name, None):
-            return Marker(camera, f"{camera}: {name} {NOT_SEEN}")
-        case TargetPoints(name, Detection() as found):
-            points = found.points[np.isfinite(found.points[:, 0])].tolist()
-            return Marker(camera, f"{camera}: {_count(tuple(points), 'point')} of {name}", tuple(map(tuple, points)))
+        case TargetPoints():
+            return _points(camera, seen)
         case Fiducials():
             return _fiducials(camera, model, seen)
+
+
+def _points(camera: str, seen: TargetPoints) -> Marker:
+    if seen.found is None:
+        return Marker(camera, f"{camera}: {seen.name} {NOT_SEEN}")
+    points = tuple((float(u), float(v)) for u, v in seen.found.points if np.isfinite(u))
+    return Marker(camera, f"{camera}: {_count(points, 'point')} of {seen.name}", points)
 
 
 def _spot(camera: str, finding: SpotFinding) -> Marker:
