@@ -53,7 +53,11 @@ def _place_line(report: Mapping[str, Any]) -> str:
     target = report.get("target")
     place = [row[3] for row in target["transform"][:3]] if target else report["led_offset_m"]
     values = ", ".join(f"{1e3 * value:.2f}" for value in place)
-    return f"{'target' if target else 'light':<17}({values}) mm from the {target['frame'] if target else 'wrist'}"
+    return (
+        f"target           ({values}) mm in the {target['frame']}"
+        if target
+        else f"light            ({values}) mm from the wrist"
+    )
 
 
 def error_lines(report: Mapping[str, Any]) -> str:
