@@ -149,7 +149,7 @@ def _derivatives(given: _Derivatives, shape: tuple[int, int, int]) -> Array:
 
 
 def _carried(views: _Views, place: Array, errors: Array) -> tuple[Array, Array]:
-    """Return positions of the points of a target on the wrist, and how far the true arm has them off, (n, 3) both."""
+    """Return positions of the points of a target on the wrist, and the shifts by the true arm, (n, 3) both."""
     poses = np.array(views.robot.poses)
     points = np.array(views.points_m) @ place[:3, :3].T + place[:3, 3]
     arms = np.einsum("kij,pj->kpi", poses[:, :3, :3], points)

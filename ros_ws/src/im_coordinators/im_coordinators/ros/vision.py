@@ -200,7 +200,7 @@ class VisionFunctions:
         return {**_of(ctx, "cameras", "target"), "exposure": self._host.parameter(LONG_EXPOSURE)}
 
     async def _require_shown(self, ctx: ActionContext) -> None:
-        """Check that the light is on, unless a target is looked at: that needs none."""
+        """Check that the light is on; a look at a target needs none."""
         if not ctx.request_arguments["target"]:
             await self._lit.require(ctx, _light(ctx))
             await self._require_lit(_light(ctx))
@@ -218,7 +218,7 @@ class VisionFunctions:
             await self._host.pause(PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
-        """Store what was found, of a light if that was on all the time, and return the largest error of spots."""
+        """Store spots or views, of a light if the light was on all the time; return the largest error of spots."""
         target = str(ctx.request_arguments["target"])
         seen: list[Spot | TargetView] = [*answer.spots, *answer.views]
         if not target:

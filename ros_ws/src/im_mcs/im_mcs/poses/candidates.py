@@ -21,7 +21,7 @@ _BOARD_HALF_ANGLE, _LEAST_SQUARE_PX = 1.05, 6.0
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """What an arm shows to cameras: the light, or a board.
+    """Light or board on an arm, shown to cameras.
 
     Attributes:
         offset: Its middle in the wrist's frame, shape (3,) [m].

@@ -223,7 +223,7 @@ class CameraBank:
         return unit.scene
 
     def _patches(self, unit: _Camera, placed: CameraModel) -> list[TargetPatch]:
-        """Return the targets in the image of a camera; what stands in front of a fixed camera is drawn once."""
+        """Return the targets in the image of a camera; standing ones of a fixed camera are drawn once."""
 
         def drawn(targets: Iterable[Target]) -> list[TargetPatch]:
             poses = ((target, in_world(target, self._scene.pose)) for target in targets)

@@ -97,7 +97,7 @@ class SvcSpotFind(VisionService):
 def find(
     service: VisionService, client: VisionClient, request: SpotFindRequest, exposed: Exposed = nobody
 ) -> SpotFindResult:
-    """Find what a request asks for in new images; arguments as of :func:`find_in_pairs`.
+    """Find light or target in new images; arguments as of :func:`find_in_pairs`.
 
     Raises:
         ImError: See :meth:`SvcSpotFind.serve`.
