@@ -162,6 +162,9 @@ def views_of(
     spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
     poses = np.tile(np.eye(4), (len(observations), 1, 1))
     for k, observation in enumerate(observations):
+        numbers = observation.position, observation.wrist_covariance, observation.arm_jacobian
+        if not all(np.isfinite(each).all() for each in numbers):
+            raise DataError(f"pose '{observation.pose}' holds a value that is not finite", pose=observation.pose)
         poses[k, :3, :3], poses[k, :3, 3] = observation.rotation, observation.position
         for camera, seen in observation.views.items():
             if camera not in known:

@@ -111,6 +111,10 @@ def _parser() -> argparse.ArgumentParser:
 def _recalibrate(options: argparse.Namespace) -> int:
     directory = _folder(options)
     call = _chosen(options)
+    if getattr(call.request, "target", ""):  # bags of former versions have none
+        raise DataError(
+            f"{options.bag}: its calibration is by a board; `im calibrate --again` computes its folder again"
+        )
     cell = load_cell()
     settings = load_settings(cell)
     request = _narrowed(from_request(call.request), options, settings)

@@ -47,17 +47,17 @@ class CalibrateRequest:
         cameras: Names of the cameras; they are estimated together.
         observations: What they saw.
         lengths: Known lengths that judge the robot's scale.
-        target: Name of the target of the cell in the observations; empty: they are of the light.
         directory: Where plots and files go; None: nowhere.
         apply: Whether a result that can be used becomes the cameras' calibration.
+        target: Name of the target of the cell in the observations; empty: they are of the light.
     """
 
     cameras: tuple[str, ...]
     observations: tuple[Observation, ...]
     lengths: tuple[SeenLength, ...] = ()
-    target: str = ""
     directory: Path | None = None
     apply: bool = False
+    target: str = ""
 
 
 @dataclass(frozen=True)
