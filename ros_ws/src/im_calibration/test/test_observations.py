@@ -1,13 +1,15 @@
 """Observations of the light on a wrist, from messages to a problem: the derivatives by the errors of the arm."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from im_calibration import problem_of
+from im_calibration import Observation, SeenPoints, problem_of, views_of
 from im_calibration.problem.observations import observation_of
-from im_core.errors import DataError
+from im_calibration.targets.target import target_of
+from im_core.errors import DataError, ImError
 
 JACOBIANS = np.arange(24, dtype=float).reshape(2, 3, 4) * 1e-5
 
@@ -57,7 +59,10 @@ def chessboard():
         ({"position": np.array([0.0, np.nan, 0.0])}, "pose 'p1' holds a value that is not finite"),
         ({"wrist_covariance": np.full((6, 6), np.inf)}, "pose 'p1' holds a value that is not finite"),
         ({"views": {"wal": SeenPoints(np.zeros((30, 2)), np.ones(30), 5)}}, "there is no camera 'wal'"),
-        ({"views": {"wall": SeenPoints(np.zeros((29, 2)), np.ones(29), 5)}}, "wall has 29 points, the target .* has 30"),
+        (
+            {"views": {"wall": SeenPoints(np.zeros((29, 2)), np.ones(29), 5)}},
+            "wall has 29 points, the target .* has 30",
+        ),
         ({"arm_jacobian": np.zeros((6, 3))}, "arm_jacobian of shapes"),
     ],
 )

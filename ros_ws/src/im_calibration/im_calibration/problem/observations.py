@@ -210,9 +210,9 @@ def observation_of(message: Any) -> Observation:
             without three rows, with views six.
     """
     views = _views_seen(getattr(message, "views", ()), f"pose '{message.pose}'")  # bags of former versions have none
-    rows = 6 if views else 3
+    rows, count = (6, "six") if views else (3, "three")
     if len(message.arm_jacobian) % rows:
-        told = f"arm_jacobian of pose '{message.pose}' has {len(message.arm_jacobian)} numbers, {rows} rows are needed"
+        told = f"arm_jacobian of pose '{message.pose}' has {len(message.arm_jacobian)} numbers, {count} rows are needed"
         raise DataError(told)
     position, q = message.wrist.position, message.wrist.orientation
     return Observation(
