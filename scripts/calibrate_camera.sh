@@ -5,6 +5,7 @@
 #   scripts/calibrate_camera.sh                              the two ceiling cameras, the cell's own poses
 #   scripts/calibrate_camera.sh --cameras ceiling_left       one camera
 #   scripts/calibrate_camera.sh --poses my_poses.yaml        other poses of the wrist
+#   scripts/calibrate_camera.sh --target board           by a chessboard on the arm, in place of its light
 #   scripts/calibrate_camera.sh --accuracy 0.3mm             until that error is expected, by the poses that tell most
 #   scripts/calibrate_camera.sh --json > report.json         the report as JSON; progress goes to stderr
 #
@@ -31,13 +32,13 @@ while (($#)); do
       given+=(--poses-file "$(realpath -m -- "$2")")
       shift 2
       ;;
-    --accuracy)
-      [[ $# -gt 1 ]] || die 2 "--accuracy: expected one argument"
-      given+=(--accuracy "$2")
+    --accuracy | --target)
+      [[ $# -gt 1 ]] || die 2 "$1: expected one argument"
+      given+=("$1" "$2")
       shift 2
       ;;
     --json) json=1; shift ;;
-    *) die 2 "there is no $1; there are --cameras, --poses, --accuracy and --json" ;;
+    *) die 2 "there is no $1; there are --cameras, --poses, --target, --accuracy and --json" ;;
   esac
 done
 im_env

@@ -116,7 +116,7 @@ def test_scripts_are_executable_bash(name):
         (
             "calibrate_camera",
             ["--json", "--camera", "wall"],
-            "there is no --camera; there are --cameras, --poses, --accuracy",
+            "there is no --camera; there are --cameras, --poses, --target, --accuracy",
         ),
         ("run", ["im_dm"], "run: there is no package with executables 'im_dm'; did you mean 'im_dom'?"),
         ("run", ["im_dom", "dm"], "run: there is no executable of im_dom 'dm'; did you mean 'dom'?"),

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
@@ -20,10 +22,12 @@ from im_cell.calibration_files import read_calibration
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
 from im_core import clock
+from im_core.errors import DataError
 from im_core.ros import qos
 from im_msgs.msg import Observation, Spot
 from im_msgs.srv import Calibrate, Snap, SpotFind, SpotFindStereo, VisionCancel
 from im_sim.cameras.bank import STEPS
+from im_vss.ros.messages import to_camera_info
 from support.flood import Flood
 
 CEILING = ["ceiling_left", "ceiling_right"]
@@ -338,6 +342,37 @@ def test_markers_show_what_cameras_see_and_which_lights_are_on(machine):
     machine.light(on=True)
     machine.until(lambda: newest("lights")["left_led"].color != dark)
     assert newest("lights")["right_led"].color == dark
+
+
+def test_a_lens_that_folds_the_corners_of_its_image_takes_nothing_from_the_other_cameras(machine):
+    """Its own view is drawn as far as the lens can be inverted."""
+    told = machine.listen(MarkerArray, "/markers", qos.LATCHED)
+    health = machine.listen(DiagnosticArray, "/diagnostics", qos.STATUS)
+    book = machine.vss._book
+    before = book["table"].model
+    poor = replace(before, D=np.array([-0.6, 0.0, 0.0, 0.0, 0.0]))
+    with pytest.raises(DataError, match="cannot be inverted"):
+        poor.undistort(poor.corners())
+    machine.until(lambda: told)
+    count = len(told)
+    try:
+        info = to_camera_info(replace(book["table"], model=poor, intrinsics_file=Path()), 0)
+        assert machine.call(SetCameraInfo, "/table/set_camera_info", camera_info=info).success
+        machine.until(lambda: len(told) > count)
+        views = {m.header.frame_id: m for m in told[-1].markers if m.ns == "cameras"}
+        assert list(views) == [entry.frame for entry in book.entries()]
+        assert {m.ns for m in told[-1].markers} >= {"lights", "objects", "workspace"}
+        far = np.array([[p.x, p.y, p.z] for p in views["table_optical_frame"].points]).reshape(4, 4, 3)[:, 1]
+        seen = poor.through_lens(far[:, :2] / far[:, 2:])
+        np.testing.assert_allclose(seen, poor.corners(poor.invertible_share), atol=1e-6)
+        sentence = f"in the middle {100 * poor.invertible_share:.0f} % of the image's sides only"
+        machine.until(lambda: any(sentence in value for value in table_in(health)))
+    finally:
+        book.set_cameras({"table": before}, pose=False)
+
+
+def table_in(health):
+    return [pair.value for message in health for each in message.status for pair in each.values if pair.key == "table"]
 
 
 def test_markers_show_the_targets_and_hundred_times_what_a_calibration_leaves(machine):

@@ -182,14 +182,17 @@ class Machine:
             _ = command.result
         return command
 
-    def calibrate_camera(self, cameras: tuple[str, ...] | list[str] = (), poses_file: str = "") -> CalibrateCamera:
+    def calibrate_camera(
+        self, cameras: tuple[str, ...] | list[str] = (), poses_file: str = "", target: str = "light"
+    ) -> CalibrateCamera:
         """Begin ``calibrate_camera``; iterate for progress, and ask for the result.
 
         Args:
             cameras: Names of the cameras; empty: the two ceiling cameras.
             poses_file: File of poses on the host of the machine; empty: the poses of the cell.
+            target: What the arm shows to the cameras: ``light`` or ``board``.
         """
-        arguments: dict[str, object] = {"cameras": list(cameras)}
+        arguments: dict[str, object] = {"cameras": list(cameras), "target": target}
         if poses_file:
             arguments["poses_file"] = poses_file
         command: CalibrateCamera = self._follow(CalibrateCamera, self._goal("calibrate_camera", 0, arguments))

@@ -25,9 +25,18 @@ from im_calibration.design import Candidates, NextPose, load_candidates, next_be
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.judgement.calibration import Calibration, CameraEstimate, Rejection, Verdict
 from im_calibration.pipeline import calibrate
-from im_calibration.problem.dataset import dataset_of, load_problems
-from im_calibration.problem.observations import Observation, SeenLength, SeenSpot, problem_of
+from im_calibration.problem.dataset import dataset_of, dataset_of_views, load_problems
+from im_calibration.problem.observations import (
+    TARGET_NOISE,
+    Observation,
+    SeenLength,
+    SeenPoints,
+    SeenSpot,
+    problem_of,
+    views_of,
+)
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_calibration.problem.target_problem import problem_of_views
 from im_calibration.reporting.comparison import SAME, comparison, largest_difference
 from im_calibration.reporting.report import answer, report_of
 from im_calibration.reporting.results import write_observations, write_results
@@ -35,6 +44,7 @@ from im_calibration.selection import calibrate_possible
 
 __all__ = [
     "SAME",
+    "TARGET_NOISE",
     "Calibration",
     "CalibrationProblem",
     "CameraEstimate",
@@ -46,6 +56,7 @@ __all__ = [
     "Observation",
     "Rejection",
     "SeenLength",
+    "SeenPoints",
     "SeenSpot",
     "Verdict",
     "answer",
@@ -53,12 +64,15 @@ __all__ = [
     "calibrate_possible",
     "comparison",
     "dataset_of",
+    "dataset_of_views",
     "largest_difference",
     "load_candidates",
     "load_problems",
     "next_best_poses",
     "problem_of",
+    "problem_of_views",
     "report_of",
+    "views_of",
     "write_observations",
     "write_results",
 ]

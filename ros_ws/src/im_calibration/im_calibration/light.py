@@ -1,4 +1,4 @@
-"""Evidence on the light from one arm pose: certainty of the light's position, and test whether images show the pose."""
+"""Evidence from one arm pose: certainty of the place of light and wrist, and test whether images show the pose."""
 
 from dataclasses import dataclass
 
@@ -42,14 +42,26 @@ class MeasuredRest:
         Raises:
             DataError: The sizes do not fit, or a value is not finite.
         """
+        point = np.hstack((np.eye(3), -cross_matrix(self.rotation @ offset)))
+        covariance: Array = point @ self.wrist_covariance() @ point.T
+        return 0.5 * (covariance + covariance.T)
+
+    def wrist_covariance(self) -> Array:
+        """Return the covariance of the wrist, from the covariance of the joints.
+
+        Returns:
+            Of the place and the turn, world axes, shape (6, 6) [m^2], [m rad], [rad^2].
+
+        Raises:
+            DataError: The sizes do not fit, or a value is not finite.
+        """
         shape, n = self.jacobian.shape, self.q_covariance.shape[0]
         if shape != (6, n) or self.q_covariance.shape != (n, n):
             text = f"a jacobian of shape {shape} does not fit to a covariance of shape {self.q_covariance.shape}"
             raise DataError(text, code=UNUSABLE)
         if not (np.isfinite(self.jacobian).all() and np.isfinite(self.q_covariance).all()):
             raise DataError("the measured joint positions or their covariance are not finite", code=UNUSABLE)
-        point = self.jacobian[:3] - cross_matrix(self.rotation @ offset) @ self.jacobian[3:]
-        covariance: Array = point @ self.q_covariance @ point.T
+        covariance: Array = self.jacobian @ self.q_covariance @ self.jacobian.T
         return 0.5 * (covariance + covariance.T)
 
     def require_shown(self, exposed_ns: int, pose: str) -> None:

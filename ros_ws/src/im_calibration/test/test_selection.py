@@ -11,6 +11,7 @@ from im_calibration import (
     DegenerateDataError,
     calibrate,
     calibrate_possible,
+    dataset_of,
     load_problems,
     report_of,
     write_observations,
@@ -88,7 +89,7 @@ def test_a_fault_of_all_cameras_leaves_none_out():
 
 def test_files_are_written_for_the_cameras_that_can_be_used_and_all_observations_are_kept(scene, tmp_path):
     problem = blinded(scene, 1, 3)
-    write_observations(tmp_path, problem)
+    write_observations(tmp_path, dataset_of(problem))
     write_results(tmp_path, calibrate_possible(problem), problem)
     written = {path.name for path in tmp_path.iterdir()}
     assert {"camera_0.yaml", "camera_2.yaml", "report.json", "residuals.png"} <= written
@@ -105,7 +106,7 @@ def test_files_are_written_for_the_cameras_that_can_be_used_and_all_observations
 
 def test_only_names_of_files_are_written_again(scene, tmp_path, capsys):
     named = replace(scene, camera_names=("a", "b", "../c"))
-    write_observations(tmp_path / "folder", named)
+    write_observations(tmp_path / "folder", dataset_of(named))
     assert calibrate_dataset.main(["--again", str(tmp_path / "folder")]) == command.BAD_INPUT
     assert "camera_names has '../c', which is no name of a file" in capsys.readouterr().err
     assert not (tmp_path / "c.yaml").exists()

@@ -15,6 +15,7 @@ from im_calibration.estimation.unknowns import ParameterLayout
 from im_calibration.pipeline import calibrate
 from im_calibration.problem.dataset import SCHEMA, problems
 from im_calibration.problem.target_problem import problem_of_views, table_of
+from im_calibration.selection import calibrate_possible
 from im_calibration.targets.target import target_of
 from im_core.errors import DataError
 
@@ -127,6 +128,66 @@ def test_the_block_of_a_data_set_holds_everything():
         np.testing.assert_array_equal(read.spots, made.spots)
         np.testing.assert_array_equal(read.positions, made.positions)
         assert read.readings == made.readings
+
+
+def test_covariances_of_readings_are_the_noise_of_place_and_turn_where_these_are_alike():
+    views = make_views("eye-to-hand", 4, target=SMALL, count=8).views
+    stated = np.diag([views.robot.sd_m**2] * 3 + [views.robot.sd_rad**2] * 3)
+    by_reading = replace(views.robot, sd_m=0.0, sd_rad=0.0, covariances=np.tile(stated, (8, 1, 1)))
+    alike, made = (problem_of_views(each, ()) for each in (views, replace(views, robot=by_reading)))
+    np.testing.assert_allclose(made.position_covariances, alike.position_covariances, atol=1e-15)
+    content = {"schema": SCHEMA, "image_size": [640, 480], "noise_to_estimate": [], "target": None}
+    content["target"] = json.loads(json.dumps(table_of(replace(views, robot=by_reading))))
+    content["camera_names"] = list(views.camera_names)
+    (read,) = problems(content)
+    np.testing.assert_array_equal(read.position_covariances, made.position_covariances)
+    assert read.noise_to_estimate == ()
+    content["target"]["robot"]["camera_moves"] = True
+    with pytest.raises(DataError, match=r"target\.robot\.cov is for a target on the robot; here the cameras are on it"):
+        problems(content)
+
+
+def stretched(robot, errors):
+    """A robot off by a stretch along each axis, and by a turn that grows with x; what it reads, with derivatives."""
+    x, y, z = robot.poses[:, :3, 3].T
+    arm = np.zeros((len(x), 6, 4))
+    for k, place in enumerate((x, y, z)):
+        arm[:, k, k] = 2e-3 * place
+    arm[:, 5, 3] = 2e-3 * x
+    off, poses = arm @ errors, robot.poses.copy()
+    poses[:, :3, 3] -= off[:, :3]
+    poses[:, :3, :3] = Rotation.from_rotvec(-off[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    return replace(robot, poses=poses, arm=arm)
+
+
+def test_the_error_of_an_arm_whose_kinematics_are_given_is_in_what_is_stated():
+    """Of intrinsics: what an error shifts and turns alike is in the frame of the cameras."""
+    told, blind = [], []
+    for seed in range(4):
+        true = make_views("eye-to-hand", seed, target=SMALL, count=20, sd_m=2e-5, sd_rad=4e-5)
+        robot = stretched(true.views.robot, np.random.default_rng(seed).normal(size=4))
+        for arm, ratios in ((robot.arm, told), (None, blind)):
+            found = calibrate(problem_of_views(replace(true.views, robot=replace(robot, arm=arm)), ("image",)))
+            assert (found.arm_error_m > 0.0) is (arm is not None)
+            ratios.append(errors_over_expected(found, true)[:8])
+    off, unseen = (np.sqrt(np.mean(np.square(ratios))) for ratios in (told, blind))
+    assert 0.3 < off < 1.6
+    assert unseen > 1.5 * max(1.0, off)
+
+
+def test_a_camera_that_saw_too_little_leaves_the_others_of_a_robot():
+    views = make_views("eye-to-hand", 4, target=SMALL).views
+    blind = np.full_like(views.spots, np.nan)
+    blind[:, 0, :5] = views.spots[:, 0, :5]
+    both = replace(
+        views, camera_names=("camera_0", "camera_1"), image_sizes=views.image_sizes * 2, lens_models=("plumb_bob",) * 2,
+        spots=np.concatenate((views.spots, blind)), deviations=np.tile(views.deviations, (2, 1, 1)),
+    )  # fmt: skip
+    found = calibrate_possible(problem_of_views(both, ()))
+    assert [camera.name for camera in found.cameras] == ["camera_0"]
+    assert "camera_1" in found.message
+    with pytest.raises(DegenerateDataError, match="at least 3 are needed"):
+        problem_of_views(replace(views, spots=blind), ())
 
 
 def slipped(robot, how):

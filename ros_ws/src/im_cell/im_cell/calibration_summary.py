@@ -37,7 +37,7 @@ def brief_summary(report: Mapping[str, Any]) -> str:
         "",
         f"points           {report['points_used']} used, {len(report['points_rejected'])} left out; "
         f"chi2/dof {_text(report['chi2_per_dof'], '.3f')}",
-        f"light            ({', '.join(f'{1e3 * value:.2f}' for value in report['led_offset_m'])}) mm from the wrist",
+        _place_line(report),
         error_lines(report),
     ]
     timing = report.get("timing", {})
@@ -47,6 +47,17 @@ def brief_summary(report: Mapping[str, Any]) -> str:
             f"({timing['simulated_s'] / timing['wall_s']:.1f} times real time)"
         )
     return "\n".join(lines)
+
+
+def _place_line(report: Mapping[str, Any]) -> str:
+    target = report.get("target")
+    place = [row[3] for row in target["transform"][:3]] if target else report["led_offset_m"]
+    values = ", ".join(f"{1e3 * value:.2f}" for value in place)
+    return (
+        f"target           ({values}) mm in the {target['frame']}"
+        if target
+        else f"light            ({values}) mm from the wrist"
+    )
 
 
 def error_lines(report: Mapping[str, Any]) -> str:
@@ -66,8 +77,7 @@ def _brief_camera(camera: Mapping[str, Any]) -> str:
 def _lines(report: Mapping[str, Any]) -> list[str]:
     lines = ["Camera calibration", "==================", "", report["message"], ""]
     lines += [
-        f"poses used          {report['points_used']} of {report.get('poses', report['points_given'])}"
-        f" ({len(report['points_not_seen'])} spots not found, {len(report['points_rejected'])} observations rejected)",
+        _used_line(report),
         f"chi2 / dof          {_text(report['chi2_per_dof'], '.3f')}"
         f" (dof {report['dof']}, p {_text(report['p_value'], '.2g')})",
         f"expected error      {_errors(report['expected_error'])}",
@@ -106,6 +116,14 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
                 where = f"pose {entry['pose']}" + (f", {entry['camera']}" if entry["camera"] else "")
                 lines.append(f"  {where}: {entry['reason']}")
     return lines
+
+
+def _used_line(report: Mapping[str, Any]) -> str:
+    rejected = f"{len(report['points_rejected'])} observations rejected"
+    if report.get("target"):
+        return f"points used         {report['points_used']} of {report['points_given']} ({rejected})"
+    given, lost = report.get("poses", report["points_given"]), len(report["points_not_seen"])
+    return f"poses used          {report['points_used']} of {given} ({lost} spots not found, {rejected})"
 
 
 def _camera_lines(camera: Mapping[str, Any]) -> list[str]:

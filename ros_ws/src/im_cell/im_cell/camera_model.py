@@ -5,6 +5,7 @@ of the upper left pixel is (0, 0); lens models and their D are those of :mod:`im
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ PARAMETERS = (*_PINHOLE, *COEFFICIENTS, *_POSE)
 """What describes a camera: pinhole [px], lens, of whichever model [-], turn in the camera frame [rad], shift [m]."""
 POSE_PARAMETERS = len(_POSE)
 """How many of them, the last ones, are the pose."""
+_SHARES = np.linspace(1.0, 0.05, 20)
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,22 @@ class CameraModel:
         """
         pixels = np.asarray(uv, dtype=float) - self.K[:2, 2]
         return self.lens.undistort(pixels @ np.linalg.inv(self.K[:2, :2]).T, self.D)
+
+    def corners(self, share: float = 1.0) -> Array:
+        """Return the corners of the image, or of its middle part of a share of its sides, clockwise, (4, 2) [px]."""
+        sides = np.array([self.width, self.height])
+        return np.asarray((sides - 1.0) / 2.0 + 0.5 * share * sides * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+
+    @cached_property
+    def invertible_share(self) -> float:
+        """Share of the image's sides within which the lens can be inverted, in steps of 0.05; 0: nowhere."""
+        for share in _SHARES.tolist():
+            try:
+                self.undistort(self.corners(share))
+            except DataError:
+                continue
+            return float(share)
+        return 0.0
 
     def ray(self, uv: ArrayLike) -> Array:
         """Return unit directions in the world through pixels; the rays start at :attr:`position`.

@@ -33,7 +33,7 @@ def _of(_named: str | None) -> Mapping[str, object]:
         "hand_cameras": list(riding),
         "looking_arms": list(riding.values()),
         "printed": [
-            *(target.name for target in cell.targets if target.kind == "fiducial"),
+            *(target.name for target in cell.targets if target.kind == "fiducial" and target.parent == "world"),
             *(body.name for body in cell.objects if body.fiducial is not None),
         ],
         "turned": [_turned(cell, arm) for arm in cell.groups],

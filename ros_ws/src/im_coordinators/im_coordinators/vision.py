@@ -16,12 +16,13 @@ def another_look_may_help(failure: ImError | None) -> bool:
     return failure is not None and failure.code == TOO_FAINT
 
 
-def require_spot(missed: Mapping[str, str], cameras: int) -> None:
+def require_spot(missed: Mapping[str, str], cameras: int, what: str = "the light") -> None:
     """Check for a spot: one camera with the light in view is enough.
 
     Args:
         missed: Why a camera does not, by camera.
         cameras: How many looked.
+        what: At what.
 
     Raises:
         DataError: None does, code :data:`TOO_FAINT` or :data:`NOT_FOUND`; its facts say why.
@@ -30,4 +31,4 @@ def require_spot(missed: Mapping[str, str], cameras: int) -> None:
         named = "; ".join(f"{camera}: {cause}" for camera, cause in missed.items())
         hope = missed and all(any(hope in cause for hope in LOOK_AGAIN_CAUSES) for cause in missed.values())
         code = TOO_FAINT if hope else NOT_FOUND
-        raise DataError(f"no camera sees the light: {named}", code=code, causes=[*missed.values()])
+        raise DataError(f"no camera sees {what}: {named}", code=code, causes=[*missed.values()])

@@ -1,10 +1,16 @@
 """What the Vision Coordinator decides."""
 
+import numpy as np
 import pytest
 
+from im_cell.robot import load_cell
+from im_cell.rotations import cross_matrix
+from im_coordinators.ros.vision import VisionFunctions
 from im_coordinators.vision import another_look_may_help, require_spot
 from im_core.config import package_file
 from im_core.errors import DataError, ImError, LinkError
+from im_mcs.model import CellModel
+from im_msgs.msg import GroupState
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
 from im_pnt.model.action import ServiceAction
@@ -90,3 +96,15 @@ def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(ans
     (ended,) = process.results
     assert sent == asked
     assert ended.error is failure
+
+
+def test_place_and_turn_of_a_wrist_move_with_the_errors_of_the_arm_as_its_points_do() -> None:
+    cell = load_cell()
+    vision, home = VisionFunctions(None), cell.groups["left"].home  # a host that is not asked
+    position = GroupState(group="left", joints=list(cell.joints_of("left")), q_rest=list(home))
+    scene = CellModel(cell)
+    rotation = scene.pose(cell.home, "left_wrist").rotation
+    twist = vision._wrist_by_arm(position, rotation)
+    offset = np.array([0.1, -0.2, 0.3])
+    by_point = vision._by_arm(position, offset)
+    np.testing.assert_allclose(twist[:3] - cross_matrix(rotation @ offset) @ twist[3:], by_point, atol=1e-12)

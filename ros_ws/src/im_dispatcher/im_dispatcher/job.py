@@ -8,8 +8,17 @@ first or the thousandth.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from im_calibration import CalibrationProblem, Observation, problem_of
-from im_cell.robot import load_cell
+from im_calibration import (
+    TARGET_NOISE,
+    CalibrationProblem,
+    Observation,
+    dataset_of,
+    dataset_of_views,
+    problem_of,
+    views_of,
+)
+from im_calibration.targets.target import chessboard_of
+from im_cell.robot import Cell, load_cell
 from im_core.errors import DataError, NotFoundError, StateError
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 
@@ -29,11 +38,13 @@ class CalibrationOrder:
     Attributes:
         cameras: Names of the cameras to calibrate.
         file: All poses, in order, and the arm that carries the light through them.
+        target: Name of the chessboard on that arm which the cameras see in place of the light; empty: the light.
         accuracy_m: Expected error of a triangulated point at which it ends [m]; 0: all poses are visited.
     """
 
     cameras: tuple[str, ...]
     file: PosesFile
+    target: str = ""
     accuracy_m: float = 0.0
 
     @property
@@ -51,7 +62,7 @@ def order_of(
 
     Args:
         arguments: Of the command, as its net declares them: ``cameras``, ``poses_file``, ``group``, and
-            ``accuracy`` where one is asked for.
+            ``target`` and ``accuracy`` where they are asked for.
         known_cameras: Names of the cameras that exist; the first two are calibrated where none is named.
         load: Gives the poses of a file.
 
@@ -59,7 +70,7 @@ def order_of(
         NotFoundError: An unknown camera.
         DataError: A camera named twice, fewer poses than :data:`FEWEST_POSES`, poses of the other arm, arguments
             that no net has checked, or an accuracy for poses in a given order or for less than two fixed cameras.
-        ConfigError: The poses file is missing, empty, or malformed.
+        ConfigError: The poses file is missing, empty, or malformed, or the arm has no board.
     """
     match arguments:
         case {"cameras": list(named), "poses_file": str(path), "group": str(group)}:
@@ -80,9 +91,27 @@ def order_of(
             limit=FEWEST_POSES,
         )
     accuracy_m = float(str(arguments.get("accuracy", 0.0)))
+    target = _board(cameras, group) if arguments.get("target") == "board" else ""
     if accuracy_m > 0.0:
+        if target:
+            raise DataError("an accuracy is for target light; with a board all poses are visited", argument="accuracy")
         _check_accuracy(cameras, file)
-    return CalibrationOrder(cameras, file, accuracy_m)
+    return CalibrationOrder(cameras, file, target, accuracy_m)
+
+
+def _board(cameras: Sequence[str], group: str) -> str:
+    """Return the name of the board on an arm.
+
+    Raises:
+        ConfigError: The arm has none.
+        DataError: A camera is on that arm, too, and sees its board from one side only.
+    """
+    cell = load_cell()
+    board, moved = cell.board_of(group), set(cell.joints_of(group))
+    for name in cameras:
+        if moved & set(cell.carriers_of(cell.cameras[name].parent)):
+            raise DataError(f"camera {name} is on the {group} arm, as {board.name} is", camera=name)
+    return board.name
 
 
 def _check_accuracy(cameras: Sequence[str], file: PosesFile) -> None:
@@ -104,6 +133,24 @@ def _check_accuracy(cameras: Sequence[str], file: PosesFile) -> None:
         )
 
 
+def dataset_of_command(cameras: Sequence[str], target: str, observations: Sequence[Observation]) -> dict[str, object]:
+    """Return the data set of observations by some cameras, of a target, or of the light where it has no name.
+
+    Raises:
+        ImError: As of :func:`im_calibration.problem_of`.
+    """
+    cell = load_cell()
+    if not target:
+        return dataset_of(problem_of_light(cameras, observations))
+    board = chessboard_of(cell, target)
+    views = views_of(tuple(cameras), observations, board, _image_sizes(cell), cell.cameras)
+    return dataset_of_views(views, TARGET_NOISE)
+
+
+def _image_sizes(cell: Cell) -> dict[str, tuple[int, int]]:
+    return {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
+
+
 def problem_of_light(cameras: Sequence[str], observations: Sequence[Observation]) -> CalibrationProblem:
     """Return the observations of the cell's light by some cameras as the problem of a calibration.
 
@@ -111,9 +158,8 @@ def problem_of_light(cameras: Sequence[str], observations: Sequence[Observation]
         ImError: As of :func:`im_calibration.problem_of`.
     """
     cell = load_cell()
-    sizes = {name: (camera.intrinsics.width, camera.intrinsics.height) for name, camera in cell.cameras.items()}
     led = cell.led.offset, cell.led.offset_prior_sd
-    return problem_of(tuple(cameras), observations, (), sizes, led, cell.cameras)
+    return problem_of(tuple(cameras), observations, (), _image_sizes(cell), led, cell.cameras)
 
 
 @dataclass(frozen=True)

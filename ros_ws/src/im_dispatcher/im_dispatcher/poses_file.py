@@ -139,19 +139,22 @@ class PosesFile(Model):
             )
 
 
-def load_named_poses(path: str) -> PosesFile:
+def load_named_poses(path: str, target: str = "light") -> PosesFile:
     """Read a poses file named by a message; one of the cell, or one below the folders allowed for messages.
 
     Args:
         path: The file; empty for the cell's own; a name without a folder also for one beside that.
+        target: What the poses show to cameras, ``light`` or ``board``: the cell has poses for each.
 
     Raises:
         DataError: It is outside of those folders.
         ConfigError: It is missing, empty, or malformed; names file and line. Or the cell has no poses of its own.
     """
-    own = load_cell().poses
+    cell = load_cell()
+    own = cell.board_poses if target == "board" else cell.poses
     if not path and not own:
-        raise ConfigError("the cell file names no poses; give poses_file (`scripts/run.sh im_mcs poses` finds poses)")
+        told = f"the cell file names no poses for target {target}; give poses_file"
+        raise ConfigError(f"{told} (`scripts/run.sh im_mcs poses --target {target}` finds poses)")
     if path in ("", own):
         return load_poses(own)
     for beside in Path(own).parent.glob("*.yaml") if own else ():

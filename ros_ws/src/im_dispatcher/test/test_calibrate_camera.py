@@ -178,7 +178,7 @@ def test_nothing_moves_where_the_other_arm_is_in_the_way(play: Play) -> None:
 
 
 def test_a_command_begins_with_its_poses_and_its_light(play: Play) -> None:
-    seen = {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led"}
+    seen = {"cameras": ["ceiling_left", "ceiling_right"], "light": "left_led", "target": ""}
     assert play("watchers") == seen
     play.pose()
     assert play("present_look") == {**seen, "longer": False}

@@ -6,6 +6,8 @@ import pytest
 import yaml
 
 from im_cell.camera_model import CameraModel
+from im_cell.robot import load_cell
+from im_core.config import package_file
 from im_mcs.client.kinematics import Kinematics
 from im_mcs.collision import CollisionChecker
 from im_mcs.poses.command import main
@@ -104,3 +106,19 @@ def test_numbers_that_cannot_be_are_bad_usage(capsys, arguments, message):
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert message in capsys.readouterr().err
+
+
+def test_a_board_on_the_wrist_is_whole_in_the_images_and_its_squares_are_large(tmp_path, monkeypatch, model):
+    monkeypatch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/board.yaml")))
+    path = tmp_path / "poses.yaml"
+    assert main(["--target", "board", "--cameras", "wall", "--count", "3", "--output", str(path)]) == 0
+    board, camera = load_cell().board_of("left"), camera_at_home(model, "wall")
+    rotation, middle = board.pose()
+    half = 0.5 * board.size * (np.array(board.corners) + 1.0)
+    for wrist in wrists(yaml.safe_load(path.read_text())):
+        rim = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+        seen = camera.project([wrist.act(middle + rotation[:, :2] @ place) for place in rim])
+        assert camera.contains(seen, margin=19.0).all()
+        sides = np.linalg.norm(np.roll(seen, -1, axis=0) - seen, axis=1) / np.tile(np.array(board.corners) + 1.0, 2)
+        assert sides.min() > 4.5, "nominal 6 px in the middle of the board"
+    assert main(["--target", "board", "--group", "right", "--cameras", "wall"]) == 1

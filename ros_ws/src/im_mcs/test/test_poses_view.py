@@ -29,7 +29,9 @@ def common_view(cell, config, names):
     model = CellModel(cell)
     index = np.array([model.index(joint) for joint in JOINTS], dtype=np.intp)
     limits = JointLimits(model.cell, config.limits, config.slots)
-    return CommonView(model, limits, index, "left_wrist", stand(model, names, "left", JOINTS))
+    return CommonView(
+        model, limits, index, "left_wrist", stand(model, names, "left", JOINTS), np.array(model.cell.led.offset)
+    )
 
 
 @pytest.mark.parametrize(

@@ -70,11 +70,13 @@ class CameraEntry:
 
     @property
     def origin(self) -> str:
-        """Files of lens and pose, or the drawing."""
+        """Files of lens and pose, or the drawing; with a remark on a lens that does not hold in the whole image."""
         if self.intrinsics_file is None and self.pose_file is None:
             return "as drawn"
         lens, pose = (str(file) if file is not None else "as drawn" for file in (self.intrinsics_file, self.pose_file))
-        return f"intrinsics {lens}, pose {pose}"
+        share = self.model.invertible_share
+        where = f", in the middle {100.0 * share:.0f} % of the image's sides only" if share < 1.0 else ""
+        return f"intrinsics {lens}{where}, pose {pose}"
 
     def with_intrinsics(self, lens: CameraModel, folder: Path) -> Self:
         """The entry with intrinsics and lens of `lens`, from the camera's file in `folder`.

@@ -134,8 +134,9 @@ def rectify(left: CameraModel, right: CameraModel) -> Rectification:
     size = (left.width, left.height)
     if not np.linalg.norm(t) > _SHORTEST_BASELINE_M:
         raise DataError("the cameras of a stereo pair are at the same place")
-    # Which way images are turned does not depend on the lenses; OpenCV takes none but its own here.
-    first, second = (np.zeros(5) if camera.lens is EQUIDISTANT else camera.D for camera in (left, right))
+    # Which way images are turned does not depend on the lenses. OpenCV takes none but its own here, and inverts them in
+    # the corners for the focal length and centre that both images get: one lens would spoil both.
+    first, second = (_of_corners(camera) for camera in (left, right))
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         left.K, first, right.K, second, size, rotation, t, flags=cv2.CALIB_ZERO_DISPARITY, alpha=-1.0
     )
@@ -143,6 +144,10 @@ def rectify(left: CameraModel, right: CameraModel) -> Rectification:
     if not finite or not P2[0, 3] < 0.0 or abs(P2[1, 3]) > 1e-9:
         raise DataError("the cameras of a stereo pair must stand side by side, the left one first")
     return Rectification((np.asarray(R1), np.asarray(P1)), (np.asarray(R2), np.asarray(P2)))
+
+
+def _of_corners(camera: CameraModel) -> Array:
+    return np.zeros(5) if camera.lens is EQUIDISTANT or camera.invertible_share < 1.0 else camera.D
 
 
 class ImageRectification:

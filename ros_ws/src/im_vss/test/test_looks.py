@@ -15,7 +15,6 @@ from im_vss.camera_poses import Mounts
 from im_vss.catalogue import load_catalogue
 from im_vss.pending_looks import FORGOTTEN, MOST_LOOKS, Look, Looks
 from im_vss.rig import Rig
-from im_vss.services.snap import SnapRequest
 from im_vss.services.spot import SpotFindRequest
 from im_vss.settings import load_settings
 from im_vss.vsm import VisionServicesManager
@@ -81,7 +80,7 @@ def vsm(cameras, tmp_path):
 
 
 def test_a_look_is_answered_when_all_is_exposed_and_its_result_is_there_later_as_often_as_asked(vsm, cameras):
-    name = vsm.request("spot_look", SnapRequest((CAMERA,)))
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,)))
     assert not cameras.go.is_set()
     cameras.go.set()
     found = [vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)) for _ in range(2)]
@@ -91,7 +90,7 @@ def test_a_look_is_answered_when_all_is_exposed_and_its_result_is_there_later_as
 
 
 def test_the_light_is_searched_where_it_was_when_it_was_exposed(vsm, cameras):
-    name = vsm.request("spot_look", SnapRequest((CAMERA,)))
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,)))
     cameras.go.set()
     (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
     disc = spot.finding.region
@@ -116,7 +115,7 @@ def test_of_a_camera_on_an_arm_it_is_told_where_the_light_should_be(vsm, cameras
 
 def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vsm, cameras):
     cameras.failure = LinkError("the cameras are gone")
-    name = vsm.request("spot_look", SnapRequest((CAMERA,)))
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,)))
     cameras.go.set()
     with pytest.raises(LinkError, match="the cameras are gone"):
         vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name))
@@ -124,7 +123,7 @@ def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vs
 
 def test_a_look_outlives_the_client_that_ordered_it(vsm, cameras):
     living = [True]
-    name = vsm.request("spot_look", SnapRequest((CAMERA,)), lambda: living[0])
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,)), lambda: living[0])
     living[0] = False
     cameras.go.set()
     (spot,) = vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name)).spots
@@ -133,7 +132,7 @@ def test_a_look_outlives_the_client_that_ordered_it(vsm, cameras):
 
 def test_exposures_that_are_not_as_ordered_are_told_to_whoever_gets_the_spots(vsm, cameras):
     cameras.tick_s = 0.0045
-    name = vsm.request("spot_look", SnapRequest((CAMERA,), 0.006))
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,), 0.006))
     cameras.go.set()
     for look in (name, name, ""):
         told = []
@@ -145,7 +144,7 @@ def test_exposures_that_are_not_as_ordered_are_told_to_whoever_gets_the_spots(vs
 
 
 def test_who_waits_for_a_look_may_give_up(vsm, cameras):
-    name = vsm.request("spot_look", SnapRequest((CAMERA,)))
+    name = vsm.request("spot_look", SpotFindRequest((CAMERA,)))
     outcomes = []
 
     def wait():
@@ -166,7 +165,7 @@ def test_who_waits_for_a_look_may_give_up(vsm, cameras):
 
 def test_what_cannot_be_exposed_is_no_look(vsm, cameras):
     with pytest.raises(NotFoundError, match="nose"):
-        vsm.request("spot_look", SnapRequest(("nose",)))
+        vsm.request("spot_look", SpotFindRequest(("nose",)))
     assert cameras.shut == 0
 
 

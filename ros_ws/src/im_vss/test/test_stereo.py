@@ -10,7 +10,7 @@ from im_cell.camera_model import PARAMETERS, nominal
 from im_cell.robot import load_cell
 from im_core.errors import DataError
 from im_vss.camera_book import CameraBook
-from im_vss.stereo import epipolar_distance, rectify, triangulate
+from im_vss.stereo import ImageRectification, epipolar_distance, rectify, triangulate
 
 CELL = load_cell()
 LEFT, RIGHT = (
@@ -89,6 +89,22 @@ def test_camera_infos_of_a_pair_are_rectified_together_and_follow_a_calibration(
     book.set_cameras({"ceiling_left": LEFT}, pose=False)
     assert not np.array_equal(book["ceiling_right"].rectified.P, right.P)
     assert (tmp_path / "ceiling_left.yaml").is_file()
+
+
+def test_a_lens_that_folds_its_corners_does_not_spoil_the_image_of_the_other_camera_of_the_pair(tmp_path):
+    poor = replace(RIGHT, D=np.array([-0.57, 0.32, -0.01, 0.0, -0.15]))
+    assert poor.invertible_share < 1.0
+    book = CameraBook(CELL, ["ceiling_left", "ceiling_right"], tmp_path, [("ceiling_left", "ceiling_right")])
+    good = {}
+    for right in (RIGHT, poor):
+        book.set_cameras({"ceiling_left": LEFT, "ceiling_right": right})
+        good[right is poor] = book["ceiling_left"].rectified
+    np.testing.assert_allclose(good[True].R, good[False].R, atol=1e-9)
+    # within a tenth of what a good lens gives: focal lengths and centre are of the pair's images
+    np.testing.assert_allclose(good[True].P[:, :3], good[False].P[:, :3], atol=0.1 * LEFT.K[0, 0])
+    white = np.full((480, 640), 200, np.uint8)
+    seen = {is_poor: np.mean(ImageRectification(LEFT, each).apply(white) == 200) for is_poor, each in good.items()}
+    assert seen[True] > 0.9 * seen[False] > 0.5
 
 
 def test_no_pair_no_rectification(tmp_path):

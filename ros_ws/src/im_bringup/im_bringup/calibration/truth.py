@@ -47,20 +47,42 @@ class _ExpectedError(_Section):
     workspace_high_m: Vector | None = None
 
 
+class _TargetPlace(_Section):
+    transform: Annotated[tuple[tuple[float, float, float, float], ...], Field(min_length=4, max_length=4)]
+
+
 class _Calibration(_Section):
     cameras: Annotated[tuple[_CalibratedCamera, ...], Field(min_length=1)]
     light: str
     led_offset_m: Vector
     expected_error: _ExpectedError
+    target: _TargetPlace | None = None
 
 
 class _Positions(_Section):
     x_base_m: Annotated[tuple[tuple[_Place, _Place, _Place], ...], Field(min_length=1)]
 
 
+_Derivatives = tuple[tuple[tuple[Annotated[float, Field(ge=-1.0, le=1.0)], ...], ...], ...]
+
+
 class _Observations(_Section):
-    J_arm: tuple[tuple[tuple[Annotated[float, Field(ge=-1.0, le=1.0)], ...], ...], ...]
+    J_arm: _Derivatives
     trials: Annotated[tuple[_Positions, ...], Field(min_length=1)]
+
+
+class _Robot(_Section):
+    poses: Annotated[tuple[tuple[tuple[_Place, ...], ...], ...], Field(min_length=1)]
+    J_arm: _Derivatives
+
+
+class _Views(_Section):
+    points_m: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    robot: _Robot
+
+
+class _TargetObservations(_Section):
+    target: _Views
 
 
 def truth_error(
@@ -79,7 +101,7 @@ def truth_error(
 
     Returns:
         ``triangulation_mm`` and ``reprojection_px`` (RMS over the workspace, None where not defined), and
-        ``led_offset_mm``, the length of the error of the light's offset.
+        ``led_offset_mm``, the length of the error of the light's offset; None where it was not the target.
 
     Raises:
         DataError: The report has no cameras, or one of them moves with the arm; or the observations are malformed.
@@ -87,19 +109,18 @@ def truth_error(
     """
     if not report.get("success") or not report.get("cameras"):
         raise DataError(f"the report holds no calibration: {report.get('message', 'it is empty')}")
-    calibration, seen = _read(_Calibration, report, "calibration"), _read(_Observations, observations, "observations")
+    calibration = _read(_Calibration, report, "calibration")
     if calibration.light not in truth.leds:
         raise NotFoundError(kind="light", name=calibration.light, known=truth.leds)
     errors = errors_of(cell, cell.devices("light")[calibration.light], truth.joints)
-    positions = np.array(seen.trials[0].x_base_m)
-    try:
-        jacobians = np.array(seen.J_arm).reshape(len(positions), 3, len(errors))
-    except ValueError as wrong:
-        text = (
-            f"J_arm of the observations is not {len(positions)} x 3 x {len(errors)} numbers, as positions and arm need"
-        )
-        raise DataError(text) from wrong
-    turn, shift = _common_motion(positions, jacobians @ errors)
+    if calibration.target is None:
+        seen = _read(_Observations, observations, "observations")
+        positions = np.array(seen.trials[0].x_base_m)
+        moved = _derivatives(seen.J_arm, (len(positions), 3, len(errors))) @ errors
+    else:
+        views = _read(_TargetObservations, observations, "observations").target
+        positions, moved = _carried(views, np.array(calibration.target.transform), errors)
+    turn, shift = _common_motion(positions, moved)
     estimated, true = [], []
     for camera in calibration.cameras:
         real = _true_camera(camera.name, truth)
@@ -111,11 +132,30 @@ def truth_error(
     workspace = Workspace(low, high) if low and high else Workspace()
     error = evaluate(estimated, true, workspace.grid())
     offset = np.subtract(calibration.led_offset_m, truth.leds[calibration.light].offset_m)
+    by_light = calibration.target is None
     return {
         "triangulation_mm": _finite(error.triangulation_rms_mm),
         "reprojection_px": _finite(error.reprojection_rms_px),
-        "led_offset_mm": 1e3 * float(np.linalg.norm(offset)),
+        "led_offset_mm": 1e3 * float(np.linalg.norm(offset)) if by_light else None,
     }
+
+
+def _derivatives(given: _Derivatives, shape: tuple[int, int, int]) -> Array:
+    try:
+        return np.array(given).reshape(shape)
+    except ValueError as wrong:
+        wanted = " x ".join(map(str, shape))
+        raise DataError(f"J_arm of the observations is not {wanted} numbers, as positions and arm need") from wrong
+
+
+def _carried(views: _Views, place: Array, errors: Array) -> tuple[Array, Array]:
+    """Return positions of the points of a target on the wrist, and the shifts by the true arm, (n, 3) both."""
+    poses = np.array(views.robot.poses)
+    points = np.array(views.points_m) @ place[:3, :3].T + place[:3, 3]
+    arms = np.einsum("kij,pj->kpi", poses[:, :3, :3], points)
+    shifts, turns = np.split(_derivatives(views.robot.J_arm, (len(poses), 6, len(errors))) @ errors, 2, axis=1)
+    moved = shifts[:, None] + np.cross(turns[:, None], arms)
+    return (arms + poses[:, None, :3, 3]).reshape(-1, 3), moved.reshape(-1, 3)
 
 
 def _common_motion(positions: Array, moved: Array) -> tuple[Array, Array]:

@@ -4,7 +4,6 @@ Or of a bag: ``im calibrate --bag BAG --camera NAME:=TOPIC ... --target TARGET -
 """
 
 import argparse
-import json
 import math
 import re
 from contextlib import suppress
@@ -16,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, RootModel, ValidationError
 
-from im_calibration.problem.dataset import SCHEMA, problems
+from im_calibration.problem.dataset import dataset_of_views, problems
 from im_calibration.problem.problem import CalibrationProblem
-from im_calibration.reporting.results import OBSERVATIONS
+from im_calibration.reporting.results import write_observations
 from im_cell.calibration_files.intrinsics import read_intrinsics
 from im_cell.camera_model import CameraModel
 from im_cell.lens import PLUMB_BOB, lens_of
 from im_core.config import Model, faults, field_name, parse_model
 from im_core.errors import DataError
-from im_core.files import make_folder, read_text, write_whole
+from im_core.files import make_folder, read_text
 from im_core.processes.process import ChildProcess
 from im_core.text.jsontext import load_json
 
@@ -114,7 +113,6 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
     Raises:
         DataError: A file cannot be used, the target is in too few images, or the views do not belong together.
     """
-    from im_calibration.problem.target_problem import table_of
     from im_calibration.recorded.recordings import VIDEOS, BagImages, ImageRecording, VideoFile
     from im_calibration.targets.images import find_target
     from im_calibration.targets.robot_file import read_poses
@@ -149,19 +147,8 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         robot, known,
     )  # fmt: skip
     unknown = ["image"] + ["robot"] * bool(robot and not options.sd_robot)
-    content: dict[str, Any] = {
-        "schema": SCHEMA,
-        "camera_names": list(sources),
-        "image_size": [list(size) for size in seen.image_sizes],
-        "distortion_model": list(lenses),
-        "noise_to_estimate": unknown,
-        "target": table_of(views),
-    }
-    try:
-        make_folder(options.results)
-        write_whole(options.results / OBSERVATIONS, json.dumps(content, allow_nan=False) + "\n")
-    except OSError as error:
-        raise DataError(f"The results cannot be written to {options.results}: {error.strerror}.") from error
+    content = dataset_of_views(views, unknown)
+    write_observations(options.results, content)
     return problems(content)[0], seen
 
 

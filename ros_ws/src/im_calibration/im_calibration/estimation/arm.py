@@ -66,7 +66,8 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         problem: What it was made from.
         robot_known: Whether the noise of the robot is stated.
     """
-    if problem.placements is not None:  # a target's own place takes up what is alike at neighbours
+    if problem.placements is not None and problem.arm_jacobians is None:
+        # a target's own place takes up what is alike at neighbours
         return Explanation(problem, ParameterLayout.of(problem), gated)
     robot_known = robot_known and problem.arm_jacobians is None
     whole = ArmError.largest(problem.positions, problem.arm_jacobians)

@@ -122,8 +122,11 @@ class NoiseLikelihood:
         rows, size = jacobians[alone], jacobians.shape[1]
         if len(rows) <= size:
             return jacobians
-        q, r = np.linalg.qr(rows)
-        residuals = q.T @ self._residuals[alone]
+        seen = rows.any(axis=1)  # of several cameras, few see a point
+        if seen.sum() <= size:
+            return jacobians
+        q, r = np.linalg.qr(rows[seen])
+        residuals = q.T @ self._residuals[alone][seen]
         self._beside = float((self._residuals[alone] ** 2).sum() - residuals @ residuals)
         self._unused -= len(rows) - size
         self._robot = np.concatenate((np.zeros(size), self._robot[~alone]))

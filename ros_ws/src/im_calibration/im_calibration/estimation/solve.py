@@ -186,8 +186,10 @@ def _normal_equations(
     line: Linearisation, weights: Array, unknowns: Unknowns, layout: ParameterLayout
 ) -> tuple[Array, Array]:
     """Information matrix and right-hand side, priors included."""
-    weighted = (weights @ line.jacobians).reshape(-1, layout.size)
-    prior = layout.prior(unknowns)
-    information = line.jacobians.reshape(-1, layout.size).T @ weighted + prior.information
-    gradient = weighted.T @ line.residuals.ravel() + prior.gradient
+    seen, prior = line.by_point.any(axis=2), layout.prior(unknowns)  # of several cameras, few see a point
+    weighted = weights @ line.jacobians
+    jacobians, weighted = (line.jacobians, weighted) if seen.all() else (line.jacobians[seen], weighted[seen])
+    weighted = weighted.reshape(-1, layout.size)
+    information = jacobians.reshape(-1, layout.size).T @ weighted + prior.information
+    gradient = weighted.T @ line.residuals[seen] + prior.gradient
     return (information + information.T) / 2.0, gradient

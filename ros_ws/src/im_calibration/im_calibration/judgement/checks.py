@@ -78,15 +78,15 @@ def _half(gated: Gated, problem: CalibrationProblem, predicted: Mask) -> tuple[f
         return np.nan, np.nan, np.nan
     line, rows = gated.fit.linearisation, np.repeat(gated.used[:, predicted].T, 2, axis=1)
     jacobians, spread, residuals = (a[predicted] for a in (line.jacobians, line.covariances, line.residuals))
-    weighted = np.swapaxes(np.linalg.inv(spread) @ jacobians, 1, 2)
-    without = gated.fit.information - (weighted @ jacobians).sum(axis=0)
+    flat = jacobians.reshape(-1, jacobians.shape[2])
+    weighted = (np.linalg.inv(spread) @ jacobians).reshape(flat.shape).T
+    without = gated.fit.information - weighted @ flat
     scale = 1.0 / np.sqrt(np.maximum(np.diag(gated.fit.information), 1e-300))
     covariance = np.linalg.inv(without * scale[:, None] * scale + 1e-12 * np.eye(len(scale))) * scale[:, None] * scale
-    errors = residuals + jacobians @ (covariance @ (weighted @ residuals[..., None]).sum(axis=0)[:, 0])
+    errors = residuals + jacobians @ (covariance @ (weighted @ residuals.ravel()))
     noise = np.where(rows[:, :, None] & rows[:, None, :], spread, 0.0)
-    normal = jacobians.reshape(-1, len(scale)).T @ jacobians.reshape(-1, len(scale))
-    by_cameras = covariance @ normal
-    common = np.einsum("nia,nij,njb->ab", jacobians, noise, jacobians)
+    by_cameras = covariance @ (flat.T @ flat)
+    common = flat.T @ (noise @ jacobians).reshape(flat.shape)
     first = float(np.trace(noise, axis1=1, axis2=2).sum() + np.trace(by_cameras))
     second = float((noise**2).sum() + 2.0 * (covariance * common).sum() + (by_cameras * by_cameras.T).sum())
     squared, spots = float((errors[rows] ** 2).sum()), float(rows.sum()) / 2.0

@@ -4,7 +4,7 @@
 ``trials[2].u_px[0][17]``; a field that the format does not have is refused.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -23,7 +23,8 @@ from pydantic import (
 
 from im_calibration.problem.fields import Lists, Names, kind_of, number, positive
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem, KnownLengths
-from im_calibration.problem.target_problem import TargetTable
+from im_calibration.problem.target_problem import TargetTable, table_of
+from im_calibration.targets.views import TargetViews
 from im_cell.lens import PLUMB_BOB, lens_of
 from im_cell.workspace import Workspace
 from im_core.config import Fault, FieldError, Model, faults, field_name
@@ -330,6 +331,18 @@ def problems(content: object) -> tuple[CalibrationProblem, ...]:
         except DataError as error:
             raise _placed(f"trials[{i}]", error) from error
     return tuple(found)
+
+
+def dataset_of_views(views: TargetViews, noise_to_estimate: Sequence[str]) -> dict[str, Any]:
+    """Return a data set of some views, as a table of JSON."""
+    return {
+        "schema": SCHEMA,
+        "camera_names": list(views.camera_names),
+        "image_size": [list(size) for size in views.image_sizes],
+        "distortion_model": list(views.lens_models),
+        "noise_to_estimate": list(noise_to_estimate),
+        "target": table_of(views),
+    }
 
 
 def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:

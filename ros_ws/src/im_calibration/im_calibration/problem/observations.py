@@ -1,4 +1,4 @@
-"""Observations of a light on the wrist as they are made, pose by pose, and the calibration problem of them."""
+"""Observations of a light, or a target, on the wrist as they are made, and the calibration problem of them."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration.problem.problem import CalibrationProblem, KnownLengths
+from im_calibration.targets.target import CalibrationTarget
+from im_calibration.targets.views import RobotPoses, TargetViews
+from im_cell.lens import PLUMB_BOB
 from im_cell.rotations import matrix_of_quaternion
 from im_core.errors import DataError, NotFoundError
 
@@ -18,12 +21,31 @@ Array = NDArray[np.float64]
 _STAYED_M, _STAYED_RAD = 1e-4, 2e-4
 
 
+TARGET_NOISE = ("image",)
+"""Noise that is estimated with a target on the wrist: edges that a lens bends move corners by more than pixels do."""
+
+
 @dataclass(frozen=True)
 class SeenSpot:
     """Light in a camera: centre, shape (2,) [px], the covariance, shape (2, 2) [px^2], and the time [ns]."""
 
     uv: Array
     covariance: Array
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points of a target in a camera.
+
+    Attributes:
+        uv: Places, NaN where not found, shape (p, 2) [px].
+        standard_deviations: Of each coordinate, NaN where not known, shape (p,) [px].
+        stamp_ns: When the image was exposed [ns].
+    """
+
+    uv: Array
+    standard_deviations: Array
     stamp_ns: int
 
 
@@ -38,7 +60,9 @@ class Observation:
         position_covariance: Covariance of `position`, shape (3, 3) [m^2].
         spots: By camera; a camera that saw no light is left out.
         arm_jacobian: Derivatives of the place of the light by errors of the arm's kinematics, each of its usual size,
-            shape (3, m) [m]; none where they are not known.
+            shape (3, m) [m]; with `views` of place and turn of the wrist, shape (6, m); none where they are not known.
+        views: In place of spots, points of a target on the wrist, by camera.
+        wrist_covariance: Covariance of place and turn of the wrist, for `views`, shape (6, 6) [m^2], [m rad], [rad^2].
     """
 
     pose: str
@@ -47,6 +71,8 @@ class Observation:
     position_covariance: Array
     spots: dict[str, SeenSpot]
     arm_jacobian: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    views: dict[str, SeenPoints] = field(default_factory=dict)
+    wrist_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 @dataclass(frozen=True)
@@ -110,6 +136,56 @@ def problem_of(
     )
 
 
+def views_of(
+    cameras: tuple[str, ...],
+    observations: Sequence[Observation],
+    target: CalibrationTarget,
+    image_sizes: Mapping[str, tuple[int, int]],
+    known: Collection[str],
+) -> TargetViews:
+    """Return observations of a target on the wrist as views, for :func:`problem_of_views`.
+
+    Args:
+        cameras: Names of the cameras to calibrate.
+        observations: What they saw.
+        target: The target.
+        image_sizes: Width and height of the images of each camera [px].
+        known: Cameras that there are; others than `cameras` may have views.
+
+    Raises:
+        ImError: There is no observation, or one is of a camera that is not known, of another number of points or of
+            another arm than the others.
+    """
+    if not observations:
+        raise DataError("there is no observation to calibrate from")
+    count = len(cameras), len(observations), len(target.points)
+    spots, deviations = np.full((*count, 2), np.nan), np.full(count, np.nan)
+    poses = np.tile(np.eye(4), (len(observations), 1, 1))
+    for k, observation in enumerate(observations):
+        numbers = observation.position, observation.wrist_covariance, observation.arm_jacobian
+        if not all(np.isfinite(each).all() for each in numbers):
+            raise DataError(f"pose '{observation.pose}' holds a value that is not finite", pose=observation.pose)
+        poses[k, :3, :3], poses[k, :3, 3] = observation.rotation, observation.position
+        for camera, seen in observation.views.items():
+            if camera not in known:
+                raise NotFoundError(kind="camera", name=camera, known=known)
+            if len(seen.uv) != count[2]:
+                told = f"pose '{observation.pose}': {camera} has {len(seen.uv)} points"
+                raise DataError(f"{told}, the target {target} has {count[2]}", camera=camera)
+            if camera in cameras:
+                c = cameras.index(camera)
+                spots[c, k], deviations[c, k] = seen.uv, seen.standard_deviations
+    shapes = {o.arm_jacobian.shape for o in observations}
+    if len(shapes) > 1:
+        raise DataError(f"the observations have arm_jacobian of shapes {sorted(shapes)}, one is needed")
+    arm = np.array([o.arm_jacobian for o in observations])
+    covariances = np.array([o.wrist_covariance for o in observations])
+    robot = RobotPoses(poses, False, 0.0, 0.0, covariances, arm if arm.shape[1:] > (6, 0) else None)
+    names = tuple(o.pose for o in observations)
+    lenses, sizes = (PLUMB_BOB.name,) * len(cameras), tuple(image_sizes[camera] for camera in cameras)
+    return TargetViews(str(target), target.points, cameras, sizes, lenses, names, spots, deviations, robot, {})
+
+
 def _readings(observations: Sequence[Observation]) -> tuple[str, ...]:
     """Label successive observations of an arm that stayed as one reading of the robot; empty without such ones.
 
@@ -131,10 +207,12 @@ def observation_of(message: Any) -> Observation:
 
     Raises:
         DataError: It holds numbers that are not finite, or no rotation, or two spots of a camera, or an arm_jacobian
-            without three rows.
+            without three rows, with views six.
     """
-    if len(message.arm_jacobian) % 3:
-        told = f"arm_jacobian of pose '{message.pose}' has {len(message.arm_jacobian)} numbers, three rows are needed"
+    views = _views_seen(getattr(message, "views", ()), f"pose '{message.pose}'")  # bags of former versions have none
+    rows, count = (6, "six") if views else (3, "three")
+    if len(message.arm_jacobian) % rows:
+        told = f"arm_jacobian of pose '{message.pose}' has {len(message.arm_jacobian)} numbers, {count} rows are needed"
         raise DataError(told)
     position, q = message.wrist.position, message.wrist.orientation
     return Observation(
@@ -143,8 +221,33 @@ def observation_of(message: Any) -> Observation:
         rotation=matrix_of_quaternion([q.x, q.y, q.z, q.w], f"the orientation of pose '{message.pose}'"),
         position_covariance=np.array(message.position_covariance).reshape(3, 3),
         spots=spots_of(message.spots, f"pose '{message.pose}'"),
-        arm_jacobian=np.array(message.arm_jacobian).reshape(3, -1),
+        arm_jacobian=np.array(message.arm_jacobian).reshape(rows, -1),
+        views=views,
+        wrist_covariance=np.array(message.wrist_covariance).reshape(6, 6) if views else np.zeros((6, 6)),
     )
+
+
+def _views_seen(messages: Sequence[Any], place: str) -> dict[str, SeenPoints]:
+    """Return points of a target by camera, without cameras that did not find it.
+
+    Raises:
+        DataError: Two views are of one camera, or the lists of one differ in length, or hold what cannot be.
+    """
+    views: dict[str, SeenPoints] = {}
+    for view in messages:
+        if not view.found:
+            continue
+        if view.camera in views:
+            raise DataError(f"{place} has two views of {view.camera}", camera=view.camera)
+        lists = [np.array(each, dtype=float) for each in (view.u, view.v, view.sd)]
+        if len({len(each) for each in lists}) != 1:
+            raise DataError(f"{place}: u, v and sd of {view.camera} have {[len(each) for each in lists]} numbers")
+        u, v, deviations = lists
+        if np.isinf(lists).any() or (np.isnan(u) != np.isnan(v)).any() or (deviations <= 0.0).any():
+            raise DataError(f"{place}: the view of {view.camera} has a point that cannot be", camera=view.camera)
+        stamp_ns = view.stamp.sec * 10**9 + view.stamp.nanosec
+        views[view.camera] = SeenPoints(np.column_stack((u, v)), deviations, stamp_ns)
+    return views
 
 
 def spots_of(messages: Sequence[Any], place: str) -> dict[str, SeenSpot]:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 _UNSTATED_PX, _UNSTATED_M, _UNSTATED_RAD = 0.1, 1e-3, 2e-3
 _RIGID = 1e-4
+_ROUNDING = 1e-9
 
 
 class RobotTable(Model):
@@ -28,6 +29,8 @@ class RobotTable(Model):
     camera_moves: StrictBool
     sd_m: Annotated[float, Field(gt=0, lt=1)] | None = None
     sd_rad: Annotated[float, Field(gt=0, lt=1)] | None = None
+    cov: Annotated[Array | None, PlainValidator(Lists("k", 6, 6, optional=True))] = None
+    J_arm: Annotated[Array | None, PlainValidator(Lists("k", 6, "m", optional=True))] = None
 
     @model_validator(mode="after")
     def _rigid(self) -> Self:
@@ -36,6 +39,11 @@ class RobotTable(Model):
         wrong = (defect > _RIGID) | (np.linalg.det(turns) < 0.0) | np.any(self.poses[:, 3] != (0, 0, 0, 1), axis=1)
         for k in np.flatnonzero(wrong):
             raise FieldError(("poses", int(k)), "is no pose: a rotation, a place, and the row 0 0 0 1 are needed")
+        for name in ("cov", "J_arm"):
+            if getattr(self, name) is not None and self.camera_moves:
+                raise FieldError((name,), "is for a target on the robot; here the cameras are on it")
+        if self.cov is not None and (np.linalg.eigvalsh(self.cov)[:, 0] < -_ROUNDING * np.abs(self.cov).max()).any():
+            raise FieldError(("cov",), "has a matrix that is no covariance")
         return self
 
 
@@ -84,10 +92,10 @@ class TargetTable(Model):
         poses = None
         if robot is not None:
             noise = robot.sd_m or _UNSTATED_M, robot.sd_rad or _UNSTATED_RAD
-            poses = RobotPoses(robot.poses, robot.camera_moves, *noise)
+            poses = RobotPoses(robot.poses, robot.camera_moves, *noise, robot.cov, robot.J_arm)
         unknown = set(noise_to_estimate)
         unknown |= {"image"} if self.sigma_u_px is None else set()
-        unknown |= {"robot"} if robot and None in (robot.sd_m, robot.sd_rad) else set()
+        unknown |= {"robot"} if robot and robot.cov is None and None in (robot.sd_m, robot.sd_rad) else set()
         count = self.u_px.shape[:3]
         views = TargetViews(
             self.name,
@@ -125,7 +133,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
     places, frames = placed.places[k if robot is None else of], placed.world[k]
     points = (places[:, :3, :3] @ views.points[p][..., None])[..., 0] + places[:, :3, 3]
     positions = (frames[:, :3, :3] @ points[..., None])[..., 0] + frames[:, :3, 3]
-    roots = None if robot is None else _roots(robot, frames, points)
+    roots = None if robot is None else _roots(robot, k, frames, points)
     deviations = np.where(np.isfinite(views.deviations), views.deviations, np.nanmedian(views.deviations))
     n = len(k)
     low, high = np.quantile(positions, (0.03, 0.97), axis=0)
@@ -137,6 +145,7 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
         positions=positions,
         position_covariances=np.zeros((n, 3, 3)) if roots is None else roots @ np.swapaxes(roots, 1, 2),
         wrist_rotations=np.tile(np.eye(3), (n, 1, 1)),
+        arm_jacobians=None if robot is None or robot.arm is None else _levers(frames, points) @ robot.arm[k],
         spots=views.spots[:, k, p],
         spot_covariances=deviations[:, k, p][..., None, None] ** 2 * np.eye(2),
         pose_names=tuple(f"{views.names[view]} point {point}" for view, point in zip(k, p, strict=True)),
@@ -157,16 +166,32 @@ def problem_of_views(views: TargetViews, noise_to_estimate: tuple[str, ...]) -> 
     )
 
 
-def _roots(robot: RobotPoses, frames: Array, points: Array) -> Array:
-    """Return derivatives of points by errors of a reading, of the wrist in the base, shape (n, 3, 6) [m]."""
+def _roots(robot: RobotPoses, of: NDArray[np.intp], frames: Array, points: Array) -> Array:
+    """Return derivatives of points by errors of a reading, of the wrist in the base, shape (n, 3, 6) [m].
+
+    Args:
+        robot: The readings.
+        of: Which reading each point is of, shape (n,).
+        frames: Poses in which the target rests, shape (n, 4, 4).
+        points: Points there, shape (n, 3) [m].
+    """
+    if robot.covariances is not None:
+        values, axes = np.linalg.eigh(robot.covariances)
+        return np.asarray(_levers(frames, points) @ (axes * np.sqrt(np.maximum(values, 0.0))[:, None, :])[of])
     turn, shift = robot.sd_rad * np.eye(3), robot.sd_m * np.eye(3)
     if robot.camera_moves:
         # X = F q with F the inverse of the wrist's pose: a small turn w and shift s of the wrist, in its own axes,
         # move X by -(w x X) - s
         world = (frames[:, :3, :3] @ points[..., None])[..., 0] + frames[:, :3, 3]
         return np.concatenate((cross_matrix(world) @ turn, np.tile(-shift, (len(points), 1, 1))), axis=2)
+    levers = _levers(frames, points)
+    return np.concatenate((levers[..., 3:] @ turn, levers[..., :3] @ shift), axis=2)
+
+
+def _levers(frames: Array, points: Array) -> Array:
+    """Return derivatives of points by a shift and a turn of the link that carries them, shape (n, 3, 6) [-], [m]."""
     arms = (frames[:, :3, :3] @ points[..., None])[..., 0]
-    return np.concatenate((-cross_matrix(arms) @ turn, np.tile(shift, (len(points), 1, 1))), axis=2)
+    return np.concatenate((np.tile(np.eye(3), (len(points), 1, 1)), -cross_matrix(arms)), axis=2)
 
 
 def _given(given: GivenTable) -> tuple[Array, Array]:
@@ -210,8 +235,10 @@ def table_of(views: TargetViews) -> dict[str, Any]:
         and {
             "poses": robot.poses.tolist(),
             "camera_moves": robot.camera_moves,
-            "sd_m": robot.sd_m,
-            "sd_rad": robot.sd_rad,
+            "sd_m": robot.sd_m if robot.covariances is None else None,
+            "sd_rad": robot.sd_rad if robot.covariances is None else None,
+            "cov": None if robot.covariances is None else robot.covariances.tolist(),
+            "J_arm": None if robot.arm is None else robot.arm.tolist(),
         },
         "intrinsics": {
             name: {"values": values.tolist(), "covariance": covariance.tolist()}

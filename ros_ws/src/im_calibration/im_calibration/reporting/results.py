@@ -5,9 +5,9 @@ import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from im_calibration.judgement.calibration import Calibration, CameraEstimate
-from im_calibration.problem.dataset import dataset_of
 from im_calibration.problem.problem import CalibrationProblem
 from im_calibration.reporting.report import report_of
 from im_calibration.targets.views import ShownViews
@@ -86,12 +86,12 @@ def write_results(
         raise _unwritten(target, error) from error
 
 
-def write_observations(directory: Path | str, problem: CalibrationProblem) -> Path:
+def write_observations(directory: Path | str, content: Mapping[str, Any]) -> Path:
     """Write ``observations.json``, the data set for ``calibrate_dataset`` and ``next_best_pose``.
 
     Args:
         directory: Where; made if missing.
-        problem: The observations.
+        content: The data set.
 
     Raises:
         DataError: The directory cannot be written.
@@ -99,7 +99,7 @@ def write_observations(directory: Path | str, problem: CalibrationProblem) -> Pa
     target = Path(directory)
     try:
         make_folder(target)
-        return write_whole(target / OBSERVATIONS, json.dumps(dataset_of(problem), allow_nan=False) + "\n")
+        return write_whole(target / OBSERVATIONS, json.dumps(content, allow_nan=False) + "\n")
     except OSError as error:
         raise _unwritten(target, error) from error
 

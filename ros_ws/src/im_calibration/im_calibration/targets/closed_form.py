@@ -17,6 +17,7 @@ from im_calibration.errors import DegenerateDataError, InconsistentDataError
 from im_calibration.targets.views import RobotPoses, TargetViews
 from im_cell.camera_model import CameraModel
 from im_cell.lens import EQUIDISTANT, RATIONAL_POLYNOMIAL, lens_of
+from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,15 @@ def place_target(views: TargetViews) -> PlacedTarget:
         InconsistentDataError: No camera explains a camera's views; or the robot's poses do not belong to them as they
             are; what they would do with is named.
     """
-    seen = [_targets_in_camera(views, c) for c in range(len(views.camera_names))]
+    seen, faults = [], list[DegenerateDataError | InconsistentDataError]()
+    for c in range(len(views.camera_names)):
+        try:
+            seen.append(_targets_in_camera(views, c))
+        except (DegenerateDataError, InconsistentDataError) as error:
+            faults.append(error)
+    # a robot says for every camera where the target is: one that says little itself is judged with the others
+    if faults and (views.robot is None or not seen):
+        raise faults[0]
     if views.robot is None:
         places = _together(views, seen)
         still = np.tile(np.eye(4), (len(views.names), 1, 1))
@@ -90,7 +99,10 @@ def _targets_in_camera(views: TargetViews, c: int) -> dict[int, Array]:
     found = {}
     for k in usable:
         here = views.seen[c, k]
-        ideal = camera.undistort(views.spots[c, k, here])
+        try:
+            ideal = camera.undistort(views.spots[c, k, here])
+        except DataError:  # a lens to start from need not hold in each view
+            continue
         solved, turn, shift = cv2.solvePnP(views.points[here], ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
         if solved:
             found[int(k)] = _transform(np.asarray(cv2.Rodrigues(turn)[0]), np.ravel(shift))

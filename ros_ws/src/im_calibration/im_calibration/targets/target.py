@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
+from im_cell.robot import Cell
 from im_core.config import Model, load_model
-from im_core.errors import DataError, nearest
+from im_core.errors import DataError, NotFoundError, nearest
 
 Array = NDArray[np.float64]
 
@@ -174,6 +175,22 @@ def target_of(text: str) -> CalibrationTarget:
     if dictionary and dictionary not in DICTIONARIES:
         raise DataError(f"'{parts[3]}' is no dictionary of markers; there are {', '.join(DICTIONARIES)}.", target=text)
     return CalibrationTarget(kind, columns, rows, size, part, dictionary)
+
+
+def chessboard_of(cell: Cell, name: str) -> CalibrationTarget:
+    """Return a chessboard of the cell.
+
+    Args:
+        cell: The cell.
+        name: Of the board.
+
+    Raises:
+        NotFoundError: The cell has no chessboard of that name.
+    """
+    boards = {target.name: target for target in cell.targets if target.kind == "chessboard"}
+    if name not in boards:
+        raise NotFoundError(kind="chessboard", name=name, known=boards)
+    return CalibrationTarget("chessboard", *boards[name].corners, boards[name].size)
 
 
 def _length(text: str, whole: str) -> float:

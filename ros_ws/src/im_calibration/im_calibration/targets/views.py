@@ -20,12 +20,18 @@ class RobotPoses:
         camera_moves: Whether the cameras are on the wrist and the target is at rest; if not, it is the other way round.
         sd_m: Standard deviation of each coordinate of the place [m].
         sd_rad: Standard deviation of the turn about each axis [rad].
+        covariances: In place of these, covariances of each reading, places before turns, axes of the base, shape
+            (k, 6, 6) [m^2], [m rad], [rad^2]; None: these hold.
+        arm: Derivatives of each reading, likewise, by the errors of the arm's kinematics, each of its usual size, shape
+            (k, 6, m) [m], [rad]; None: the kinematics are not known.
     """
 
     poses: Array
     camera_moves: bool
     sd_m: float
     sd_rad: float
+    covariances: Array | None = None
+    arm: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,6 @@ class Cell(ObjectsFile):
     cameras: dict[str, Camera] = Field(default_factory=dict)
     camera_body: Size = (0.04, 0.04, 0.05)
     optics: Optics = Optics(blur=0.9, vignetting=0.15)
-    targets: tuple[Target, ...] = ()
     mirrors: tuple[Mirror, ...] = ()
     lamps: tuple[Lamp, ...] = ()
     laser: LaserScanner | None = None
@@ -162,6 +161,7 @@ class Cell(ObjectsFile):
             *((("hulls", rank, "link"), each.link) for rank, each in enumerate(self.hulls)),
             *((("boxes", rank, "link"), each.link) for rank, each in enumerate(self.boxes)),
             *((("mirrors", rank, "link"), each.link) for rank, each in enumerate(self.mirrors)),
+            *((("targets", rank, "parent"), each.parent) for rank, each in enumerate(self.targets)),
             *((("cameras", name, "parent"), each.parent) for name, each in self.cameras.items()),
             *((("never", rank), name) for rank, pair in enumerate(self.never) for name in pair),
         ]
@@ -314,6 +314,19 @@ class Cell(ObjectsFile):
         moved = carriers.get(link, "")
         return next((g.color for n, g in self.groups.items() if moved in self.joints_of(n)), _GREY)
 
+    def board_of(self, group: str) -> Target:
+        """Return the chessboard that an arm carries.
+
+        Raises:
+            ConfigError: It carries none.
+        """
+        tip = self.groups[group].tip
+        for target in self.targets:
+            if target.kind == "chessboard" and target.parent == tip:
+                return target
+        told = f"the {group} arm carries no chessboard; targets of the cell, or of the file that {OBJECTS} names"
+        raise ConfigError(f"{told}, can have one with parent: {tip}", group=group)
+
     @property
     def scanner(self) -> LaserScanner:
         """The laser scanner.
@@ -441,7 +454,7 @@ def load_cell(path: Path | str | None = None) -> Cell:
 
     Args:
         path: The file, or the name of a shipped cell; None: what the environment variable ``IM_CELL`` names, else the
-            default one, with the free bodies of the file named by ``IM_OBJECTS``, if there is one.
+            default one, with the free bodies and further plates of the file named by ``IM_OBJECTS``, if there is one.
 
     Raises:
         ConfigError: The file or its URDF is missing or wrong; the message names file, line and value.
@@ -452,5 +465,13 @@ def load_cell(path: Path | str | None = None) -> Cell:
     """
     cell = load_model(cell_file(path or os.environ.get(CELL) or DEFAULT_CELL), Cell)
     if path is None and (beside := os.environ.get(OBJECTS)):
-        return cell.model_copy(update={"objects": load_model(Path(beside), ObjectsFile).objects})
+        added = load_model(Path(beside), ObjectsFile)
+        taken, frames = {each.name for each in cell.targets}, (WORLD, *cell.description.links)
+        for target in added.targets:
+            if target.parent not in frames:
+                raise ConfigError(f"{beside}: parent of {target.name}: '{target.parent}' is no link of the cell")
+            if target.name in taken:
+                raise ConfigError(f"{beside}: the cell has a target of the name '{target.name}' already")
+        targets, poses = (*cell.targets, *added.targets), added.board_poses or cell.board_poses
+        cell = cell.model_copy(update={"objects": added.objects, "targets": targets, "board_poses": poses})
     return cell

@@ -1,10 +1,11 @@
 """Free bodies of the cell: what lies on the table, and what grippers hold by contact and friction."""
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from im_cell.robot.parameters import NonNegative, Positive, Size, Vector
 from im_cell.robot.scenery import Target
@@ -82,14 +83,28 @@ def _vector(values: NDArray[np.float64]) -> Vector:
 
 
 class ObjectsFile(Model):
-    """The free bodies of a cell, in its own file or in one beside it."""
+    """The free bodies and printed plates of a cell, in its own file or in one beside it.
+
+    Attributes:
+        objects: Free bodies.
+        targets: Printed plates.
+        board_poses: File of wrist poses that show the board on an arm to cameras; empty: there is none.
+    """
 
     objects: Annotated[tuple[FreeBody, ...], Field(max_length=MAX_BODIES)] = ()
+    targets: tuple[Target, ...] = ()
+    board_poses: str = ""
+
+    @field_validator("board_poses")
+    @classmethod
+    def _beside(cls, named: str, info: ValidationInfo) -> str:
+        return str(Path(str((info.context or {}).get("file", ""))).parent / named) if named else ""
 
     @model_validator(mode="after")
     def _one_name_each(self) -> Self:
-        names = [body.name for body in self.objects]
-        for rank, name in enumerate(names):
-            if name in names[:rank]:
-                raise FieldError(("objects", rank, "name"), f"two objects have the same name, '{name}'")
+        for kind, parts in (("objects", self.objects), ("targets", self.targets)):
+            names = [part.name for part in parts]
+            for rank, name in enumerate(names):
+                if name in names[:rank]:
+                    raise FieldError((kind, rank, "name"), f"two {kind} have the same name, '{name}'")
         return self

@@ -33,17 +33,19 @@ class Target(Model):
         size: Side of the fiducial or of a chessboard's square, diameter of the disc, or length of the edge [m].
         corners: Columns and rows of a chessboard's inner corners.
         plate: Side of the white plate [m].
-        position: Its centre in the world [m].
-        normal: Direction it faces.
+        parent: Frame it is fixed to, ``world`` or a link: an arm that carries a chessboard calibrates cameras with it.
+        position: Its centre in that frame [m].
+        normal: Direction it faces, in that frame.
         up: Direction of the print's upper side.
     """
 
-    name: str
+    name: Annotated[str, Field(min_length=1, max_length=64)]
     kind: Literal["fiducial", "circle", "edge", "chessboard"]
     id: Annotated[int, Field(ge=0, lt=50)] = 0
     size: Positive
     corners: tuple[Annotated[int, Field(ge=2, le=50)], Annotated[int, Field(ge=2, le=50)]] = (8, 5)
     plate: Positive
+    parent: str = "world"
     position: Vector
     normal: Vector
     up: Vector
@@ -57,7 +59,7 @@ class Target(Model):
         return self
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return R, shape (3, 3), and t, shape (3,) [m]; ``x_world = R x + t``: x to the print's right, y up, z out."""
+        """Return R, shape (3, 3), and t, shape (3,) [m]; ``x_parent = R x + t``: x to the right, y up, z out."""
         out = np.array(self.normal) / np.linalg.norm(self.normal)
         right = np.cross(np.array(self.up), out)
         right /= np.linalg.norm(right)

@@ -14,7 +14,7 @@ from im_calibration.light import MeasuredRest
 from im_cell.calibration_files import frame_of
 from im_cell.lights import lights_told
 from im_cell.robot import kinematic_derivatives, load_cell
-from im_cell.rotations import matrix_of_quaternion
+from im_cell.rotations import cross_matrix, matrix_of_quaternion
 from im_coordinators.object_search import middle_covariance, printed_body, standing_place
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
@@ -23,7 +23,7 @@ from im_core import clock
 from im_core.errors import DataError, StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.text.bounded_json import read_data
-from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, SpotSet
+from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, Spot, SpotSet, TargetView
 from im_msgs.srv import Calibrate, FiducialPose, SetLight, SpotFind
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt_node.rerun.host import Host
@@ -159,6 +159,15 @@ class VisionFunctions:
         at = dict(zip(position.joints, position.q_rest, strict=True))
         return kinematic_derivatives(self._cell, self._cell.groups[position.group].tip, at, offset)
 
+    def _wrist_by_arm(self, position: GroupState, rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the derivatives of place and turn of the wrist, likewise, shape (6, k) [m], [rad].
+
+        The turn is that of three points at a unit's distance: the sum of r x (w x r) over them is 2 w.
+        """
+        place, *points = (self._by_arm(position, offset) for offset in (np.zeros(3), *np.eye(3)))
+        turns = [cross_matrix(arm) @ (point - place) for arm, point in zip(rotation.T, points, strict=True)]
+        return np.vstack((place, 0.5 * np.sum(turns, axis=0)))
+
     async def _heard(self, topic: str, purpose: str) -> Any:
         """Return the last message of a topic; a coordinator just started waits for the first one."""
         deadline = clock.monotonic() + TOLD_S
@@ -175,23 +184,26 @@ class VisionFunctions:
         )
 
     async def look_exposure(self, ctx: ActionContext) -> dict[str, object]:
-        """Return the request for a look, at a light switched on."""
-        await self._lit.require(ctx, _light(ctx))
-        await self._require_lit(_light(ctx))
+        """Return the request for a look, at a light switched on, or at a target."""
+        await self._require_shown(ctx)
         exposure = self._host.parameter(LONG_EXPOSURE) if ctx.request_arguments["longer"] else 0.0
-        return {"cameras": ctx.request_arguments["cameras"], "exposure": exposure}
+        return {**_of(ctx, "cameras", "target"), "exposure": exposure}
 
     async def nominal_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """Return the request for a spot as received."""
-        await self._lit.require(ctx, _light(ctx))
-        await self._require_lit(_light(ctx))
-        return {name: ctx.request_arguments[name] for name in ("cameras", "exposure", "look")}
+        await self._require_shown(ctx)
+        return _of(ctx, "cameras", "exposure", "look", "target")
 
     async def longer_exposure(self, ctx: ActionContext) -> dict[str, object]:
         """Return the request for a look with more light."""
-        await self._lit.require(ctx, _light(ctx))
-        await self._require_lit(_light(ctx))
-        return {"cameras": ctx.request_arguments["cameras"], "exposure": self._host.parameter(LONG_EXPOSURE)}
+        await self._require_shown(ctx)
+        return {**_of(ctx, "cameras", "target"), "exposure": self._host.parameter(LONG_EXPOSURE)}
+
+    async def _require_shown(self, ctx: ActionContext) -> None:
+        """Check that the light is on; a look at a target needs none."""
+        if not ctx.request_arguments["target"]:
+            await self._lit.require(ctx, _light(ctx))
+            await self._require_lit(_light(ctx))
 
     async def _require_lit(self, name: str) -> None:
         """Wait until the testbed reports a light as on; the light may have been switched just now.
@@ -206,11 +218,15 @@ class VisionFunctions:
             await self._host.pause(PAUSE_S)
 
     async def store_spots(self, ctx: ActionContext, answer: SpotFind.Response) -> None:
-        """Store the spots found, if any, of a light switched on all the time, and return the largest error."""
-        await self._lit.require(ctx, _light(ctx))
-        require_spot({spot.camera: spot.cause for spot in answer.spots if not spot.found}, len(answer.spots))
+        """Store spots or views, of a light if the light was on all the time; return the largest error of spots."""
+        target = str(ctx.request_arguments["target"])
+        seen: list[Spot | TargetView] = [*answer.spots, *answer.views]
+        if not target:
+            await self._lit.require(ctx, _light(ctx))
+        missed = {each.camera: each.cause for each in seen if not each.found}
+        require_spot(missed, len(seen), f"'{target}'" if target else "the light")
         ctx.result["off"] = _farthest_off(answer)
-        found = SpotSet(spots=answer.spots, timing_json=answer.timing_json)
+        found = SpotSet(spots=answer.spots, views=answer.views, timing_json=answer.timing_json)
         await self._host.dom.put(ctx.object("spots"), found, place="vision_coordinator.spot_stored")
 
     async def keep_observation(self, ctx: ActionContext) -> None:
@@ -220,16 +236,17 @@ class VisionFunctions:
         spots = await self._host.dom.get(ctx.object("spots"), SpotSet)
         position = await self._host.dom.get(ctx.object("current_position"), GroupState)
         rest = _rest(position)
-        for spot in spots.spots:
-            rest.require_shown(spot.stamp.sec * 10**9 + spot.stamp.nanosec, pose)
-        observation = Observation(
-            pose=pose,
-            wrist=position.wrist,
-            position_covariance=rest.point_covariance(self._led_offset).ravel(),
-            arm_jacobian=self._by_arm(position, self._led_offset).ravel(),
-            spots=spots.spots,
-            rest_since=position.rest_since,
-        )
+        for stamp in [*(spot.stamp for spot in spots.spots), *(view.stamp for view in spots.views)]:
+            rest.require_shown(stamp.sec * 10**9 + stamp.nanosec, pose)
+        observation = Observation(pose=pose, wrist=position.wrist, rest_since=position.rest_since)
+        if spots.views:
+            observation.views = spots.views
+            observation.wrist_covariance = rest.wrist_covariance().ravel()
+            observation.arm_jacobian = self._wrist_by_arm(position, rest.rotation).ravel()
+        else:
+            observation.spots = spots.spots
+            observation.position_covariance = rest.point_covariance(self._led_offset).ravel()
+            observation.arm_jacobian = self._by_arm(position, self._led_offset).ravel()
         await self._host.dom.put(ctx.object(f"observation/{asked['number']}"), observation)
 
     async def calibration_problem(self, ctx: ActionContext) -> dict[str, object]:
@@ -242,7 +259,8 @@ class VisionFunctions:
         cameras, directory = read_data(list[str], asked["cameras"], "argument cameras"), str(asked["directory"])
         collected = ObservationSet(cameras=cameras, observations=kept, rejected=rejected, directory=directory)
         await self._host.dom.put(ctx.object("/observations"), collected)
-        return {"cameras": cameras, "observations": kept, "directory": directory, "apply": True}
+        told = {"cameras": cameras, "observations": kept, "directory": directory, "apply": True}
+        return {**told, "target": asked["target"]}
 
     async def store_calibration(self, ctx: ActionContext, answer: Calibrate.Response) -> None:
         """Store the calibration."""
@@ -260,6 +278,10 @@ def _farthest_off(answer: SpotFind.Response) -> float:
     pairs = zip(answer.spots, answer.candidates, strict=False)  # a camera without candidates has no prediction
     off = [math.hypot(s.u - c.u, s.v - c.v) for s, c in pairs if s.found and c.predicted]
     return max(off, default=-1.0)
+
+
+def _of(ctx: ActionContext, *names: str) -> dict[str, object]:
+    return {name: ctx.request_arguments[name] for name in names}
 
 
 def _light(ctx: ActionContext) -> str:

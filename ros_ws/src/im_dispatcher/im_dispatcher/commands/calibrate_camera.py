@@ -21,7 +21,7 @@ from im_core.text.bounded_json import read_json
 from im_dispatcher.accuracy import accuracy_reached, next_visits
 from im_dispatcher.command import CommandDescription
 from im_dispatcher.expectation import beside, expectation
-from im_dispatcher.job import PoseLoop, order_of, problem_of_light
+from im_dispatcher.job import PoseLoop, dataset_of_command, order_of
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 from im_dispatcher.report import StepTimes, failed, make_directory, succeeded, write_report
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
@@ -37,6 +37,9 @@ POSES = "calibration_poses"
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
+
+#: Arguments of the command that name its poses, and their defaults.
+_NAMED_POSES = {"poses_file": "", "target": "light"}
 
 #: How often in a row, without a pose in between, what was established is established again.
 MOST_TAKE_UPS = 5
@@ -111,13 +114,14 @@ class CalibrateCamera:
         """Read the poses and set the loop variable."""
         self._times.restart(ctx.command.id)
         ctx.memory["begun_ms"] = ctx.memory["seen_ms"] = self._clocks_ms()
-        text = await self._host.noted_apart("poses", _poses_text, str(ctx.request_arguments.get("poses_file", "")))
+        named = [str(ctx.request_arguments.get(name, other)) for name, other in _NAMED_POSES.items()]
+        text = await self._host.noted_apart("poses", _poses_text, *named)
         file = read_json(PosesFile, text, "the poses")
         order = order_of(ctx.request_arguments, self._cameras, lambda _: file)
         poses = len(order.file.poses)
         ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
-        ctx.memory["light"] = order.light
+        ctx.memory["light"], ctx.memory["target"] = order.light, order.target
         ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
         ctx.memory["loop"] = PoseLoop(poses).to_json()
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
@@ -192,8 +196,8 @@ class CalibrateCamera:
         return {**self.watchers(ctx), "longer": visit.longer}
 
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
-        """Return the cameras and the light of the last look."""
-        return {"cameras": ctx.memory["cameras"], "light": ctx.memory["light"]}
+        """Return the cameras and the light, or the target, of the last look."""
+        return {name: ctx.memory[name] for name in ("cameras", "light", "target")}
 
     def looked_pose(self, ctx: ActionContext) -> dict[str, object]:
         """Return the pose of the spots and the position to keep."""
@@ -240,6 +244,7 @@ class CalibrateCamera:
         names = _visits_of(ctx, await self._poses(ctx))
         return {
             "cameras": ctx.memory["cameras"],
+            "target": ctx.memory["target"],
             "observations": [number for number, name in enumerate(names, 1) if name not in left_out],
             "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
             "directory": ctx.memory["directory"],
@@ -347,8 +352,8 @@ class CalibrateCamera:
         """Write the observations so far, if any, in the format of a calibration."""
         kept = [await self._observation(ctx, number) for number in range(1, _loop(ctx).taken + 1)]
         if observed := [seen for seen in kept if seen is not None]:
-            directory, cameras = str(ctx.memory["directory"]), ctx.memory["cameras"]
-            await self._host.noted_apart("observations", _write_observations, directory, cameras, observed)
+            told = str(ctx.memory["directory"]), ctx.memory["cameras"], str(ctx.memory["target"]), observed
+            await self._host.noted_apart("observations", _write_observations, *told)
 
     async def _expect(self, poses: int) -> None:
         """Compute the expected duration of the command, where the nets give one."""
@@ -374,7 +379,13 @@ class CalibrateCamera:
             return summary
 
         seed = self._host.noted("seed", lambda: self._host.parameter("seed"))
-        report = {**report, "light": ctx.memory["light"], "timing": self._host.noted("timing", timing), "seed": seed}
+        report = {
+            **report,
+            "light": ctx.memory["light"],
+            "board": ctx.memory["target"],
+            "timing": self._host.noted("timing", timing),
+            "seed": seed,
+        }
         self._host.noted("report", lambda: str(write_report(Path(directory), report)))
         return {"report": report, "directory": directory}
 
@@ -408,13 +419,13 @@ class CalibrateCamera:
         return self._times
 
 
-def _poses_text(path: str) -> str:
-    return load_named_poses(path).model_dump_json()
+def _poses_text(path: str, target: str) -> str:
+    return load_named_poses(path, target).model_dump_json()
 
 
-def _write_observations(directory: str, cameras: list[str], observed: list[Mapping[str, object]]) -> str:
-    problem = problem_of_light(cameras, [observation_of(_as_message(each)) for each in observed])
-    return str(write_observations(directory, problem))
+def _write_observations(directory: str, cameras: list[str], target: str, observed: list[Mapping[str, object]]) -> str:
+    content = dataset_of_command(cameras, target, [observation_of(_as_message(each)) for each in observed])
+    return str(write_observations(directory, content))
 
 
 def _as_message(fields: Mapping[str, object]) -> Any:

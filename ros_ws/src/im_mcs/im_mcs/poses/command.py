@@ -16,11 +16,12 @@ from im_mcs.collision import CollisionChecker
 from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
+from im_mcs.poses.candidates import carried
 from im_mcs.poses.selection import PoseSelector, Selection
 from im_mcs.poses.view import rides_on, stand
 
 _HEADER = """\
-# Wrist poses for a calibration: the light fills what {cameras} see{s} and faces {them}.
+# Wrist poses for a calibration: the {target} fills what {cameras} see{s} and faces {them}.
 # Reachable and free of collisions one after the other, with any other arm at home.
 # {spread}.
 """
@@ -33,6 +34,7 @@ exit codes: 0 the poses are written; 1 there are no such poses, and why; 2 wrong
 
 examples:  scripts/run.sh im_mcs poses --cameras wall table --output poses.yaml
            scripts/run.sh im_mcs poses --count 30
+           scripts/run.sh im_mcs poses --target board --cameras wall --output board_wall.yaml
 """
 
 
@@ -41,9 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         cameras = options.cameras or list(load_cell().cameras)[:2]
-        selector, group = make_selector(options.config, options.group, cameras)
+        selector, group = make_selector(options.config, options.group, cameras, options.target)
         selection = selector.select(options.count, np.radians(options.tilt), options.seed)
-        text = to_yaml(group, cameras, selection)
+        text = to_yaml(group, cameras, selection, options.target)
         if options.output is None:
             print(text, end="")
         else:
@@ -63,6 +65,9 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--group", help="group with the light (default: the first without a camera)")
+    parser.add_argument(
+        "--target", choices=("light", "board"), default="light", help="what the group shows them (%(default)s)"
+    )
     parser.add_argument("--count", type=at_least(1), default=40, help="number of poses (%(default)s)")
     parser.add_argument("--cameras", nargs="+", help="cameras in use (default: the first two of the cell)")
     parser.add_argument(
@@ -80,16 +85,20 @@ def _tilt(text: str) -> float:
     return value
 
 
-def make_selector(config_file: Path | None, group: str | None, cameras: Sequence[str]) -> tuple[PoseSelector, str]:
+def make_selector(
+    config_file: Path | None, group: str | None, cameras: Sequence[str], target: str = "light"
+) -> tuple[PoseSelector, str]:
     """Return the selector of poses for cameras, and the name of the group with the light.
 
     Args:
         config_file: Configuration of MCS; None: the shipped one.
         group: Name of the group; None: the first that has a wrist and carries none of the cameras.
         cameras: Names of the cameras.
+        target: What it shows them, ``light`` or ``board``.
 
     Raises:
         NotFoundError: No such group or camera.
+        ConfigError: The group has no board.
         StateError: The group has no wrist, or a camera rides on it.
         DataError: A camera is given twice, or the cameras see no place in common that the light can reach.
     """
@@ -113,6 +122,7 @@ def make_selector(config_file: Path | None, group: str | None, cameras: Sequence
         index=np.array([model.index(joint) for joint in description.joints], dtype=np.intp),
         frame=description.wrist,
         views=stand(model, cameras, group, description.joints),
+        shown=carried(cell, cell.board_of(group) if target == "board" else None),
     )
     return selector, group
 
@@ -130,10 +140,11 @@ def _group_for(config: McsConfig, model: CellModel, cameras: Sequence[str]) -> s
     raise StateError(f"every arm carries one of the cameras {', '.join(cameras)}; none is left for the light")
 
 
-def to_yaml(group: str, cameras: Sequence[str], selection: Selection) -> str:
+def to_yaml(group: str, cameras: Sequence[str], selection: Selection, target: str = "light") -> str:
     """The file's text; one pose a line."""
     s, them = ("s", "it") if len(cameras) == 1 else ("", "them")
-    header = _HEADER.format(cameras=" and ".join(cameras), s=s, them=them, spread=_spread(selection).capitalize())
+    told = _spread(selection).capitalize()
+    header = _HEADER.format(target=target, cameras=" and ".join(cameras), s=s, them=them, spread=told)
     others = [f"other_joints: {list(each.home)}" for name, each in load_cell().groups.items() if name != group]
     lines = [header + f"group: {group}", "frame: world", *others, "poses:"]
     width = len(str(len(selection.poses)))

@@ -34,17 +34,24 @@ class CommonView:
         index: Joints of the group, shape (n,).
         frame: Its wrist.
         views: The cameras.
+        offset: The light in the frame of the wrist, shape (3,) [m].
 
     Raises:
         DataError: There is no such place; the message says which cameras have none in common.
     """
 
     def __init__(
-        self, model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str, views: Sequence[View]
+        self,
+        model: CellModel,
+        limits: JointLimits,
+        index: NDArray[np.intp],
+        frame: str,
+        views: Sequence[View],
+        offset: NDArray[np.float64],
     ) -> None:
         draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(index)))
         sampled = limits.lower[index] + draw * (limits.upper - limits.lower)[index]
-        whole, offset = model.cell.home, np.array(model.cell.led.offset)
+        whole = model.cell.home
         lights, wrists = np.empty((_SAMPLES, 3)), []
         for k, q in enumerate(sampled):
             whole[index] = q

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from im_mcs.inverse.arm import ARM_JOINTS
 from im_mcs.limits.limits import JointLimits
 from im_mcs.model import CellModel
 from im_mcs.planning.motions.joint import JointPath
-from im_mcs.poses.candidates import Candidate, candidates, held
+from im_mcs.poses.candidates import Candidate, Carried, candidates, held
 from im_mcs.poses.common import CommonView
 from im_mcs.poses.view import View
 
@@ -106,6 +107,7 @@ class PoseSelector:
         index: Joints of the group, shape (n,).
         frame: Its wrist.
         views: Cameras that shall see the light.
+        shown: The light, or a board.
 
     Raises:
         DataError: The cameras see no place in common that the light can reach.
@@ -119,15 +121,16 @@ class PoseSelector:
         index: NDArray[np.intp],
         frame: str,
         views: Sequence[View],
+        shown: Carried,
     ) -> None:
-        self._model = model
+        self._model, self._shown = model, shown
         self._limits = limits
         self._checker = checker
         self._index = index
         self._views = views
         self._solver = InverseKinematics(model, limits, index, frame)
         self._home = model.cell.home
-        self._common = CommonView(model, limits, index, frame, views)
+        self._common = CommonView(model, limits, index, frame, views, shown.offset)
 
     def select(self, count: int, max_tilt_rad: float, seed: int) -> Selection:
         """Choose and order poses.
@@ -159,11 +162,11 @@ class PoseSelector:
     def _pool(self, count: int, max_tilt_rad: float, seed: int) -> list[PlacedPose]:
         """Reachable, free and visible candidates."""
         pool, lacks = list[PlacedPose](), Counter[str]()
-        cell, views, draws = self._model.cell, self._views, _MAX_DRAWS_PER_POSE * count
+        shown, views, draws = self._shown, self._views, _MAX_DRAWS_PER_POSE * count
         stream = (
-            held(cell, self._common.wrists, views, max_tilt_rad)
+            held(shown, self._common.wrists, views, max_tilt_rad)
             if len(self._index) < ARM_JOINTS
-            else candidates(cell, self._common, views, max_tilt_rad, seed, draws)
+            else candidates(shown, self._common, views, max_tilt_rad, seed, draws)
         )
         for tries, candidate in enumerate(stream, start=1):
             found = self._try(candidate)
@@ -198,10 +201,10 @@ class PoseSelector:
 
     def _blocked(self, candidate: Candidate, q: NDArray[np.float64]) -> str | None:
         """Return a camera with an obstacle before the light, if there is one."""
-        whole = self._whole(q)
-        for view in self._views:
-            towards = view.position - candidate.light
-            start = candidate.light + towards / np.linalg.norm(towards) * _FIRST_STEP_M
+        whole, rim = self._whole(q), [candidate.wrist.act(place) for place in self._shown.rim]
+        for view, place in product(self._views, (candidate.light, *rim)):
+            towards = view.position - place
+            start = place + towards / np.linalg.norm(towards) * _FIRST_STEP_M
             if self._checker.blocking(whole, start, view.position, _LIGHT_RADIUS_M) is not None:
                 return view.name
         return None

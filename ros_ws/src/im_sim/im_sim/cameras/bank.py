@@ -1,6 +1,6 @@
 """The bank of simulated cameras: true cameras and lights in the mirrored scene."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
 from im_cell.link import Exposure
-from im_cell.robot import Cell
+from im_cell.robot import Cell, Target
 from im_cell.robot.truth import CellTruth
 from im_cell.sensor import SensorNoise
 from im_core.stopwatch import Stopwatch
 from im_sim.cameras.laser import LaserLight
 from im_sim.cameras.lens import FloatImage, Lens, vignette
 from im_sim.cameras.light import Spot, add_spot, image_of_light, reflect
-from im_sim.cameras.plates import Plates, TargetPatch, target_patch
+from im_sim.cameras.plates import Plates, TargetPatch, in_world, target_patch
 from im_sim.cameras.protocol import CameraSettings
 from im_sim.cameras.scene import SceneMirror
 from im_sim.cameras.sensor import noise_stream, read_out
@@ -70,7 +70,7 @@ class CameraBank:
         self._scene = scene
         self._seed = seed
         self._cameras = {name: self._camera(name) for name in settings.cameras}
-        self._plates = Plates(cell.targets)
+        self._plates = Plates(cell.targets, scene.pose)
         self._laser = None if truth.laser is None else LaserLight(cell, truth.laser.model(), scene, seed)
         self._prismatic = np.array([joint.kind == "prismatic" for joint in cell.joints])
         self._watch = Stopwatch()
@@ -223,17 +223,19 @@ class CameraBank:
         return unit.scene
 
     def _patches(self, unit: _Camera, placed: CameraModel) -> list[TargetPatch]:
-        """Return the targets in the image of a camera; the targets of a fixed camera are drawn once."""
-        if unit.patches is not None:
-            return unit.patches
+        """Return the targets in the image of a camera; standing ones of a fixed camera are drawn once."""
+
+        def drawn(targets: Iterable[Target]) -> list[TargetPatch]:
+            poses = ((target, in_world(target, self._scene.pose)) for target in targets)
+            made = (target_patch(*each, placed, unit.lens.ideal, self._cell.optics.blur) for each in poses)
+            return [patch for patch in made if patch is not None]
+
+        if unit.parent != "world" or unit.patches is None:
+            unit.patches = drawn(target for target in self._cell.targets if target.parent == "world")
         bodies = zip(self._cell.objects, self._seen[: 7 * len(self._cell.objects)].reshape(-1, 7), strict=True)
-        prints = [body.printed(pose) for body, pose in bodies]
-        targets = (*self._cell.targets, *(each for each in prints if each is not None))
-        drawn = (target_patch(target, placed, unit.lens.ideal, self._cell.optics.blur) for target in targets)
-        patches = [patch for patch in drawn if patch is not None]
-        if unit.parent == "world" and len(targets) == len(self._cell.targets):
-            unit.patches = patches
-        return patches
+        prints = (body.printed(pose) for body, pose in bodies)
+        carried = (target for target in self._cell.targets if target.parent != "world")
+        return unit.patches + drawn((*carried, *(each for each in prints if each is not None)))
 
     def _see_bodies(self, exposure: Exposure) -> None:
         """Move free bodies and jaws to where an exposure saw them."""

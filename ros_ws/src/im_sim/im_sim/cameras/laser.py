@@ -54,7 +54,7 @@ class LaserLight:
         self._scanner, self._true, self._scene, self._seed = cell.scanner, true, scene, seed
         self._blur = cell.optics.blur
         self._boxes = [_box(box) for box in cell.boxes]
-        self._plates = Plates(cell.targets)
+        self._plates = Plates(cell.targets, scene.pose)
         self._arm_albedo = float(np.mean([_LUMA @ group.color for group in cell.groups.values()]))
 
     def add(self, image: FloatImage, camera: str, placed: CameraModel, exposure: Exposure) -> None:

@@ -1,6 +1,6 @@
 """Printed plates as seen by a camera, drawn by rays through the true lens, and as obstacles of light and laser."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -48,11 +48,25 @@ class TargetPatch:
         scene[self.area] = scene[self.area] * (1.0 - covered) + bright
 
 
-def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float) -> TargetPatch | None:
+Place = Callable[[str], tuple[Array, Array]]
+"""Returns where a frame is in the world: rotation, shape (3, 3), and origin, shape (3,) [m]."""
+
+
+def in_world(target: Target, place: Place) -> tuple[Array, Array]:
+    """Return rotation and position of a target in the world, with the frame that it is fixed to."""
+    rotation, position = target.pose()
+    frame, origin = place(target.parent)
+    return frame @ rotation, frame @ position + origin
+
+
+def target_patch(
+    target: Target, pose: tuple[Array, Array], camera: CameraModel, ideal: Array, blur: float
+) -> TargetPatch | None:
     """Draw a target, as if nothing stood in the way.
 
     Args:
         target: The target.
+        pose: Where it is in the world, as of :func:`in_world`.
         camera: The true camera, with its pose in the world.
         ideal: For each pixel the ideal image point of its centre, shape (h, w, 2) [-].
         blur: Standard deviation of the lens's blur [px], for which room is left.
@@ -60,7 +74,7 @@ def target_patch(target: Target, camera: CameraModel, ideal: Array, blur: float)
     Returns:
         The target, None where it is out of view or faces away.
     """
-    rotation, position = target.pose()
+    rotation, position = pose
     R, t = camera.R_cam_base @ rotation, camera.to_camera(position)
     if t @ R[:, 2] >= 0.0:
         return None
@@ -138,11 +152,17 @@ class _Plate:
 
 
 class Plates:
-    """All plates of a cell, infinitely thin, opaque from both sides, with white backs."""
+    """All plates of a cell, infinitely thin, opaque from both sides, with white backs.
 
-    def __init__(self, targets: Sequence[Target]) -> None:
-        """Place the plates."""
-        self._plates = [_Plate(target, *target.pose()) for target in targets]
+    Args:
+        targets: The plates.
+        place: Where their frames are at present.
+    """
+
+    def __init__(self, targets: Sequence[Target], place: Place) -> None:
+        self._standing = [_Plate(each, *each.pose()) for each in targets if each.parent == "world"]
+        self._carried = [each for each in targets if each.parent != "world"]
+        self._place = place
 
     def first(self, starts: Array, ends: Array) -> tuple[Array, Array, Array]:
         """Where rays first meet a plate.
@@ -157,7 +177,8 @@ class Plates:
         """
         share, normals = np.full(len(starts), _MISSED), np.zeros((len(starts), 3))
         albedo = np.zeros(len(starts))
-        for plate in self._plates:
+        carried = [_Plate(each, *in_world(each, self._place)) for each in self._carried]
+        for plate in (*self._standing, *carried):
             pierced, x, y, side = _pierce(plate, starts, ends)
             nearer = pierced < share
             share[nearer], normals[nearer] = pierced[nearer], side[nearer, None] * plate.rotation[:, 2]

@@ -74,7 +74,8 @@ class CellMarkers(ResidualMarkers):
         node.create_subscription(String, "/testbed/lights", self._switched, qos.LATCHED)
 
     def _markers(self) -> list[Marker]:
-        markers = [_view(rank, entry) for rank, entry in enumerate(self._book.entries())]
+        ranked = enumerate(self._book.entries())
+        markers = [_view(rank, entry) for rank, entry in ranked if entry.model.invertible_share]
         markers += super()._markers()
         markers += [_plate(rank, target) for rank, target in enumerate(self._cell.targets)]
         markers += [self._light(rank, name, lit) for rank, (name, lit) in enumerate(self._lights.items())]
@@ -91,11 +92,12 @@ class CellMarkers(ResidualMarkers):
 
 
 def _view(rank: int, entry: CameraEntry) -> Marker:
-    """Return the edges of a camera's view: from the centre through the corners of the image, and around."""
+    """Return the edges of a camera's view: from the centre through the corners of the image, and around.
+
+    Of an image with corners in which the lens cannot be inverted, they are those of the part in which it can be.
+    """
     model = entry.model
-    right, low = model.width - 0.5, model.height - 0.5
-    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, low], [-0.5, low]])
-    ideal = model.undistort(corners)
+    ideal = model.undistort(model.corners(model.invertible_share))
     ends = [Point(x=_DEPTH_M * x, y=_DEPTH_M * y, z=_DEPTH_M) for x, y in ideal.tolist()]
     marker = _marker("cameras", rank, entry.frame, Marker.LINE_LIST, _CALIBRATED if entry.calibrated else _DRAWN)
     marker.scale.x = 0.005
@@ -121,7 +123,7 @@ def _residuals(rank: int, entry: CameraEntry, spots: Array, residuals: Array) ->
 
 
 def _plate(rank: int, target: Target) -> Marker:
-    marker = _marker("objects", rank, "world", Marker.CUBE, _PLATE)
+    marker = _marker("objects", rank, target.parent, Marker.CUBE, _PLATE)
     rotation, position = target.pose()
     marker.pose = to_pose(position, rotation)
     marker.scale.x, marker.scale.y, marker.scale.z = target.plate, target.plate, _PLATE_M

@@ -15,9 +15,10 @@ from im_cell.lens import PLUMB_BOB, lens_of
 from im_cell.rotations import quaternion_of_matrix
 from im_core.errors import DataError
 from im_core.ros.messages.stamps import to_stamp
-from im_msgs.msg import Spot, SpotCandidates
+from im_msgs.msg import Spot, SpotCandidates, TargetView
 from im_vss.camera_book import CameraEntry
-from im_vss.services.spot import CameraSpot
+from im_vss.services.spot import CameraSpot, CameraView
+from im_vss.tools.display import NOT_SEEN
 from im_vss.tools.spot import Region
 
 Array = NDArray[np.float64]
@@ -112,6 +113,18 @@ def to_spot(seen: CameraSpot) -> Spot:
         message.covariance = spot.covariance.ravel()
         message.amplitude, message.sigma = spot.amplitude, spot.sigma
         message.saturated = spot.saturated > 0
+    return message
+
+
+def to_view(seen: CameraView) -> TargetView:
+    """Convert the view of a target to a message."""
+    message = TargetView(camera=seen.camera, stamp=to_stamp(seen.stamp_ns))
+    if seen.found is None:
+        message.cause = f"it {NOT_SEEN}"
+        return message
+    message.found = True
+    message.u, message.v = seen.found.points.T.tolist()
+    message.sd = seen.found.standard_deviations.tolist()
     return message
 
 

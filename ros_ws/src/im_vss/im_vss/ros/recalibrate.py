@@ -18,6 +18,7 @@ from im_calibration import (
     InconsistentDataError,
     calibrate_possible,
     comparison,
+    dataset_of,
     largest_difference,
     problem_of,
     report_of,
@@ -110,6 +111,10 @@ def _parser() -> argparse.ArgumentParser:
 def _recalibrate(options: argparse.Namespace) -> int:
     directory = _folder(options)
     call = _chosen(options)
+    if getattr(call.request, "target", ""):  # bags of former versions have none
+        raise DataError(
+            f"{options.bag}: its calibration is by a board; `im calibrate --again` computes its folder again"
+        )
     cell = load_cell()
     settings = load_settings(cell)
     request = _narrowed(from_request(call.request), options, settings)
@@ -123,7 +128,7 @@ def _recalibrate(options: argparse.Namespace) -> int:
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs or ())
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)
-    write_observations(directory, problem)
+    write_observations(directory, dataset_of(problem))
     write_calibration(directory, calibration, problem, book, mounted, covariance)
     print(f"replay: {calibration.message}")
     code = _compared(call, json.loads(json.dumps(report_of(calibration, problem))), changed)

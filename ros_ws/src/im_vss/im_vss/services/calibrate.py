@@ -1,4 +1,4 @@
-"""Service for the calibration of cameras from observations of the wrist light."""
+"""Service for the calibration of cameras from observations of the wrist light, or of a target on a wrist."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,15 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_calibration import (
+    TARGET_NOISE,
     Calibration,
     CalibrationProblem,
     Observation,
     SeenLength,
+    dataset_of,
+    dataset_of_views,
     problem_of,
+    problem_of_views,
     report_of,
+    views_of,
     write_observations,
     write_results,
 )
+from im_calibration.targets.target import chessboard_of
 from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
@@ -43,6 +49,7 @@ class CalibrateRequest:
         lengths: Known lengths that judge the robot's scale.
         directory: Where plots and files go; None: nowhere.
         apply: Whether a result that can be used becomes the cameras' calibration.
+        target: Name of the target of the cell in the observations; empty: they are of the light.
     """
 
     cameras: tuple[str, ...]
@@ -50,6 +57,7 @@ class CalibrateRequest:
     lengths: tuple[SeenLength, ...] = ()
     directory: Path | None = None
     apply: bool = False
+    target: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,17 +86,7 @@ class SvcCalibrate(VisionService):
                 results cannot be written, or the client gave up; the cameras' calibration is as before then.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
-        models = {camera: self.rig.book[camera].model for camera in cameras}
-        problem = problem_of(
-            cameras,
-            request.observations,
-            request.lengths,
-            {camera: (model.width, model.height) for camera, model in models.items()},
-            (self.rig.cell.led.offset, self.rig.cell.led.offset_prior_sd),
-            self.rig.settings.cameras,
-        )
-        if request.directory is not None:
-            write_observations(request.directory, problem)
+        problem = self._problem(cameras, request)
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
         for camera, residuals in zip(calibration.cameras, calibration.residuals, strict=True):
             self.rig.book.residuals[camera.name] = problem.spots[cameras.index(camera.name)], residuals
@@ -100,6 +98,27 @@ class SvcCalibrate(VisionService):
             client.commit()
             self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
+
+    def _problem(self, cameras: tuple[str, ...], request: CalibrateRequest) -> CalibrationProblem:
+        """Return the observations in the solver's terms; write them first.
+
+        Raises:
+            ImError: There is none, one is malformed, or the target is no chessboard of the cell or in too few of them.
+        """
+        models = {camera: self.rig.book[camera].model for camera in cameras}
+        sizes = {camera: (model.width, model.height) for camera, model in models.items()}
+        known, directory = self.rig.settings.cameras, request.directory
+        if request.target:
+            target = chessboard_of(self.rig.cell, request.target)
+            views = views_of(cameras, request.observations, target, sizes, known)
+            if directory is not None:
+                write_observations(directory, dataset_of_views(views, TARGET_NOISE))
+            return problem_of_views(views, TARGET_NOISE)
+        led = self.rig.cell.led.offset, self.rig.cell.led.offset_prior_sd
+        problem = problem_of(cameras, request.observations, request.lengths, sizes, led, known)
+        if directory is not None:
+            write_observations(directory, dataset_of(problem))
+        return problem
 
 
 def on_their_mounts(
@@ -115,8 +134,8 @@ def on_their_mounts(
     for camera in calibration.cameras if calibration.usable else ():
         model, parent = camera.model, book[camera.name].parent
         if parent != "world":
-            seen = [seen.spots[camera.name] for seen in request.observations if camera.name in seen.spots]
-            where = mount(parent, [spot.stamp_ns for spot in seen])
+            found = [seen.views if request.target else seen.spots for seen in request.observations]
+            where = mount(parent, [seen[camera.name].stamp_ns for seen in found if camera.name in seen])
             model, covariance = fixed_to(model, *where), covariance.on_mount(camera.name, model.R_cam_base @ where[1])
         mounted[camera.name] = model
     return mounted, covariance

@@ -1,13 +1,15 @@
-"""Services for the spot of a light: in an image, in a stereo pair, and in looks without an immediate answer."""
+"""Services for the spot of a light or the points of a target: in an image, a stereo pair, and in looks."""
 
 import threading
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from im_calibration.targets.detection import Detection
+from im_calibration.targets.target import chessboard_of
 from im_cell.frames import Exposed, nobody
 from im_core.errors import ConfigError, DataError
 from im_core.stopwatch import Stopwatch
@@ -16,22 +18,25 @@ from im_vss.pending_looks import Look
 from im_vss.services.service import VisionService
 from im_vss.services.snap import SnapRequest
 from im_vss.spot import SpotFinding
+from im_vss.tools.display import TargetPoints
 from im_vss.tools.spot import StereoFinding
 
 
 @dataclass(frozen=True)
 class SpotFindRequest:
-    """Find the light in each camera, all exposed at the same time.
+    """Find the light, or a target, in each camera, all exposed at the same time.
 
     Attributes:
         cameras: Their names.
         exposure_s: Length of an exposure; 0: the nominal one [s].
         look: Name of a look whose images are searched; empty: images are taken now.
+        target: Name of a target of the cell; empty: the light.
     """
 
     cameras: tuple[str, ...]
     exposure_s: float = 0.0
     look: str = ""
+    target: str = ""
 
 
 @dataclass(frozen=True)
@@ -44,8 +49,17 @@ class CameraSpot:
 
 
 @dataclass(frozen=True)
+class CameraView:
+    """View of a target by one camera: the name, testbed time of the exposure [ns], points; None: it is not seen."""
+
+    camera: str
+    stamp_ns: int
+    found: Detection | None
+
+
+@dataclass(frozen=True)
 class SpotFindResult:
-    """The spots, in the order of the request, and where the time went, by step [s].
+    """The spots, or the views of a target, in the order of the request, and where the time went, by step [s].
 
     `remarks` are what the client of a look was told, for whoever asks for it.
     """
@@ -53,6 +67,7 @@ class SpotFindResult:
     spots: tuple[CameraSpot, ...]
     timing: dict[str, float]
     remarks: tuple[str, ...] = ()
+    views: tuple[CameraView, ...] = ()
 
 
 class SvcSpotFind(VisionService):
@@ -62,6 +77,8 @@ class SvcSpotFind(VisionService):
 
     def serve(self, client: VisionClient, request: SpotFindRequest) -> SpotFindResult:
         """Find the spots: an exposure without light, one with light, common to all cameras; or the spots of a look.
+
+        A target is found in one exposure without light.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, the cameras do not deliver, or the look is not
@@ -74,9 +91,35 @@ class SvcSpotFind(VisionService):
             for remark in found.remarks:
                 client.tell(remark)
             return found
-        watch = Stopwatch()
-        spots, timing = find_in_pairs(self, client, request.cameras, request.exposure_s, watch)
+        return find(self, client, request)
+
+
+def find(
+    service: VisionService, client: VisionClient, request: SpotFindRequest, exposed: Exposed = nobody
+) -> SpotFindResult:
+    """Find light or target in new images; arguments as of :func:`find_in_pairs`.
+
+    Raises:
+        ImError: See :meth:`SvcSpotFind.serve`.
+    """
+    watch = Stopwatch()
+    cameras, exposure_s = request.cameras, request.exposure_s
+    if not request.target:
+        spots, timing = find_in_pairs(service, client, cameras, exposure_s, watch, exposed)
         return SpotFindResult(spots, {**timing, **watch.report()})
+    target = chessboard_of(service.rig.cell, request.target)
+    with watch.step("snap_s"):
+        images = service.tool("tool_snap")(client, cameras, exposure_s, (True,), (True,), exposed=exposed)
+    with watch.step("display_s"):
+        service.tool("tool_image_disp")(client, images)
+    frames = {camera: images.frames[camera][0] for camera in cameras}
+    with watch.step("find_s"):
+        found = {camera: service.tool("tool_target_find")(frame, target) for camera, frame in frames.items()}
+    with watch.step("display_s"):
+        marked = {camera: TargetPoints(request.target, detection) for camera, detection in found.items()}
+        service.tool("tool_spot_disp")(client, marked)
+    views = tuple(CameraView(camera, frames[camera].stamp_ns, detection) for camera, detection in found.items())
+    return SpotFindResult((), {**images.timing, **watch.report()}, (), views)
 
 
 def find_in_pairs(
@@ -172,14 +215,14 @@ class SvcSpotLook(VisionService):
 
     name: ClassVar[str] = "spot_look"
 
-    def serve(self, client: VisionClient, request: SnapRequest) -> str:
-        """Expose an image without light and one with light, common to all cameras; return the name of the look.
+    def serve(self, client: VisionClient, request: SpotFindRequest) -> str:
+        """Expose the images of a :class:`SvcSpotFind`, common to all cameras; return the name of the look.
 
         The images are read out and searched in a thread of their own, under the leases that any SpotFind has; once they
         are exposed, the search goes on for whoever asks for it, whatever becomes of this client.
 
         Raises:
-            ImError: A camera is unknown, the exposure out of range, or the cameras do not expose.
+            ImError: A camera or the target is unknown, the exposure out of range, or the cameras do not expose.
         """
         look: Look[SpotFindResult] = Look(request.cameras)
         shut: Future[str] = Future()
@@ -192,10 +235,8 @@ class SvcSpotLook(VisionService):
             shut.set_result(name)
 
         def search() -> None:
-            watch = Stopwatch()
             try:
-                spots, timing = find_in_pairs(self, searcher, request.cameras, request.exposure_s, watch, exposed)
-                look.found.set_result(SpotFindResult(spots, {**timing, **watch.report()}, tuple(remarks)))
+                look.found.set_result(replace(find(self, searcher, request, exposed), remarks=tuple(remarks)))
             except Exception as error:  # whatever it is, it is for whoever waits for the result
                 look.found.set_exception(error)
                 if not shut.done():

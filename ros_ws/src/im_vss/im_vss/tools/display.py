@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from im_calibration.targets.detection import Detection
 from im_cell.camera_model import CameraModel
 from im_vss.edges import EllipseFit, LineFit
 from im_vss.fiducial import FiducialFit
@@ -20,6 +21,8 @@ Array = NDArray[np.float64]
 _TURN = np.linspace(0.0, 2.0 * np.pi, 49)
 _ALONG = np.linspace(0.0, 1.0, 17)
 _OFF_PX = 8.0
+NOT_SEEN = "is not seen whole: out of view, hidden, too far off its axis, or too small"
+"""Why a target was not found."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,15 @@ class Fiducials:
     cause: str
 
 
-Seen = SpotFinding | Circles | Lines | Fiducials
+@dataclass(frozen=True)
+class TargetPoints:
+    """Points of a calibration target in an image; None: it is not there."""
+
+    name: str
+    found: Detection | None
+
+
+Seen = SpotFinding | Circles | Lines | Fiducials | TargetPoints
 
 
 class ToolSpotDisp(Tool):
@@ -74,8 +85,17 @@ def _marker(camera: str, model: CameraModel, seen: Seen) -> Marker:
         case Lines():
             curves = tuple(Curve(_through_lens(model, fit)) for fit in seen.fits)
             return Marker(camera, f"{camera}: {_count(seen.fits, 'line')}", curves=curves)
+        case TargetPoints():
+            return _points(camera, seen)
         case Fiducials():
             return _fiducials(camera, model, seen)
+
+
+def _points(camera: str, seen: TargetPoints) -> Marker:
+    if seen.found is None:
+        return Marker(camera, f"{camera}: {seen.name} {NOT_SEEN}")
+    points = tuple((float(u), float(v)) for u, v in seen.found.points if np.isfinite(u))
+    return Marker(camera, f"{camera}: {_count(points, 'point')} of {seen.name}", points)
 
 
 def _spot(camera: str, finding: SpotFinding) -> Marker:

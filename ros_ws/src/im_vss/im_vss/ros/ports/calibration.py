@@ -61,6 +61,7 @@ def from_request(message: Calibrate.Request) -> CalibrateRequest:
         cameras=tuple(message.cameras),
         observations=tuple(observation_of(observation) for observation in message.observations),
         lengths=tuple(from_known_length(length, i) for i, length in enumerate(message.known_lengths)),
+        target=getattr(message, "target", ""),  # bags of former versions have none
         directory=Path(message.directory) if message.directory else None,
         apply=message.apply,
     )

@@ -16,6 +16,7 @@ from im_vss.ros.messages import (
     to_image,
     to_pose,
     to_spot,
+    to_view,
 )
 from im_vss.ros.ports.port import Port
 from im_vss.services.features import (
@@ -64,20 +65,25 @@ class SpotFindPort(Port):
     kind: ClassVar[type] = SpotFind
 
     def request(self, message: SpotFind.Request) -> SpotFindRequest:
-        """Read cameras and exposure, or a look."""
-        return SpotFindRequest(tuple(message.cameras), message.exposure, message.look)
+        """Read cameras and exposure, or a look, and the target."""
+        return SpotFindRequest(tuple(message.cameras), message.exposure, message.look, message.target)
 
     def answer(self, result: SpotFindResult, response: SpotFind.Response) -> None:
-        """Fill in a spot, or the cause of the absence, and the candidates, for each camera."""
+        """Fill in a spot, or the cause of the absence, and the candidates, for each camera; of a target, the views."""
         response.spots = [to_spot(spot) for spot in result.spots]
         response.candidates = [to_candidates(spot) for spot in result.spots]
+        response.views = [to_view(view) for view in result.views]
         response.timing_json = json.dumps(result.timing)
 
 
-class SpotLookPort(CamerasPort):
+class SpotLookPort(Port):
     """`im_msgs/srv/SpotLook`."""
 
     kind: ClassVar[type] = SpotLook
+
+    def request(self, message: SpotLook.Request) -> SpotFindRequest:
+        """Read cameras, exposure and target."""
+        return SpotFindRequest(tuple(message.cameras), message.exposure, target=message.target)
 
     def answer(self, result: str, response: SpotLook.Response) -> None:
         """The name of the look."""
