@@ -468,7 +468,7 @@ class ControlledGroup:
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""
-        return np.asarray(self.setpoint.q - q[self.index])
+        return self.setpoint.q - q[self.place]
 
     def progress(self) -> dict[str, Any] | None:
         """Return for the goal under way the id, the passed share of time and the point; None: there is none."""
