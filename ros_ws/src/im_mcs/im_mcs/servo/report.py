@@ -1,5 +1,7 @@
 """Reports of the servo about the servo: the snapshot and the samples."""
 
+from typing import Any
+
 import numpy as np
 
 from im_cell.link.fields import Fields
@@ -61,6 +63,7 @@ class Reporter:
         self._record = channel.snapshot.record()
         self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
         self._newest = Fields([self._fields[name] for name in _NEWEST])
+        self._told: list[tuple[Any, ...]] = []
         self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
         self._next_sample_ns, self._sample_period_ns = 0, round(1e9 / sample_rate_hz)
 
@@ -117,7 +120,7 @@ class Reporter:
     def _groups(self, now_ns: int) -> None:
         mcs, fields = self._mcs, self._fields
         rows = fields["groups"]
-        rows[len(mcs.groups) :] = self._no_group
+        told: list[tuple[Any, ...]] = []
         fields["reserved"][...] = False
         for rank, (name, group) in enumerate(mcs.groups.items()):
             i, monitor = group.place, group.monitor
@@ -130,7 +133,7 @@ class Reporter:
             fields["q_rest"][i] = monitor.q
             fields["q_rest_variance"][i] = monitor.variance
             protective = group.protective
-            rows[rank] = (
+            row = (
                 name.encode(),
                 STATES.index(mcs.manager.state_of(name)),
                 reservation is not None,
@@ -145,3 +148,9 @@ class Reporter:
                 b"" if protective is None else protective.message.encode(),
                 group.jog_limit,
             )
+            told.append(row)
+            if rank >= len(self._told) or row != self._told[rank]:  # numpy takes long to write one
+                rows[rank] = row
+        if len(told) < len(self._told):
+            rows[len(told) :] = self._no_group
+        self._told = told
