@@ -245,7 +245,9 @@ def test_changes_wake_the_server_once_for_all_until_it_looks(serve, wait_until):
     assert len(wakes) == 1
     busy.set()
     last = {f"part {k}": max(n for n in range(200) if n % 3 == k) for k in range(3)}
-    wait_until(lambda: {part["part"]: part["content"] for part in server.state.cell_parts()} == last, "the newest of each part")
+    wait_until(
+        lambda: {part["part"]: part["content"] for part in server.state.cell_parts()} == last, "the newest of each part"
+    )
     server.show(server.state.cell("part 0", "later"))
     wait_until(lambda: "later" in [part["content"] for part in server.state.cell_parts()], "the later change")
     assert len(wakes) == 2
