@@ -10,37 +10,6 @@ from im_mcs.protocol.channel import ServoChannel
 from im_mcs.servo.core import Mcs
 from im_mcs.state.table import STATES
 
-# Fields of the snapshot that are none of a group, in the order in which they are written.
-_NEWEST = (
-    "tick",
-    "stamp_ns",
-    "state",
-    "power",
-    "brakes",
-    "q",
-    "v",
-    "tau",
-    "age",
-    "setpoint",
-    "setpoint_v",
-    "setpoint_a",
-    "gripper",
-    "gripper_force",
-    "wrench",
-    "preset",
-    "saturations",
-    "evidence",
-    "distance",
-    "closest",
-    "ticks",
-    "missed_deadlines",
-    "max_lateness_s",
-    "mean_period_s",
-    "mean_compute_s",
-    "real_time",
-    "linked",
-)
-
 
 class Reporter:
     """Writes snapshots and samples into the channel.
@@ -62,7 +31,7 @@ class Reporter:
         self._channel, self._mcs, self._loop = channel, mcs, loop
         self._record = channel.snapshot.record()
         self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
-        self._newest = Fields([self._fields[name] for name in _NEWEST])
+        self._newest: Fields | None = None
         self._told: list[tuple[Any, ...]] = []
         self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
         self._next_sample_ns, self._sample_period_ns = 0, round(1e9 / sample_rate_hz)
@@ -83,37 +52,38 @@ class Reporter:
         """The newest state."""
         mcs, m, pacer = self._mcs, self._mcs.measured, self._loop.pacer
         near = mcs.loop.proximity
-        self._newest.put(
-            (
-                m.tick,
-                m.stamp_ns,
-                STATES.index(mcs.manager.state),
-                m.power,
-                m.brakes,
-                m.q,
-                mcs.v,
-                mcs.tau,
-                m.age_s,
-                mcs.loop.setpoint[0],
-                mcs.loop.setpoint[1],
-                mcs.loop.setpoint[2],
-                m.gripper,
-                m.gripper_force,
-                m.wrench,
-                mcs.config.preset.encode(),
-                mcs.saturations.counts,
-                mcs.recorder.newest,
-                np.inf if near is None else near.distance,
-                (b"", b"") if near is None else (near.first.encode(), near.second.encode()),
-                pacer.ticks,
-                pacer.missed,
-                pacer.max_lateness_s,
-                pacer.mean_period_s,
-                self._loop.groups.statistics()[0].mean_s,
-                self.real_time,
-                self.linked,
-            )
-        )
+        values = {
+            "tick": m.tick,
+            "stamp_ns": m.stamp_ns,
+            "state": STATES.index(mcs.manager.state),
+            "power": m.power,
+            "brakes": m.brakes,
+            "q": m.q,
+            "v": mcs.v,
+            "tau": mcs.tau,
+            "age": m.age_s,
+            "setpoint": mcs.loop.setpoint[0],
+            "setpoint_v": mcs.loop.setpoint[1],
+            "setpoint_a": mcs.loop.setpoint[2],
+            "gripper": m.gripper,
+            "gripper_force": m.gripper_force,
+            "wrench": m.wrench,
+            "preset": mcs.config.preset.encode(),
+            "saturations": mcs.saturations.counts,
+            "evidence": mcs.recorder.newest,
+            "distance": np.inf if near is None else near.distance,
+            "closest": (b"", b"") if near is None else (near.first.encode(), near.second.encode()),
+            "ticks": pacer.ticks,
+            "missed_deadlines": pacer.missed,
+            "max_lateness_s": pacer.max_lateness_s,
+            "mean_period_s": pacer.mean_period_s,
+            "mean_compute_s": self._loop.groups.statistics()[0].mean_s,
+            "real_time": self.real_time,
+            "linked": self.linked,
+        }
+        if self._newest is None:
+            self._newest = Fields([self._fields[name] for name in values])
+        self._newest.put(tuple(values.values()))
         self._groups(m.stamp_ns)
         self._channel.snapshot.write(self._record)
 
