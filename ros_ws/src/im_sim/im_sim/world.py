@@ -111,7 +111,8 @@ class World:
         pressed = [0.0] * len(states)
         if self._access.touch():
             pressed = [
-                min(sum(p[9] for p in self._touches(jaw)) for jaw in (jaws.first, jaws.second)) for jaws in self._jaws
+                min(sum((p[9] for p in self._touches(jaw)), 0.0) for jaw in (jaws.first, jaws.second))
+                for jaws in self._jaws
             ]
         return [state[0] for state in states], pressed
 
