@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from im_mcs.control.feedback import FeedbackParameters
-from im_mcs.control.filters import VelocityEstimator, friction_torque
+from im_mcs.control.filters import VelocityEstimator, friction_torque, model_torque
 from im_mcs.limits.braking import flags_within, stopping_place, way_to_rest
 from im_mcs.limits.vectors import all_finite, any_beyond, clip
 
@@ -91,6 +91,20 @@ def test_feedback_is_that_of_numpy_to_the_bit(seed, n):
         torque = friction_torque(v, np.tanh(v / 1e-3), 0.8, 0.5, positive, negative, viscous, pushed)
         expected = np.where(direction > 0.0, positive, negative) * direction + viscous * v
         np.testing.assert_array_equal(torque, expected)
+
+
+def test_torques_of_the_model_are_those_of_numpy_to_the_bit():
+    gravity, friction, inertia, *a = np.random.default_rng(4).normal(size=(5, 18))
+    strided = np.array(a).T[:, 1]
+    for share in (0.0, 0.7, 1.0):
+        alone = model_torque(share, gravity, friction, 0.9, None, strided)
+        np.testing.assert_array_equal(alone, share * gravity + friction)
+        moving = model_torque(share, gravity, friction, 0.9, inertia, strided)
+        np.testing.assert_array_equal(moving, alone + 0.9 * inertia * strided)
+    with pytest.raises(ValueError, match="17 accelerations are given for 18 joints"):
+        model_torque(1.0, gravity, friction, 0.9, inertia, strided[1:])
+    with pytest.raises(ValueError, match="no array of 18 floats"):
+        model_torque(1.0, gravity, friction[1:], 0.9, None, strided)
 
 
 def test_a_velocity_without_readings_is_none_and_begins_anew():

@@ -1,7 +1,6 @@
 """The laws that use the whole model: what they say, not how well the arm follows."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pydantic
@@ -77,7 +76,7 @@ def test_an_impedance_yields_in_proportion_to_what_pushes_it():
     for error in (1e-3, -2e-3):
         law.reset()
         displaced = seen(wanted, 0.0)
-        displaced = replace(displaced, setpoint=Setpoint.at_rest(wanted.q[LEFT] + error))
+        displaced = displaced._replace(setpoint=Setpoint.at_rest(wanted.q[LEFT] + error))
         np.testing.assert_allclose(law.command(displaced) - at_rest, expected * error, rtol=1e-9)
         for _ in range(100):
             held = law.command(displaced)

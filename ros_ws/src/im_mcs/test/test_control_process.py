@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -131,7 +130,7 @@ def test_a_late_law_is_replaced_by_its_last_torques_with_the_gravity_of_now_and_
     question = in_the_mood(0.0)
     np.testing.assert_array_equal(laws.command(question), question.gravity + 1.0)
     slow = in_the_mood(1.0)
-    heavier = replace(slow, gravity=slow.gravity + 0.5)
+    heavier = slow._replace(gravity=slow.gravity + 0.5)
     np.testing.assert_allclose(laws.command(heavier), heavier.gravity + 1.0, rtol=1e-12)
     assert laws.late == 1
     clock.sleep(1.5 * PACED_S)  # in the meantime it has answered, and is asked anew

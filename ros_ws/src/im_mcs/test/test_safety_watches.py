@@ -1,7 +1,6 @@
 """Every fault that a watch looks for, injected into a machine that moves."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,7 +81,7 @@ def wrong_setpoint(bench):
 
     def broken():
         setpoint = advance()
-        return replace(setpoint, v=setpoint.v * math.nan)
+        return setpoint._replace(v=setpoint.v * math.nan)
 
     planner.advance = broken
 

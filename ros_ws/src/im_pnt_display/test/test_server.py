@@ -8,6 +8,7 @@ import re
 import shutil
 import socket
 import subprocess
+import threading
 from pathlib import Path
 
 import aiohttp
@@ -232,6 +233,24 @@ def test_the_cell_is_for_who_looks_at_it_and_its_viewers_are_counted(serve, wait
     assert [part["content"] for part in asyncio.run(talk())] == ["<robot/>", {"j": 1.0}]
     wait_until(lambda: counted[-1] == (0, 0), "the leaving of all")
     assert (2, 1) in counted
+
+
+def test_changes_wake_the_server_once_for_all_until_it_looks(serve, wait_until):
+    server, busy, wakes = serve(), threading.Event(), []
+    wake = server._loop.call_soon_threadsafe
+    wake(busy.wait)
+    server._loop.call_soon_threadsafe = lambda *call: (wakes.append(call), wake(*call))
+    for number in range(200):
+        server.show(server.state.cell(f"part {number % 3}", number))
+    assert len(wakes) == 1
+    busy.set()
+    last = {f"part {k}": max(n for n in range(200) if n % 3 == k) for k in range(3)}
+    wait_until(
+        lambda: {part["part"]: part["content"] for part in server.state.cell_parts()} == last, "the newest of each part"
+    )
+    server.show(server.state.cell("part 0", "later"))
+    wait_until(lambda: "later" in [part["content"] for part in server.state.cell_parts()], "the later change")
+    assert len(wakes) == 2
 
 
 def test_of_the_cell_no_more_is_kept_than_a_cell_has():

@@ -37,14 +37,14 @@ class Laser:
 
     def run_tick(self, command: LaserBeam) -> None:
         """Move towards a command, as far as the mirrors go in a tick and in all; a sweep stays inside the range too."""
-        if self._scanner is None or (command == self._command and self._resting):
+        if self._scanner is None or (self._resting and command is self._command):
             return
         if command != self._command:
-            self._command = command
             self._commands += 1
             seed = np.random.SeedSequence([self._seed & 0xFFFFFFFFFFFFFFFF, _STREAM, self._commands])
             first, second = np.random.Generator(np.random.Philox(seed)).normal(0.0, self._scanner.repeatability, 2)
             self._error = float(first), float(second)
+        self._command = command
         beam, limit = self.beam, self._scanner.range
         mirror1 = self._towards(beam.mirror1, command.mirror1, limit)
         mirror2 = self._towards(beam.mirror2, command.mirror2, limit)

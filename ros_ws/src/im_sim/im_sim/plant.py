@@ -147,15 +147,14 @@ class Plant:
 
     def _move(self) -> None:
         """Do the steps of a tick, until nothing moves; without power the plant then stands."""
-        self._stands = False
+        self._stands, actuators, bodies = False, self._actuators, len(self._bodies)
         for _ in range(self._substeps):
             q, v = self.q, self.v
-            self._world.step(self._actuators.applied(q, v))
-            self.q, self.v = self._world.state()
-            if self._bodies:
+            self.q, self.v = self._world.step(actuators.applied(q, v))
+            if bodies:
                 touched = self._world.contact_wrenches(self._gripper_joints)
-                self._actuators.touch(self._dynamics.contact_torques(self.q, touched))
-            if self._actuators.stuck and not self._bodies and max(map(abs, self.v.tolist())) < _AT_REST:
+                actuators.touch(self._dynamics.contact_torques(self.q, touched))
+            elif actuators.stuck and max(map(abs, self.v.tolist())) < _AT_REST:
                 self._stands = not self.power
                 break
         self._feel(q, v)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from im_cell.link import Faults
 from im_cell.robot import Cell, SensorSpec
-from im_cell.robot.arm_errors import gear_errors
 from im_sim.dynamics import Dynamics
-from im_sim.readings import quantised
+from im_sim.readings import Readings
 
 _TICKS_PER_BLOCK = 256
 _STREAM_SHIFT = 48
@@ -67,22 +66,18 @@ class Signals:
     """
 
     def __init__(self, cell: Cell, seed: int) -> None:
-        self._n, sensors, grippers = len(cell.joints), len(cell.devices("force")), len(cell.devices("gripper"))
-        self._wrists_end = self._n + 6 * sensors
+        sensors, grippers = len(cell.devices("force")), len(cell.devices("gripper"))
         wrist = cell.wrist_sensor
         wrists, jaws = ([wrist.force] * 3 + [wrist.torque] * 3) * sensors, [cell.gripper.force_sensor] * grippers
         bias = TickNoise(seed, {_WRISTS_BIAS: _each("bias", wrists), _JAWS_BIAS: _each("bias", jaws)}).at(0)
         self._noise = TickNoise(
             seed,
             {_ENCODERS: cell.per_joint("noise"), _WRISTS: _each("noise", wrists), _JAWS: _each("noise", jaws)},
-            np.append(np.zeros(self._n), bias),
+            np.append(np.zeros(len(cell.joints)), bias),
         )
-        self._gear = cell.per_joint("gear")
-        self._resolution = np.append(cell.per_joint("resolution"), _each("resolution", wrists + jaws))
-        self._most = np.append(np.full(self._n, np.inf), _each("range", wrists + jaws))
-        self._least = -self._most
-        self._true = np.zeros(len(self._most))
-        self._q, self._wrench, self._force = self._parts(self._true)
+        resolution = np.append(cell.per_joint("resolution"), _each("resolution", wrists + jaws))
+        most = np.append(np.full(len(cell.joints), np.inf), _each("range", wrists + jaws))
+        self._readings = Readings(cell.per_joint("gear"), resolution, most, sensors)
 
     def read(
         self, tick: int, q: NDArray[np.float64], wrench: NDArray[np.float64], force: NDArray[np.float64]
@@ -98,16 +93,7 @@ class Signals:
         Returns:
             What encoders, wrist sensors and jaws say, shapes as those given.
         """
-        self._q[:] = q - gear_errors(self._gear, q)
-        self._wrench[:], self._force[:] = wrench, force
-        return self._parts(quantised(self._true, self._noise.at(tick), self._resolution, self._least, self._most))
-
-    def _parts(
-        self, signals: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return views of the parts of encoders, wrists and jaws."""
-        n, end = self._n, self._wrists_end
-        return signals[:n], signals[n:end].reshape(-1, 6), signals[end:]
+        return self._readings.told(q, wrench, force, self._noise.at(tick))
 
 
 class Encoders:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from im_cell.robot import Cell, Gripper, urdf
 from im_core.errors import DataError
 from im_sim.bodies import FIXED, HULLS, LINKS, FreeBodies
-from im_sim.readings import joint_readings
 from im_sim.urdf_loader import load_urdf
+from im_sim.world_joints import WorldJoints
 
 _ITERATIONS = 200  # with pybullet's 50 the friction of jaws is not solved: what they hold creeps and turns
 # Share of what pads have slipped that a step takes back, as soft pads do: with pybullet's 0.2 the arm trembles.
@@ -59,6 +59,7 @@ class World:
         self.body = load_urdf(text, self.client, pybullet.URDF_USE_INERTIA_FROM_FILE)
         self._indices = self._joint_indices(cell)
         self._joints = [self._indices[name] for name in cell.joint_names]
+        self._access = WorldJoints(self.client, self.body, self._joints)
         self.bodies = FreeBodies(cell.objects, self.client)
         self._jaws = self._find_jaws(cell) if cell.objects else []
         self._make_exact(cell)
@@ -79,14 +80,11 @@ class World:
 
     def state(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions and velocities, shape (n,) each [rad or m, by s]."""
-        return joint_readings(pybullet.getJointStates(self.body, self._joints, self.client))
+        return self._access.state()
 
-    def step(self, tau: NDArray[np.float64]) -> None:
-        """One step under joint torques, shape (n,) [Nm or N]."""
-        pybullet.setJointMotorControlArray(
-            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=tau.tolist(), physicsClientId=self.client
-        )
-        pybullet.stepSimulation(self.client)
+    def step(self, tau: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the state after one step under joint torques, shape (n,) [Nm or N]."""
+        return self._access.step(tau)
 
     def contact_wrenches(self, joints: Sequence[int]) -> list[list[float]]:
         """Return force and moment about the origin of the contacts of the child links of some joints, with grippers.
@@ -98,8 +96,8 @@ class World:
             Of each joint, shape (6,) [N, Nm]; empty if nothing is touched.
         """
         wrenches: list[list[float]] = [[] for _ in joints]
-        points = pybullet.getContactPoints(self.body, physicsClientId=self.client)
-        if points:
+        if self._access.touch():
+            points = pybullet.getContactPoints(self.body, physicsClientId=self.client)
             ranks = {self._joints[joint]: rank for rank, joint in enumerate(joints)}
             ranks |= {part: ranks[jaws.carrier] for jaws in self._jaws if jaws.carrier in ranks for part in jaws.parts}
             for point in points:
@@ -111,9 +109,10 @@ class World:
         """Return openings [m] and forces between the jaws [N] of each gripper."""
         states = [pybullet.getJointState(self.body, jaws.second, self.client) for jaws in self._jaws]
         pressed = [0.0] * len(states)
-        if pybullet.getContactPoints(self.body, physicsClientId=self.client):
+        if self._access.touch():
             pressed = [
-                min(sum(p[9] for p in self._touches(jaw)) for jaw in (jaws.first, jaws.second)) for jaws in self._jaws
+                min(sum((p[9] for p in self._touches(jaw)), 0.0) for jaw in (jaws.first, jaws.second))
+                for jaws in self._jaws
             ]
         return [state[0] for state in states], pressed
 

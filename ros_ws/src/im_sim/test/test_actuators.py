@@ -6,9 +6,10 @@ import pytest
 
 from im_cell.link import JawObject
 from im_cell.robot import load_cell
+from im_cell.robot.arm_errors import gear_waves
 from im_sim.actuators import Actuators, DryFriction
 from im_sim.dynamics import Dynamics
-from im_sim.readings import joint_readings, quantised
+from im_sim.readings import Readings
 
 CELL = load_cell()
 N, DT = len(CELL.joints), CELL.period / CELL.substeps
@@ -77,15 +78,21 @@ def test_arrays_of_another_size_are_refused():
     with pytest.raises(TypeError, match="no array of floats"):
         friction.bound([1.0, 1.0, 1.0], np.zeros(3))
     with pytest.raises(ValueError, match="not as many"):
-        quantised(*[np.zeros(3)] * 4, np.zeros(2))
+        Readings(np.zeros((1, 4)), np.ones(8), np.ones(9), 1)
+    with pytest.raises(ValueError, match="2 numbers, not 6 in a row"):
+        Readings(np.zeros((1, 4)), np.ones(8), np.ones(8), 1).told(np.zeros(1), np.zeros(2), np.zeros(1), np.zeros(8))
 
 
 def test_readings_are_those_of_numpy_to_the_bit():
     rng = np.random.default_rng(1)
-    true, noise = rng.normal(size=(2, 40))
-    resolution, most = 10.0 ** rng.uniform(-6, -1, 40), rng.uniform(0.1, 2.0, 40)
-    true[3] = np.nan
+    joints, wrists, jaws = 5, 3, 2
+    n = joints + 6 * wrists + jaws
+    q, wrench, force = rng.normal(size=joints), rng.normal(size=(wrists, 6)), rng.normal(size=jaws)
+    noise, gear = rng.normal(size=n), 1e-2 * rng.normal(size=(joints, 4))
+    resolution, most = 10.0 ** rng.uniform(-6, -1, n), rng.uniform(0.1, 2.0, n)
+    wrench[1, 2] = np.nan
+    true = np.concatenate((q - (gear * gear_waves(q)).sum(axis=1), wrench.ravel(), force))
     expected = np.clip(np.rint((true + noise) / resolution) * resolution, -most, most)
-    np.testing.assert_array_equal(quantised(true, noise, resolution, -most, most), expected)
-    q, v = joint_readings(tuple((float(k), -float(k), (0.0,) * 6, 0.0) for k in range(5)))
-    np.testing.assert_array_equal([q, v], [np.arange(5.0), -np.arange(5.0)])
+    told = Readings(gear, resolution, most, wrists).told(q, wrench, force, noise)
+    assert [part.shape for part in told] == [q.shape, wrench.shape, force.shape]
+    np.testing.assert_array_equal(np.concatenate([part.ravel() for part in told]), expected)

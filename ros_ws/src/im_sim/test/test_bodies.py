@@ -31,6 +31,7 @@ def plant(cell):
 def run(plant, ticks, opening=0.08, force=60.0):
     for _ in range(ticks):
         plant.run_tick(TickCommand(np.zeros(N), True, np.ones(N, bool), np.full(2, opening), True, np.full(2, force)))
+        plant.sensors(0)  # of whatever the jaws touch
 
 
 def between_jaws(cell: Cell, q, wrist="left_wrist") -> pin.SE3:

@@ -40,6 +40,7 @@ class HostEnd(LinkEnd):
     _placed: NDArray[np.int64] | None = None
     _asked = 0
     _image_due, _image_due_at = 0, 0.0
+    _laser_numbers, _laser_command = b"", LaserBeam()
 
     @classmethod
     def create(
@@ -164,7 +165,8 @@ class HostEnd(LinkEnd):
 
     def publish_bodies(self, poses: NDArray[np.float64]) -> None:
         """Publish where the free bodies are: position [m] and quaternion x, y, z, w of each, shape (m, 7)."""
-        self._shared.view["bodies"][: len(poses)] = poses
+        if len(poses):
+            self._shared.view["bodies"][: len(poses)] = poses
 
     def lights(self) -> tuple[bool, ...]:
         """Which lights are switched on, in the order of ``light_names``."""
@@ -178,8 +180,11 @@ class HostEnd(LinkEnd):
         return seconds
 
     def laser_command(self) -> LaserBeam:
-        """Return the commanded state of the laser scanner."""
-        return LaserBeam(*self._shared.view["laser_command"].tolist())
+        """Return the commanded state of the laser scanner; the same object as long as it stays."""
+        command = self._shared.view["laser_command"]
+        if (numbers := command.tobytes()) != self._laser_numbers:
+            self._laser_numbers, self._laser_command = numbers, LaserBeam(*np.frombuffer(numbers).tolist())
+        return self._laser_command
 
     def publish_laser(self, beam: LaserBeam) -> None:
         """Publish the readings of the laser scanner's own sensors."""

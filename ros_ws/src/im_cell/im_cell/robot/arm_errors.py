@@ -37,22 +37,6 @@ def gear_waves(positions: Array) -> Array:
     return np.stack([wave(periods * positions) for periods in (1, 2) for wave in (np.sin, np.cos)], axis=-1)
 
 
-def gear_errors(gears: Array, positions: Array) -> Array:
-    """Return how far joints are off their encoders.
-
-    Args:
-        gears: Coefficients of the :func:`gear_waves` of each joint, shape (n, 4) [rad].
-        positions: Of the joints, shape (n,) [rad].
-
-    Returns:
-        Shape (n,) [rad].
-    """
-    one_sine, one_cosine, two_sine, two_cosine = gears.T
-    sine, cosine = np.sin(positions), np.cos(positions)
-    twice = 2.0 * sine * (two_sine * cosine - two_cosine * sine) + two_cosine
-    return np.asarray(one_sine * sine + one_cosine * cosine + twice)
-
-
 def kinematic_derivatives(cell: Cell, frame: str, positions: Mapping[str, float], offset: Array) -> Array:
     """Return the derivatives of a point by the errors of all joints below, each in units of the usual size.
 

@@ -84,12 +84,13 @@ class RateGroups:
     Attributes:
         period_s: Base period [s].
         parts: Parts of the base period in which something is due: the least common multiple of all divisors.
+        ended: Number of the functions that are called no more.
     """
 
     def __init__(self, period_s: float) -> None:
         if not 0.0 < period_s < math.inf:
             raise DataError(f"a base period of {period_s:g} s is not > 0", period=period_s)
-        self.period_s, self.parts = period_s, 1
+        self.period_s, self.parts, self.ended = period_s, 1, 0
         self._rates: dict[str, _Rate] = {}
         self._budget: Budget | None = None
         self._tick: int | None = None
@@ -203,4 +204,5 @@ class RateGroups:
 
     def _end(self, rate: _Rate, why: str) -> None:
         rate.statistics.ended = why
+        self.ended += 1
         self._count_parts()

@@ -58,9 +58,8 @@ class BrakingDistance:
         """
         way = np.zeros(len(v))
         for group in self._groups:
-            index = group.index
-            own_v, own_a = v[index], a[index]
-            if curves and (ahead := curves.get(int(index[0]))) is not None:
+            own_v, own_a = v[group.place], a[group.place]
+            if curves and (ahead := curves.get(int(group.index[0]))) is not None:
                 seconds = _CURVE * group.seconds_on_path(own_v, own_a) + _CURVE_S + self._reaction_s
                 way[group.place] = ahead(seconds)
             elif np.count_nonzero(own_v) or np.count_nonzero(own_a):

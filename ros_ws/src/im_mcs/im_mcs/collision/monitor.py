@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import cycle
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -80,8 +80,7 @@ _IN_TURN = 3
 _LOOKS = 8
 
 
-@dataclass(frozen=True)
-class Proximity:
+class Proximity(NamedTuple):
     """Finding of the monitor in one tick.
 
     Attributes:

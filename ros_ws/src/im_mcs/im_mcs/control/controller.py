@@ -1,7 +1,7 @@
 """Contract of a control law."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import pydantic
@@ -34,8 +34,7 @@ class ControllerSetup:
     parameters: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class ControlInput:
+class ControlInput(NamedTuple):
     """Input of a control law in a tick; ``n`` joints of the group, and the whole cell for laws with coupling.
 
     Attributes:

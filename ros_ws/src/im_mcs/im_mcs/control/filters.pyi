@@ -113,3 +113,25 @@ def friction_torque(
     Raises:
         ValueError: An array has another shape.
     """
+
+def model_torque(
+    gravity_share: float,
+    gravity: NDArray[np.float64],
+    friction: NDArray[np.float64],
+    inertia_share: float,
+    inertia: NDArray[np.float64] | None,
+    a: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return gravity, friction and inertia torques together, shape (n,) [Nm or N], as the arrays given.
+
+    Args:
+        gravity_share: Share of gravity.
+        gravity: Torques that hold the joints against gravity [Nm or N].
+        friction: Torques of friction [Nm or N].
+        inertia_share: Share of inertia.
+        inertia: Inertia of each joint [kg m2 or kg]; None: no torque for the acceleration.
+        a: Wanted accelerations [rad/s2 or m/s2].
+
+    Raises:
+        ValueError: An array has another shape.
+    """

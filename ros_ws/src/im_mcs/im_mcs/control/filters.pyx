@@ -163,3 +163,22 @@ def friction_torque(v, turns, double share, double stiction, positive, negative,
             direction = stiction * copysign(direction, error[i])
         torque[i] = (forwards[i] if direction > 0.0 else backwards[i]) * direction + damping[i] * speed[i]
     return torques
+
+
+def model_torque(double gravity_share, gravity, friction, double inertia_share, inertia, a):
+    cdef Py_ssize_t i, n = len(gravity)
+    cdef object torques = _vector(n)
+    cdef double *torque = _data(torques, n)
+    cdef double *weight = _data(gravity, n)
+    cdef double *loss = _data(friction, n)
+    cdef double *own
+    cdef const double[:] acceleration
+    for i in range(n):
+        torque[i] = gravity_share * weight[i] + loss[i]
+    if inertia is not None:
+        own, acceleration = _data(inertia, n), a
+        if acceleration.shape[0] != n:
+            raise ValueError(f"{acceleration.shape[0]} accelerations are given for {n} joints")
+        for i in range(n):
+            torque[i] = torque[i] + inertia_share * own[i] * acceleration[i]
+    return torques

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -40,8 +40,8 @@ class _Share:
     def answer(self, given: ControlInput) -> NDArray[np.float64]:
         """Return torques of the law, shape (n,), with the rest of the law before."""
         if self.left > 0.0 and self.error is not None:
-            setpoint = replace(given.setpoint, q=given.setpoint.q - self.left * self.error)
-            given = replace(given, setpoint=setpoint)
+            setpoint = given.setpoint._replace(q=given.setpoint.q - self.left * self.error)
+            given = given._replace(setpoint=setpoint)
         tau = self.law.command(given)
         return tau if self.torque is None or self.left == 0.0 else tau + self.left * self.torque
 

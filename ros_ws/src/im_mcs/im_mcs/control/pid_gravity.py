@@ -7,6 +7,7 @@ import pydantic
 from numpy.typing import NDArray
 
 from im_mcs.control.controller import ControlInput, ControllerSetup, checked
+from im_mcs.control.filters import model_torque
 from im_mcs.control.friction import FrictionFeedforward, FrictionParameters
 from im_mcs.control.pid import Pid
 
@@ -31,16 +32,13 @@ class PidGravity(Pid):
         share = checked(Feedforward, parameters.pop("feedforward", {}))
         super().__init__(dataclasses.replace(setup, parameters=parameters))
         self._model, self._joints = setup.model, setup.joints
-        n = len(setup.joints)
-        self._gravity, self._inertia = np.full(n, share.gravity), np.full(n, share.inertia)
-        self._own_inertia = share.inertia > 0.0
+        self._gravity, self._inertia = share.gravity, share.inertia
         self._friction = FrictionFeedforward(share, setup)
 
     def feedforward(self, given: ControlInput) -> NDArray[np.float64]:
         """Gravity, friction at the wanted velocity and own inertia at the wanted acceleration, shape (n,)."""
-        setpoint = given.setpoint
-        tau = self._gravity * given.gravity + self._friction.torque(setpoint.v, self._feedback)
-        if self._own_inertia and np.count_nonzero(setpoint.a):
+        setpoint, inertia = given.setpoint, None
+        friction = self._friction.torque(setpoint.v, self._feedback)
+        if self._inertia > 0.0 and np.count_nonzero(setpoint.a):
             inertia = self._model.inertia_diagonal(given.q_all)[self._joints]
-            tau = tau + self._inertia * inertia * setpoint.a
-        return np.asarray(tau)
+        return model_torque(self._gravity, given.gravity, friction, self._inertia, inertia, setpoint.a)

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link.fields import Fields
+
 KEPT = 4
 """Records that are kept; the next one replaces the oldest."""
 
@@ -27,8 +29,7 @@ class Recorder:
         self._numbers, self._counts, self._copies = memory["number"], memory["count"], memory["rows"]
         self._numbers[:] = 0
         self._ring = np.zeros_like(self._copies[0])
-        self._ticks, self._stamps_ns = self._ring["tick"], self._ring["stamp_ns"]
-        self._joints, self._wrenches = self._ring["joints"], self._ring["wrench"]
+        self._rows = [_fields_of(self._ring[row : row + 1].reshape(())) for row in range(len(self._ring))]
         self._count = 0
         self._wanted = False
         self.newest = 0
@@ -50,13 +51,8 @@ class Recorder:
             setpoint: Positions, velocities and accelerations, shape (3, n).
             wrench: Shape (w, 6).
         """
-        row = self._count % len(self._ring)
-        self._ticks[row], self._stamps_ns[row] = tick, stamp_ns
-        block = self._joints[row]
-        block[0], block[1], block[2] = joints
-        block[3:6] = setpoint
-        np.subtract(setpoint[0], joints[0], out=block[6])
-        self._wrenches[row] = wrench
+        row = self._rows[self._count % len(self._rows)]
+        row.put((tick, stamp_ns, *joints, setpoint, setpoint[0] - joints[0], wrench))
         self._count += 1
         if self._wanted:
             self.keep()
@@ -78,6 +74,12 @@ class Recorder:
         self._copies[kept] = self._ring
         self._counts[kept] = self._count
         self._numbers[kept] = self.newest
+
+
+def _fields_of(row: NDArray[np.void]) -> Fields:
+    """Return the fields of a row, in the order in which a tick gives them."""
+    joints = row["joints"]
+    return Fields([row["tick"], row["stamp_ns"], *joints[:3], joints[3:6], joints[6], row["wrench"]])
 
 
 class Records:

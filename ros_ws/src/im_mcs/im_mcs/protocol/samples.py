@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link.fields import Fields
+
 _KEPT = 128
 
 
@@ -44,20 +46,19 @@ class SampleRing:
         self._head, self._records = memory["head"], memory["records"]
         self._taken = 0
         self.fields = self._records.dtype.names or ()
+        places = [self._records[place : place + 1].reshape(()) for place in range(_KEPT)]
+        self._places = [Fields([place[name] for name in self.fields]) for place in places]
 
     @staticmethod
     def layout(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
         """Return the fields of a ring of samples of ``dtype``."""
         return np.dtype([("head", "<u8"), ("records", dtype, (_KEPT,))], align=True)
 
-    def next_record(self) -> NDArray[np.void]:
-        """Return the record to fill next, shape (); :meth:`push_record` makes the record readable."""
-        place = int(self._head) % _KEPT
-        return self._records[place : place + 1].reshape(())
-
-    def push_record(self) -> None:
-        """The record of :meth:`next_record` is complete."""
-        self._head[()] += np.uint64(1)
+    def push_record(self, values: tuple[Any, ...]) -> None:
+        """Write a record, in the order of :func:`sample_type`."""
+        head = int(self._head)
+        self._places[head % _KEPT].put(values)
+        self._head[()] = head + 1
 
     def take_samples(self) -> list[dict[str, Any]]:
         """Return samples since the last call, oldest first, each by the fields; arrays as lists."""

@@ -453,7 +453,7 @@ class ControlledGroup:
         Raises:
             ControlLawError: The control law failed.
         """
-        position, velocity, setpoint = q[self.index], v[self.index], self.setpoint
+        position, velocity, setpoint = q[self.place].copy(), v[self.place].copy(), self.setpoint
         self.check.q, self.check.v = position, velocity
         if self.still:
             if not self.controller.switching:
@@ -464,11 +464,13 @@ class ControlledGroup:
             self._begun()
         if self._current is not None and (fault := self.check.on_the_way(self._current, tick)) is not None:
             self._interrupt(fault)
-        return self.controller.command(ControlInput(position, velocity, setpoint, gravity[self.index], q, wanted))
+        return self.controller.command(
+            ControlInput(position, velocity, setpoint, gravity[self.place].copy(), q, wanted)
+        )
 
     def following_error(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
         """Setpoint less measured position, shape (n,); ``q`` of all joints."""
-        return np.asarray(self.setpoint.q - q[self.index])
+        return self.setpoint.q - q[self.place]
 
     def progress(self) -> dict[str, Any] | None:
         """Return for the goal under way the id, the passed share of time and the point; None: there is none."""

@@ -75,7 +75,7 @@ class ServoProcess:
         self._pacer = self._loop.pacer
         self._reporter = Reporter(self._channel, self._mcs, self._loop, config.servo.sample_rate_hz)
         self._functions = ServoFunctions(config.functions, self._mcs, rates)
-        self._rates_told, self._next_rates = "", 0.0
+        self._rates_told, self._next_rates = 0, 0.0
         self._powered = False
         self._orphaned = math.inf
         self._owner_runs, self._next_look = True, 0.0
@@ -216,11 +216,10 @@ class ServoProcess:
 
     def _tell_rates(self) -> None:
         """Send the timing of the functions once a second, and at once where one has ended."""
-        now, told = clock.monotonic(), self._loop.groups.statistics()
-        ended = "".join(each.ended for each in told)
-        if now >= self._next_rates or ended != self._rates_told:
-            self._next_rates, self._rates_told = now + _RATES_S, ended
-            self._pending.append({"event": "rates", "functions": [asdict(each) for each in told]})
+        now, groups = clock.monotonic(), self._loop.groups
+        if now >= self._next_rates or groups.ended != self._rates_told:
+            self._next_rates, self._rates_told = now + _RATES_S, groups.ended
+            self._pending.append({"event": "rates", "functions": [asdict(each) for each in groups.statistics()]})
             self._send_events()
 
     def _send_events(self) -> None:

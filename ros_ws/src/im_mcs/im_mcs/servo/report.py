@@ -1,7 +1,10 @@
 """Reports of the servo about the servo: the snapshot and the samples."""
 
+from typing import Any
+
 import numpy as np
 
+from im_cell.link.fields import Fields
 from im_core.rate_groups import RateLoop
 from im_mcs.protocol.channel import ServoChannel
 from im_mcs.servo.core import Mcs
@@ -28,6 +31,8 @@ class Reporter:
         self._channel, self._mcs, self._loop = channel, mcs, loop
         self._record = channel.snapshot.record()
         self._fields = {name: self._record[name] for name in self._record.dtype.names or ()}
+        self._newest: Fields | None = None
+        self._told: list[tuple[Any, ...]] = []
         self._no_group = np.zeros((), dtype=self._fields["groups"].dtype)
         self._next_sample_ns, self._sample_period_ns = 0, round(1e9 / sample_rate_hz)
 
@@ -37,56 +42,55 @@ class Reporter:
         if self._next_sample_ns - period_ns <= m.stamp_ns < self._next_sample_ns:
             return
         self._next_sample_ns = (m.stamp_ns // period_ns + 1) * period_ns
-        r = self._channel.samples.next_record()
-        r["stamp_ns"], r["tick"] = m.stamp_ns, m.tick
-        r["q"], r["v"], r["tau"], r["age"] = m.q, mcs.v, mcs.tau, m.age_s
-        r["setpoint_q"], r["setpoint_v"], r["setpoint_a"] = mcs.loop.setpoint
+        place_s, since_s = np.zeros((2, len(m.q)))
         for group in mcs.groups.values():
-            r["place_s"][group.place], r["since_s"][group.place] = group.times
-        r["brakes"], r["gripper"], r["gripper_force"], r["wrench"] = m.brakes, m.gripper, m.gripper_force, m.wrench
-        self._channel.samples.push_record()
+            place_s[group.place], since_s[group.place] = group.times
+        joints = m.q, mcs.v, mcs.tau, m.age_s, *mcs.loop.setpoint, place_s, since_s, m.brakes
+        self._channel.samples.push_record((m.stamp_ns, m.tick, *joints, m.gripper, m.gripper_force, m.wrench))
 
     def snapshot(self) -> None:
         """The newest state."""
         mcs, m, pacer = self._mcs, self._mcs.measured, self._loop.pacer
         near = mcs.loop.proximity
-        for field, value in (
-            ("tick", m.tick),
-            ("stamp_ns", m.stamp_ns),
-            ("state", STATES.index(mcs.manager.state)),
-            ("power", m.power),
-            ("brakes", m.brakes),
-            ("q", m.q),
-            ("v", mcs.v),
-            ("tau", mcs.tau),
-            ("age", m.age_s),
-            ("setpoint", mcs.loop.setpoint[0]),
-            ("setpoint_v", mcs.loop.setpoint[1]),
-            ("setpoint_a", mcs.loop.setpoint[2]),
-            ("gripper", m.gripper),
-            ("gripper_force", m.gripper_force),
-            ("wrench", m.wrench),
-            ("preset", mcs.config.preset.encode()),
-            ("saturations", mcs.saturations.counts),
-            ("evidence", mcs.recorder.newest),
-            ("distance", np.inf if near is None else near.distance),
-            ("closest", (b"", b"") if near is None else (near.first.encode(), near.second.encode())),
-            ("ticks", pacer.ticks),
-            ("missed_deadlines", pacer.missed),
-            ("max_lateness_s", pacer.max_lateness_s),
-            ("mean_period_s", pacer.mean_period_s),
-            ("mean_compute_s", self._loop.groups.statistics()[0].mean_s),
-            ("real_time", self.real_time),
-            ("linked", self.linked),
-        ):
-            self._fields[field][...] = value
+        values = {
+            "tick": m.tick,
+            "stamp_ns": m.stamp_ns,
+            "state": STATES.index(mcs.manager.state),
+            "power": m.power,
+            "brakes": m.brakes,
+            "q": m.q,
+            "v": mcs.v,
+            "tau": mcs.tau,
+            "age": m.age_s,
+            "setpoint": mcs.loop.setpoint[0],
+            "setpoint_v": mcs.loop.setpoint[1],
+            "setpoint_a": mcs.loop.setpoint[2],
+            "gripper": m.gripper,
+            "gripper_force": m.gripper_force,
+            "wrench": m.wrench,
+            "preset": mcs.config.preset.encode(),
+            "saturations": mcs.saturations.counts,
+            "evidence": mcs.recorder.newest,
+            "distance": np.inf if near is None else near.distance,
+            "closest": (b"", b"") if near is None else (near.first.encode(), near.second.encode()),
+            "ticks": pacer.ticks,
+            "missed_deadlines": pacer.missed,
+            "max_lateness_s": pacer.max_lateness_s,
+            "mean_period_s": pacer.mean_period_s,
+            "mean_compute_s": self._loop.groups.statistics()[0].mean_s,
+            "real_time": self.real_time,
+            "linked": self.linked,
+        }
+        if self._newest is None:
+            self._newest = Fields([self._fields[name] for name in values])
+        self._newest.put(tuple(values.values()))
         self._groups(m.stamp_ns)
         self._channel.snapshot.write(self._record)
 
     def _groups(self, now_ns: int) -> None:
         mcs, fields = self._mcs, self._fields
         rows = fields["groups"]
-        rows[len(mcs.groups) :] = self._no_group
+        told: list[tuple[Any, ...]] = []
         fields["reserved"][...] = False
         for rank, (name, group) in enumerate(mcs.groups.items()):
             i, monitor = group.place, group.monitor
@@ -99,7 +103,7 @@ class Reporter:
             fields["q_rest"][i] = monitor.q
             fields["q_rest_variance"][i] = monitor.variance
             protective = group.protective
-            rows[rank] = (
+            row = (
                 name.encode(),
                 STATES.index(mcs.manager.state_of(name)),
                 reservation is not None,
@@ -114,3 +118,9 @@ class Reporter:
                 b"" if protective is None else protective.message.encode(),
                 group.jog_limit,
             )
+            told.append(row)
+            if rank >= len(self._told) or row != self._told[rank]:  # numpy takes long to write one
+                rows[rank] = row
+        if len(told) < len(self._told):
+            rows[len(told) :] = self._no_group
+        self._told = told

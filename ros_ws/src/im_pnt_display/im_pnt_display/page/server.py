@@ -8,6 +8,7 @@ import secrets
 import socket
 import sys
 import threading
+from collections import deque
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,8 @@ _WAITING = 128
 WEB_PROCESS = "im_pnt_display.page.web_process"
 _AGAIN_S = 3.0
 """Pause before a process that has ended is started again [s]."""
+_UNSEEN_S = 0.2
+"""Time in which changes are gathered while there are no viewers [s]."""
 _END_S = 3.0
 """Time that the process has to end its connections [s]."""
 
@@ -67,6 +70,8 @@ class DisplayServer:
         self.state.recording = recording.overview if recording is not None else None
         self._operate = operate
         self._viewers = Viewers(self.state, _nobody if apart else audience)
+        self._heard: deque[Change] = deque()
+        self._woken = False
         self._sockets: list[socket.socket] = []
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
@@ -99,9 +104,24 @@ class DisplayServer:
             self._thread.join(timeout=5.0)
 
     def show(self, change: Change) -> None:
-        """Pass a change of the state on to all viewers; from any thread."""
+        """Pass a change of the state on to all viewers; from any thread.
+
+        To wake the server costs more than to note a change: it is woken once for all that comes until it looks.
+        """
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._viewers.show, change)
+            self._heard.append(change)
+            if not self._woken:
+                self._woken = True
+                self._loop.call_soon_threadsafe(self._look)
+
+    def _look(self) -> None:
+        """Take the changes now for viewers, soon where there are none."""
+        self._loop.call_later(0.0 if self._viewers else _UNSEEN_S, self._take)
+
+    def _take(self) -> None:
+        self._woken = False  # what comes from now on wakes the server again
+        while self._heard:
+            self._viewers.show(self._heard.popleft())
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)

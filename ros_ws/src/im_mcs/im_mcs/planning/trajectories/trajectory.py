@@ -1,14 +1,12 @@
 """Setpoints from the planning layer to the control layer, once a servo tick, and the contract of every trajectory."""
 
-from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
-class Setpoint:
+class Setpoint(NamedTuple):
     """Wanted motion of some joints at one instant.
 
     Attributes:
