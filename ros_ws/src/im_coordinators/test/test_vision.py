@@ -2,7 +2,7 @@
 
 import pytest
 
-from im_coordinators.vision import another_look_may_help, require_spot
+from im_coordinators.vision import require_spot
 from im_core.config import package_file
 from im_core.errors import DataError, ImError, LinkError
 from im_pnt.execution.functions import ActionContext
@@ -22,15 +22,10 @@ from support.process import Process, hold
         ([], False),
     ],
 )
-def test_only_what_exposure_can_mend_is_looked_at_again(causes: list[str], expected: bool) -> None:
+def test_only_what_exposure_can_mend_is_too_faint(causes: list[str], expected: bool) -> None:
     with pytest.raises(DataError, match="no camera sees the light") as caught:
         require_spot({str(number): cause for number, cause in enumerate(causes)}, len(causes))
-    assert another_look_may_help(caught.value) is expected
-
-
-def test_without_spots_that_were_missed_nothing_is_looked_at_again() -> None:
-    assert not another_look_may_help(None)
-    assert not another_look_may_help(ImError("the camera is gone"))
+    assert (caught.value.code == "spot_too_faint") is expected
 
 
 def test_one_camera_that_sees_the_light_is_enough() -> None:
@@ -83,7 +78,6 @@ def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(ans
     process = Process(
         [net, parse_net(ASKS)],
         actions={**functions, "calibration_problem": lambda ctx: {}},
-        guards={"another_look_may_help": lambda ctx: False},
         others={ServiceAction: perform},
     )
     process.command("asks", "go")
