@@ -93,6 +93,17 @@ def stand(machine, x, y, z, turn):
     assert placed.success, placed.message
 
 
+@pytest.mark.parametrize(("x", "near"), [(-0.32, 0.05), (-0.05, -0.42)], ids=["left", "right"])
+def test_a_part_out_of_view_is_looked_for_to_both_sides(machine, x, near):
+    y, z, turn = 1.08, 0.88, 0.2
+    stand(machine, x, y, z, turn)
+    found = machine.execute("find", name="part", near=[near, y, 1.01])()
+    assert found.success, found.status.message
+    told = json.loads(found.results)
+    assert [told["x"], told["y"], told["z"]] == pytest.approx([x, y, z], abs=5e-3)
+    assert told["yaw"] == pytest.approx(turn, abs=math.radians(1.0))
+
+
 def test_what_the_receiver_cannot_take_is_set_down_again_where_it_was_found(machine):
     x, y, z, turn = -0.25, 1.08, 0.88, -0.3
     stand(machine, x, y, z, turn)
