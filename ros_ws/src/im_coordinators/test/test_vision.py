@@ -44,7 +44,7 @@ transitions:
     symbol: go
     in: idle
     out: done
-    request: {to: vision_coordinator.calibrate, arguments: {cameras: [wall], observations: [1], directory: there}}
+    request: {to: vision_coordinator.SERVICE, arguments: ARGUMENTS}
   end: {in: done, out: idle, emit: go_done}
   fail: {in: bad, out: idle, emit: go_failed}
 """
@@ -52,17 +52,19 @@ GONE = LinkError("vss is missing (it died and was started again meanwhile)")
 NONE = ImError("there is no estimate", code="degenerate")
 
 
+CALIBRATE = "calibrate", "{cameras: [wall], observations: [1], directory: there}", "do_calibrate", "calibrate_again"
+SPOT = "find_spot", "{cameras: [wall], light: left_led, exposure: 0.5}", "do_find_spot", "find_again"
+OBJECT = "find_object", "{name: part, camera: wrist_left}", "do_find_object", "find_object_again"
+
+
+@pytest.mark.parametrize("service", [CALIBRATE, SPOT, OBJECT], ids=lambda service: service[0])
 @pytest.mark.parametrize(
-    ("answers", "asked", "failure"),
-    [
-        ([None], ["do_calibrate"], None),
-        ([GONE, None], ["do_calibrate", "calibrate_again"], None),
-        ([GONE, GONE], ["do_calibrate", "calibrate_again"], GONE),
-        ([NONE], ["do_calibrate"], NONE),
-    ],
+    ("answers", "tries", "failure"),
+    [([None], 1, None), ([GONE, None], 2, None), ([GONE, GONE], 2, GONE), ([NONE], 1, NONE)],
     ids=["there", "died once", "died twice", "no estimate"],
 )
-def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(answers, asked, failure) -> None:
+def test_vss_is_asked_once_more_where_it_has_died(service, answers, tries, failure) -> None:
+    name, arguments, *asked = service
     sent, left = [], list(answers)
 
     async def perform(activity: Activity, _: ActionContext) -> dict[str, object]:
@@ -76,11 +78,11 @@ def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(ans
     functions |= dict.fromkeys(("longer_exposure", "store_spots", "keep_observation", "store_calibration"), hold)
     functions |= dict.fromkeys(("wanted_print", "locate_object"), hold)
     process = Process(
-        [net, parse_net(ASKS)],
+        [net, parse_net(ASKS.replace("SERVICE", name).replace("ARGUMENTS", arguments))],
         actions={**functions, "calibration_problem": lambda ctx: {}},
         others={ServiceAction: perform},
     )
     process.command("asks", "go")
     (ended,) = process.results
-    assert sent == asked
+    assert sent == asked[:tries]
     assert ended.error is failure
