@@ -1,22 +1,26 @@
-"""A camera on an arm that was moved is noticed by two looks at a light, and calibrated."""
+"""A camera on an arm that was moved is noticed by two looks at a light, and calibrated, before anything is gripped."""
 
 import json
+import math
 import shutil
 
 import numpy as np
 import pytest
 import yaml
 
+from im_core.config import package_file
+from im_msgs.srv import GetTruth
 from support.whole_machine import COMMAND_S, ROOT, running_machine
 
 pytestmark = pytest.mark.end_to_end
 
 MOVED_M, DIRECTION = 0.03, (1.0, 1.0, 1.0)
+TO, UPRIGHT_M = (0.5, 1.0), 0.88
 
 
 @pytest.fixture(scope="module")
 def machine(tmp_path_factory):
-    """With a calibration that is right but for the place of the camera on the wrist."""
+    """With free bodies, and a calibration that is right but for the place of the camera on the wrist."""
     folder = tmp_path_factory.mktemp("moved") / "calibration"
     shutil.copytree(ROOT / "test/data/wrist_left", folder)
     poses = yaml.safe_load((folder / "extrinsics.yaml").read_text())
@@ -24,15 +28,21 @@ def machine(tmp_path_factory):
     for axis, by in zip("xyz", MOVED_M * np.array(DIRECTION) / np.linalg.norm(DIRECTION), strict=True):
         shift[axis] += float(by)
     (folder / "extrinsics.yaml").write_text(yaml.safe_dump(poses))
-    with running_machine("--calibration", folder) as machine:
-        yield machine
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/objects.yaml")))
+        with running_machine("--calibration", folder) as machine:
+            yield machine
 
 
-def test_a_camera_moved_by_3_cm_is_noticed_and_calibrated(machine):
-    done = machine.execute("check_camera")(3.0 * COMMAND_S)
+def test_a_camera_moved_by_3_cm_is_noticed_and_calibrated_before_the_grasp(machine):
+    done = machine.execute("handover", name="part", to=TO)(3.0 * COMMAND_S)
     assert done.success, done.status.message
-    calibrated = [(each.net, each.transition) for each in machine.firings if each.phase == each.END]
-    assert calibrated.count(("check_camera", "calibrate")) == 1
+    ended = [(each.net, each.transition) for each in machine.firings if each.phase == each.END]
+    assert ended.count(("check_camera", "calibrate")) == 1
+    assert ended.index(("check_camera", "calibrate")) < ended.index(("handover", "grasp.close"))
+    *place, qx, qy, _, _ = json.loads(machine.call(GetTruth, "/testbed/get_truth").json)["objects"]["part"]
+    assert place == pytest.approx([*TO, UPRIGHT_M], abs=8e-3)
+    assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"
     again = machine.execute("check_camera")()
     assert again.success, again.status.message
     assert not json.loads(again.results)["calibrated"]

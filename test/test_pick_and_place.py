@@ -86,11 +86,42 @@ def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
         assert why in answer.message
 
 
-def test_a_part_is_found_handed_over_and_set_down(machine, tmp_path):
-    x, y, z, turn = -0.20, 1.06, 0.88, 0.4
+def stand(machine, x, y, z, turn):
+    """Put the part somewhere, upright, turned about the vertical."""
     pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(z=math.sin(turn / 2), w=math.cos(turn / 2)))
     placed = machine.call(PlaceObject, "/testbed/place_object", name="part", pose=pose)
     assert placed.success, placed.message
+
+
+@pytest.mark.parametrize(("x", "near"), [(-0.32, 0.05), (-0.05, -0.42)], ids=["left", "right"])
+def test_a_part_out_of_view_is_looked_for_to_both_sides(machine, x, near):
+    y, z, turn = 1.08, 0.88, 0.2
+    stand(machine, x, y, z, turn)
+    found = machine.execute("find", name="part", near=[near, y, 1.01])()
+    assert found.success, found.status.message
+    told = json.loads(found.results)
+    assert [told["x"], told["y"], told["z"]] == pytest.approx([x, y, z], abs=5e-3)
+    assert told["yaw"] == pytest.approx(turn, abs=math.radians(1.0))
+
+
+def test_what_the_receiver_cannot_take_is_set_down_again_where_it_was_found(machine):
+    x, y, z, turn = -0.25, 1.08, 0.88, -0.3
+    stand(machine, x, y, z, turn)
+    failed = machine.execute("handover", name="part", meeting=[-2.2, 0.7, 1.1])()
+    assert not failed.success
+    assert "could not reach for it with the right arm" in failed.status.message
+    ended = [each.transition for each in machine.firings if (each.net, each.phase) == ("handover", each.END)]
+    assert "pass.show" in ended, "the giver held it out"
+    assert ended.index("pass.show") < ended.index("put_back.set_down.let_go")
+    *place, qx, qy, qz, qw = truth(machine)["part"]
+    assert place == pytest.approx([x, y, z], abs=8e-3)
+    assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"
+    assert 2.0 * math.atan2(qz, qw) == pytest.approx(turn, abs=math.radians(2.0))
+
+
+def test_a_part_is_found_handed_over_and_set_down(machine, tmp_path):
+    x, y, z, turn = -0.20, 1.06, 0.88, 0.4
+    stand(machine, x, y, z, turn)
     found = machine.execute("find", name="part")()
     assert found.success, found.status.message
     told = json.loads(found.results)
@@ -110,8 +141,7 @@ def test_a_part_is_found_handed_over_and_set_down(machine, tmp_path):
     assert place == pytest.approx([0.5, 1.0, z], abs=8e-3)  # 3 mm in most runs, see scripts/bench.sh --machine handover
     assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"
     assert abs(math.sin(4.0 * 2.0 * math.atan2(qz, qw))) < math.sin(math.radians(4.0)), "with its faces along the axes"
-    pose.position.y = 1.6
-    assert machine.call(PlaceObject, "/testbed/place_object", name="part", pose=pose).success
+    stand(machine, x, 1.6, z, turn)
     gone = machine.execute("handover", name="part")()
     assert not gone.success
     assert "'part' was not found: part in wrist_left not seen" in gone.status.message

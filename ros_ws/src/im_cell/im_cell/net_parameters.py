@@ -25,6 +25,7 @@ def _of(_named: str | None) -> Mapping[str, object]:
     cell = load_cell()
     tips = {group.tip: arm for arm, group in cell.groups.items()}
     riding = {name: tips[camera.parent] for name, camera in cell.cameras.items() if camera.parent in tips}
+    checks = [check for name in list(riding)[:1] if (check := cell.cameras[name].check)]
     joints = [len(cell.joints_of(arm)) for arm in cell.groups]
     return {
         **cell.kinds,
@@ -32,6 +33,9 @@ def _of(_named: str | None) -> Mapping[str, object]:
         "gripping_arms": [arm for arm, group in cell.groups.items() if group.gripper],
         "hand_cameras": list(riding),
         "looking_arms": list(riding.values()),
+        "checking_arms": [check.arm for check in checks],
+        "check_poses": [list(pose) for check in checks for pose in check.shown],
+        "check_files": [check.poses for check in checks],
         "printed": [
             *(target.name for target in cell.targets if target.kind == "fiducial" and target.parent == "world"),
             *(body.name for body in cell.objects if body.fiducial is not None),

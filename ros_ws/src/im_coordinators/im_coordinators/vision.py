@@ -1,19 +1,14 @@
-"""Decisions of the Vision Coordinator: light on or off, use of another look, success of a look."""
+"""Decisions of the Vision Coordinator: success of a look."""
 
 from collections.abc import Mapping
 
-from im_core.errors import DataError, ImError
+from im_core.errors import DataError
 
 #: Spots that were too faint, or too near to something else, may show in a longer exposure.
 LOOK_AGAIN_CAUSES = ("too faint", "candidates")
 
 #: Codes of the failure to see the light: where a longer exposure may show it, and where nothing can.
 TOO_FAINT, NOT_FOUND = "spot_too_faint", "spot_not_found"
-
-
-def another_look_may_help(failure: ImError | None) -> bool:
-    """Return whether a longer exposure may show the spots missed by a look."""
-    return failure is not None and failure.code == TOO_FAINT
 
 
 def require_spot(missed: Mapping[str, str], cameras: int, what: str = "the light") -> None:

@@ -6,7 +6,7 @@ import pytest
 from im_cell.robot import load_cell
 from im_cell.rotations import cross_matrix
 from im_coordinators.ros.vision import VisionFunctions
-from im_coordinators.vision import another_look_may_help, require_spot
+from im_coordinators.vision import require_spot
 from im_core.config import package_file
 from im_core.errors import DataError, ImError, LinkError
 from im_mcs.model import CellModel
@@ -28,15 +28,10 @@ from support.process import Process, hold
         ([], False),
     ],
 )
-def test_only_what_exposure_can_mend_is_looked_at_again(causes: list[str], expected: bool) -> None:
+def test_only_what_exposure_can_mend_is_too_faint(causes: list[str], expected: bool) -> None:
     with pytest.raises(DataError, match="no camera sees the light") as caught:
         require_spot({str(number): cause for number, cause in enumerate(causes)}, len(causes))
-    assert another_look_may_help(caught.value) is expected
-
-
-def test_without_spots_that_were_missed_nothing_is_looked_at_again() -> None:
-    assert not another_look_may_help(None)
-    assert not another_look_may_help(ImError("the camera is gone"))
+    assert (caught.value.code == "spot_too_faint") is expected
 
 
 def test_one_camera_that_sees_the_light_is_enough() -> None:
@@ -55,7 +50,7 @@ transitions:
     symbol: go
     in: idle
     out: done
-    request: {to: vision_coordinator.calibrate, arguments: {cameras: [wall], observations: [1], directory: there}}
+    request: {to: vision_coordinator.SERVICE, arguments: ARGUMENTS}
   end: {in: done, out: idle, emit: go_done}
   fail: {in: bad, out: idle, emit: go_failed}
 """
@@ -63,17 +58,19 @@ GONE = LinkError("vss is missing (it died and was started again meanwhile)")
 NONE = ImError("there is no estimate", code="degenerate")
 
 
+CALIBRATE = "calibrate", "{cameras: [wall], observations: [1], directory: there}", "do_calibrate", "calibrate_again"
+SPOT = "find_spot", "{cameras: [wall], light: left_led, exposure: 0.5}", "do_find_spot", "find_again"
+OBJECT = "find_object", "{name: part, camera: wrist_left}", "do_find_object", "find_object_again"
+
+
+@pytest.mark.parametrize("service", [CALIBRATE, SPOT, OBJECT], ids=lambda service: service[0])
 @pytest.mark.parametrize(
-    ("answers", "asked", "failure"),
-    [
-        ([None], ["do_calibrate"], None),
-        ([GONE, None], ["do_calibrate", "calibrate_again"], None),
-        ([GONE, GONE], ["do_calibrate", "calibrate_again"], GONE),
-        ([NONE], ["do_calibrate"], NONE),
-    ],
+    ("answers", "tries", "failure"),
+    [([None], 1, None), ([GONE, None], 2, None), ([GONE, GONE], 2, GONE), ([NONE], 1, NONE)],
     ids=["there", "died once", "died twice", "no estimate"],
 )
-def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(answers, asked, failure) -> None:
+def test_vss_is_asked_once_more_where_it_has_died(service, answers, tries, failure) -> None:
+    name, arguments, *asked = service
     sent, left = [], list(answers)
 
     async def perform(activity: Activity, _: ActionContext) -> dict[str, object]:
@@ -87,14 +84,13 @@ def test_a_calibration_is_asked_for_once_more_where_who_computes_it_has_died(ans
     functions |= dict.fromkeys(("longer_exposure", "store_spots", "keep_observation", "store_calibration"), hold)
     functions |= dict.fromkeys(("wanted_print", "locate_object"), hold)
     process = Process(
-        [net, parse_net(ASKS)],
+        [net, parse_net(ASKS.replace("SERVICE", name).replace("ARGUMENTS", arguments))],
         actions={**functions, "calibration_problem": lambda ctx: {}},
-        guards={"another_look_may_help": lambda ctx: False},
         others={ServiceAction: perform},
     )
     process.command("asks", "go")
     (ended,) = process.results
-    assert sent == asked
+    assert sent == asked[:tries]
     assert ended.error is failure
 
 

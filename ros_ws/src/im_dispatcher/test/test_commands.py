@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
 from im_cell.robot import load_cell
 from im_core.clock import thread_cpu
@@ -122,6 +123,25 @@ def test_the_nets_that_are_shipped_fit_every_cell_that_has_their_parts(
     offered = {"group": list(load_cell().groups), "camera": list(load_cell().cameras)}
     assert {name for name, _ in fields} >= offered.keys(), "fields of the page's forms"
     assert all(enum == offered[name] for name, enum in fields if name in offered)
+
+
+def test_without_poses_in_the_cell_file_a_camera_on_an_arm_is_not_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = package_file("im_cell", "cells/puma_pair/cell.yaml")
+    cell = yaml.safe_load(shipped.read_text())
+    cell["urdf"], cell["poses"] = (str(shipped.parent / cell[name]) for name in ("urdf", "poses"))
+    del cell["cameras"]["wrist_left"]["check"]
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(cell))
+    monkeypatch.setenv(CELL, str(tmp_path / "cell.yaml"))
+    out = {}
+    for file in commands.net_files(commands.shipped()):
+        try:
+            load_net(file)
+        except MissingPartsError as error:
+            out[file.stem] = error.message
+    assert out.keys() == {"check_camera", "handover"}
+    assert all("it needs 1 of the checking_arms of the cell, which has 0" in why for why in out.values())
 
 
 def test_all_that_is_shipped_is_verified_together_in_few_markings() -> None:

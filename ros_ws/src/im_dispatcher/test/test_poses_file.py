@@ -23,6 +23,11 @@ def test_the_cells_own_poses_are_forty() -> None:
     assert len(load_named_poses("").poses) == 40
 
 
+def test_the_poses_that_a_cell_names_for_a_camera_on_an_arm_are_of_the_arm_that_shows_the_light() -> None:
+    checks = [camera.check for camera in load_cell().cameras.values() if camera.check]
+    assert [load_named_poses(check.poses).group for check in checks] == [check.arm for check in checks] == ["right"]
+
+
 def test_the_cells_own_poses_need_the_other_arm_at_home() -> None:
     file = load_named_poses("")
     joints, home = [f"right_{number}" for number in range(9)], list(load_cell().groups["right"].home)

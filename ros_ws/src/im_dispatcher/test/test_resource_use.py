@@ -1,6 +1,7 @@
 """What is done for a command while it runs is within what it needs: the shipped nets, played by the engine itself."""
 
 import random
+from collections.abc import Callable, Coroutine
 
 from im_cell.robot import load_cell
 from im_core.config import package_file
@@ -18,6 +19,32 @@ from im_pnt.netfile import load_net
 from support.process import Process
 
 CALIBRATION = {"observations": [1], "directory": "results"}
+
+
+class StoredObjects(dict[str, object]):
+    """Data objects in memory, read at once."""
+
+    async def read(self, name: str, kind: str, ways: object) -> object:
+        return self.latest(name, kind, ways)
+
+    def latest(self, name: str, kind: str, ways: object) -> object:
+        if name not in self:
+            raise ImError(f"there is no data object {name}")
+        return self[name]
+
+    def stale(self) -> None:
+        pass
+
+    async def put(self, name: str, kind: str, fields: object, place: str = "") -> None:
+        self[name] = fields
+
+    def run(self, work: Coroutine[object, object, None], done: Callable[[ImError | None], None]) -> None:
+        try:
+            work.send(None)
+        except StopIteration:
+            done(None)
+        except ImError as error:
+            done(error)
 
 
 class Played:
@@ -40,14 +67,16 @@ class Played:
         guards = {name: self.toss for net in self.nets.values() for name in net.guards() if OPENS not in name}
         actions = {name: self.made for net in self.nets.values() for name in net.functions()}
         world = dict.fromkeys((ServiceAction, GoalAction, TopicAction), self.tell)
-        self.process = Process([*self.nets.values()], actions, {**guards, **line.guards()}, others=world)
+        self.process = Process(
+            [*self.nets.values()], actions, {**guards, **line.guards()}, others=world, objects=StoredObjects()
+        )
 
     def toss(self, _: ActionContext) -> bool:
         return self.dice.random() < 0.5
 
     def fail(self) -> None:
         if self.dice.random() < 0.15:
-            raise ImError("no", code=self.dice.choice(["no", "begun_anew", "collision"]))
+            raise ImError("no", code=self.dice.choice(["no", "begun_anew", "collision", "link", "spot_too_faint"]))
 
     def made(self, ctx: ActionContext) -> dict[str, object]:
         """Returns what a function of the nets that makes the arguments of a request could."""

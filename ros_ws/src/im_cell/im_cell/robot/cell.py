@@ -167,9 +167,12 @@ class Cell(ObjectsFile):
         ]
         for where, link in fixed:
             _require(link, frames, where, "a link")
-        for name in self.cameras:
+        lit = [name for name, group in self.groups.items() if group.light]
+        for name, camera in self.cameras.items():
             if not _TOPIC.fullmatch(name):
                 raise FieldError(("cameras", name), f"'{name}' names topics: letters, digits and _, a letter first")
+            if camera.check:
+                _require(camera.check.arm, lit, ("cameras", name, "check", "arm"), "a group with a light")
         names = [box.name for box in self.boxes if box.link == WORLD]
         for rank, name in enumerate(names):
             if name in names[:rank]:

@@ -14,12 +14,13 @@ Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 Vector = tuple[Number, Number, Number]
 Positive = Annotated[float, Field(gt=0.0, le=_LARGEST)]
 NonNegative = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+ToolPose = tuple[Number, Number, Number, Number, Number, Number, Number]
 Size = tuple[Positive, Positive, Positive]
 Source = Annotated[str, Field(min_length=1)]
 
 MOST_CORNERS, THINNEST_M = 64, 1e-4
 _LEAST_GEAR, _MOST_PIXELS = 1e-6, 10_000
-_SAME_M, _PARALLEL = 1e-9, 1e-6
+_SAME_M, _PARALLEL, _UNIT = 1e-9, 1e-6, 1e-3
 
 
 class Limits(Model):
@@ -343,11 +344,34 @@ class Mount(Model):
         return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
+class CameraCheck(Model):
+    """How to find out whether a camera on an arm was moved, while that arm is at home.
+
+    Attributes:
+        arm: Group whose light the camera is shown.
+        shown: Where the tool of that group is in two looks: position [m] and unit quaternion x, y, z, w in the world.
+        poses: ``poses_file`` of ``calibrate_camera`` for this camera.
+    """
+
+    arm: str
+    shown: tuple[ToolPose, ToolPose]
+    poses: Annotated[str, Field(min_length=1)]
+
+    @field_validator("shown")
+    @classmethod
+    def _unit(cls, poses: tuple[ToolPose, ToolPose]) -> tuple[ToolPose, ToolPose]:
+        for pose in poses:
+            if abs((length := float(np.linalg.norm(pose[3:]))) - 1.0) > _UNIT:
+                raise ValueError(f"the quaternion {pose[3:]} has length {length:.4f}; it must be 1")
+        return poses
+
+
 class Camera(Mount):
-    """Nominal mount and lens of a camera."""
+    """Nominal mount and lens of a camera; how it is checked, where it rides on an arm."""
 
     parent: str
     intrinsics: Intrinsics
+    check: CameraCheck | None = None
 
     def pose(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Nominal R, shape (3, 3), and t, shape (3,) [m], with ``x_optical = R x_parent + t``."""

@@ -18,14 +18,14 @@ from im_cell.rotations import cross_matrix, matrix_of_quaternion
 from im_coordinators.object_search import middle_covariance, printed_body, standing_place
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.ros.establishment import Establishment
-from im_coordinators.vision import another_look_may_help, require_spot
+from im_coordinators.vision import require_spot
 from im_core import clock
 from im_core.errors import DataError, StateError, WaitTimeoutError
 from im_core.ros import qos, run
 from im_core.text.bounded_json import read_data
 from im_msgs.msg import GroupState, Observation, ObservationSet, Rejection, Spot, SpotSet, TargetView
 from im_msgs.srv import Calibrate, FiducialPose, SetLight, SpotFind
-from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
+from im_pnt.execution.functions import ActionContext, Functions, idempotent
 from im_pnt_node.rerun.host import Host
 
 LIGHTS, FRAMES = "/testbed/lights", "/tf_static"
@@ -74,7 +74,7 @@ def vision_functions(host: Host) -> Functions:
     )
     return Functions(
         {function.__name__: function for function in functions},
-        {"another_look_may_help": woken_by()(_another_look_may_help)},
+        {},
         {"keep_observation": idempotent(vision.keep_observation)},
     )
 
@@ -266,11 +266,6 @@ class VisionFunctions:
         """Store the calibration."""
         name, place = ctx.object("calibration"), "vision_coordinator.calibration_stored"
         await self._host.dom.put(name, answer.report, place=place)
-
-
-def _another_look_may_help(ctx: ActionContext) -> bool:
-    """Return whether another look may help; not for a request with images of an earlier look."""
-    return not ctx.request_arguments["look"] and another_look_may_help(ctx.failure)
 
 
 def _farthest_off(answer: SpotFind.Response) -> float:
