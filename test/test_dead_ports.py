@@ -100,8 +100,13 @@ def deadly(listener):
 
 
 def test_fast_dds_still_leaves_the_next_process_deaf(listener, deadly):
-    deaf = listener("Node")
-    assert not deaf.hears(SILENCE_S)
+    """Another test may hold the dead port for a moment, which the next process then passes over."""
+    for _ in range(6):
+        following = listener("Node")
+        if not following.hears(SILENCE_S):
+            return
+        following.kill(between_messages=True)
+    pytest.fail("each process heard: Fast DDS may be mended")
 
 
 @pytest.mark.parametrize("times", [1, 3])
