@@ -41,7 +41,13 @@ def wait_until():
 
 @pytest.fixture(autouse=True)
 def signals_as_before():
-    """A test blocks no signal for the tests after it, and for their processes."""
+    """A test blocks no signal for the tests after it, and for their processes, and leaves no handler of its own."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    signal.set_wakeup_fd(wakeup := signal.set_wakeup_fd(-1), warn_on_full_buffer=False)
     yield
+    for number, handler in handlers.items():
+        if handler is not None and signal.getsignal(number) is not handler:
+            signal.signal(number, handler)
+    signal.set_wakeup_fd(wakeup, warn_on_full_buffer=False)
     assert signal.pthread_sigmask(signal.SIG_SETMASK, before) == before

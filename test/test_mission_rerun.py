@@ -214,7 +214,7 @@ def test_a_bag_without_events_or_a_net_that_is_not_in_it_is_a_sentence(capsys, t
 def test_of_two_nets_of_one_name_none_is_run(capsys, changed, tmp_path):
     other = tmp_path / "other.yaml"
     other.write_text(SHIPPED, encoding="utf-8")
-    told = refused(capsys, BAGS / "undisturbed", "--nets", changed("guard: goes_on", "guard: cancelled"), other)
+    told = refused(capsys, BAGS / "undisturbed", "--nets", changed("guard: not stays", "guard: cancelled"), other)
     assert f"there are two nets named calibrate_camera: {tmp_path / 'changed.yaml'} and {other}" in told
 
 
@@ -248,7 +248,7 @@ def test_messages_of_before_a_type_changed_are_named_and_not_taken_for_other_req
     told = refused(capsys, events(tmp_path / "shorter", *shorter))
     assert "im_msgs/action/Move_Goal is another message here than in" in told
 
-    net = changed("    guard: goes_on\n", "    guard: cancelled\n")
+    net = changed("    guard: not stays\n", "    guard: cancelled\n")
     monkeypatch.setattr("im_bag.writer.full_definition", lambda _: Definition("ros2msg", "int64 data\n"))
     as_long = BagWriter(tmp_path / "as_long")
     as_long.add_topic("/count", "std_msgs/msg/UInt64", Delivery(reliable=True, latched=False, depth=1))

@@ -117,7 +117,7 @@ def kept(store, wait_until):
     """A node that has kept two objects; between them the store was copied, unless it was not."""
     node = Keeper(store.folder)
     with spin_in_thread(node):
-        wait_until(lambda: node._looked, "the node to begin")
+        wait_until(lambda: node.begun, "the node to begin")
         for name in ("first", "second"):
             in_loop(node, partial(node.begin, "keep", name))
             wait_until(lambda: ("keep", name) in node.ended, f"{name} to be kept")  # noqa: B023
@@ -165,7 +165,7 @@ def test_a_node_remembers_the_store_in_its_journal(store, wait_until, old):
     store.start()
     node = Keeper(store.folder)
     with spin_in_thread(node):
-        wait_until(lambda: node._looked, "the node to begin")
+        wait_until(lambda: node.begun, "the node to begin")
         if old:
             said = wait_until(lambda: node.said, "what is said of the store")
             assert [text.startswith(OLD) for text in said] == [True]

@@ -130,4 +130,4 @@ def test_two_files_with_a_net_of_one_name_are_refused_and_both_are_named(tmp_pat
     for file in files:
         file.write_text(FEEDER)
     with pytest.raises(NetError, match=f"^there are two nets named feeder: {files[0]} and {files[1]}$"):
-        Library(files, accept).nets({})
+        Library(files, accept).nets({}, typed=False)

@@ -171,7 +171,7 @@ def test_when_dom_has_died_tokens_follow_what_has_become_of_its_objects(cast, wa
     keeper = cast.node("keeper", {}, {"never": lambda ctx: False})
     with spin_in_thread(keeper):
         wait_until(lambda: keeper.heartbeats.incarnation("dom") == cast.dom.incarnation, "the heartbeat of /dom")
-        wait_until(lambda: keeper._looked, "the node to have looked at the objects")
+        wait_until(lambda: keeper.begun, "the node to have looked at the objects")
         assert keeper.exchange.nets["keeper"].marking() == {"there": 1}
         in_loop(cast.dom, cast.dom.store.invalidate, "notes", "test", 0)
         cast.dom.incarnation += 1
@@ -185,7 +185,7 @@ def test_what_was_put_for_a_place_of_a_net_is_not_valid_when_that_has_gone(cast,
         cast.put(name)
     node = cast.node("keeper", {}, {"never": lambda ctx: False})
     with spin_in_thread(node):
-        wait_until(lambda: node._looked and "keeper" in cast.planner._library._known, "the net to be described")
+        wait_until(lambda: node.begun and "keeper" in cast.planner._library._known, "the net to be described")
         node.spawn(node.dom.put("notes", String(), "keeper.there"))
         wait_until(lambda: in_loop(cast.dom, cast.dom.store.record, "notes").place, "the object")
         node.spawn(node.loader.unload("keeper"))
@@ -203,7 +203,7 @@ def test_a_token_that_no_action_has_brought_goes_when_its_object_is_not_valid(ca
     wait_until(lambda: cast.dom.ready, "the Data Object Manager")
     node = cast.node("moved_in", {}, {"never": lambda ctx: False})
     with spin_in_thread(node):
-        wait_until(lambda: node._looked, "the node to have looked at the objects")
+        wait_until(lambda: node.begun, "the node to have looked at the objects")
         wait_until(lambda: node.exchange.nets["moved_in"].marking() == {"gone": 1}, "the token to move")
 
 
@@ -214,7 +214,7 @@ def test_a_token_stays_when_its_object_was_put_again_before_the_change_is_heard(
     keeper = cast.node("keeper", {}, {"never": lambda ctx: False})
     settled = []
     with spin_in_thread(keeper):
-        wait_until(lambda: keeper._looked, "the node to have looked at the objects")
+        wait_until(lambda: keeper.begun, "the node to have looked at the objects")
         settle = keeper._validity._settle
         monkeypatch.setattr(keeper._validity, "_settle", lambda *what: (settle(*what), settled.append(what)))
         record = in_loop(cast.dom, cast.dom.store.invalidate, "notes", "test", 0)

@@ -97,7 +97,7 @@ class PanelEnd(ClockEnd):
             view["placements"][body] += 1
 
     def bodies(self) -> NDArray[np.float64]:
-        """Return the poses of the free bodies, those of the cell first, shape (m, 7) [m, -]."""
+        """Return the poses of the free bodies, bodies of the cell first, shape (m, 7) [m, -]."""
         return self._shared.view["bodies"].copy()
 
     @contextmanager
