@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.interfaces.typing import Typesdict
 from rosbags.rosbag2 import Reader
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -27,6 +29,9 @@ _CONVERTED = "of which rosbags-convert makes one of ROS 2"
 #: Endings of the files of a bag.
 _FILES = (".mcap", ".db3", ".zstd", ".yaml")
 _IDL_PART = re.compile("^=+\nIDL: .*\n", re.MULTILINE)
+
+#: Bytes before the content of a message.
+_ENCAPSULATION = 4
 
 unpacking.install()
 
@@ -169,8 +174,38 @@ def _decoded(
 ) -> Iterator[BagMessage]:
     until = None if only_ns is None else only_ns + 1
     for connection, logged_ns, data in reader.messages(connections, only_ns, until):
-        content = store.deserialize_cdr(data, connection.msgtype)
+        content = deserialized(store, data, connection.msgtype)
         yield BagMessage(connection.topic, connection.msgtype, content, logged_ns)
+
+
+def deserialized(store: Typestore, data: bytes | memoryview, name: str) -> Any:
+    """Return a message, also with bytes behind the end, as ``rclpy.serialization`` leaves of a buffer.
+
+    Jazzy's ``serialize_message`` takes 4 bytes too many for each empty list of 64-bit numbers.
+
+    Args:
+        store: Knows the type.
+        data: The message in CDR.
+        name: The type.
+
+    Raises:
+        SerdeError: It is no message of the type.
+    """
+    try:
+        return store.deserialize_cdr(data, name)
+    except SerdeError:
+        known = store.get_msgdef(name)
+        read = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
+        message, end = read(memoryview(data)[_ENCAPSULATION:], 0, known.cls, store)
+        if len(data) - _ENCAPSULATION - end >= 8 + 4 * _empty_lists(message):
+            raise
+        return message
+
+
+def _empty_lists(value: Any) -> int:
+    if isinstance(value, list | np.ndarray):
+        return sum(map(_empty_lists, value)) if isinstance(value, list) and value else int(len(value) == 0)
+    return sum(map(_empty_lists, vars(value).values())) if hasattr(value, "__dict__") else 0
 
 
 def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:

@@ -85,10 +85,11 @@ class ControlRanges(Model):
 
 
 class Waits(Model):
-    """Longest waits, wall time [s]: for a lease, of a lease, for an exposure."""
+    """Longest waits, wall time [s]: for a lease, of a lease, of one that computes, for an exposure."""
 
     lease: Seconds
     hold: Seconds
+    solve: Seconds
     exposure: Seconds
 
 

@@ -61,9 +61,12 @@ class VisionServicesManager:
         self.managers: dict[str, VisionModuleManager] = {
             manager: VisionModuleManager(
                 manager,
-                [name for name, entry in closure.modules.items() if entry.manager == manager],
+                {
+                    name: rig.settings.waits.solve if self.modules[name].computes else rig.settings.waits.hold
+                    for name, entry in closure.modules.items()
+                    if entry.manager == manager
+                },
                 wait_s=rig.settings.waits.lease,
-                hold_s=rig.settings.waits.hold,
             )
             for manager in closure.managers
         }

@@ -47,7 +47,7 @@ def module():
 
 
 def manager(wait_s=60.0, hold_s=60.0):
-    return VisionModuleManager("image_processing", ["vm_counter"], wait_s, hold_s)
+    return VisionModuleManager("image_processing", {"vm_counter": hold_s}, wait_s)
 
 
 def test_fifty_clients_never_two_inside(module):
@@ -160,7 +160,7 @@ def test_cancelled_and_dead_clients_lose_lease_and_place(module):
 
 
 def test_other_modules_and_other_leases_are_refused(module):
-    vmm = VisionModuleManager("both", ["vm_counter", "vm_other"], 1.0, 1.0)
+    vmm = VisionModuleManager("both", {"vm_counter": 1.0, "vm_other": 1.0}, 1.0)
     with (
         pytest.raises(NotFoundError, match="'vm_countr'; did you mean 'vm_counter'"),
         vmm.lend("vm_countr", VisionClient("a")),
@@ -171,7 +171,7 @@ def test_other_modules_and_other_leases_are_refused(module):
 
 
 def test_a_lease_of_who_only_computes_lasts_while_no_processor_is_given(monkeypatch):
-    module, vmm = VmComputer(rig=None), VisionModuleManager("computing", ["vm_computer"], 60.0, 0.2)
+    module, vmm = VmComputer(rig=None), VisionModuleManager("computing", {"vm_computer": 0.2}, 60.0)
     monkeypatch.setattr("im_vss.modules.module.threads_queued_s", lambda pid: clock.monotonic())  # a busy computer
     with vmm.lend("vm_computer", VisionClient("late")) as lease:
         assert module.run(lease, lambda: clock.sleep(0.5)) is None
@@ -185,7 +185,7 @@ def test_a_lease_of_who_only_computes_lasts_while_no_processor_is_given(monkeypa
 def test_a_lease_of_who_computes_ends_though_his_thread_sleeps():
     """He waits for something else than a processor, and perhaps for ever: an import, a lock."""
     module, over = VmComputer(rig=None), threading.Event()
-    vmm = VisionModuleManager("computing", ["vm_computer"], 60.0, 0.5)
+    vmm = VisionModuleManager("computing", {"vm_computer": 0.5}, 60.0)
     with vmm.lend("vm_computer", VisionClient("stuck")) as lease, pytest.raises(WaitTimeoutError, match="stuck"):
         module.run(lease, lambda: over.wait(30.0))
     over.set()

@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -149,23 +149,21 @@ class VisionModuleManager:
     def __init__(
         self,
         name: str,
-        modules: Iterable[str],
+        modules: Mapping[str, float],
         wait_s: float,
-        hold_s: float,
         now: Callable[[], float] = clock.monotonic,
     ) -> None:
         """Manage some modules.
 
         Args:
             name: Name of the manager.
-            modules: Names of its modules.
+            modules: Its modules by name, each with the longest lease [s].
             wait_s: Longest wait for a lease [s].
-            hold_s: Longest lease [s].
             now: Clock that deadlines are measured with [s].
         """
         self.name = name
         self.wait_s = wait_s
-        self.hold_s = hold_s
+        self._longest = dict(modules)
         self._now = now
         self._changed = threading.Condition()
         self._queues: dict[str, deque[VisionClient]] = {module: deque() for module in modules}
@@ -222,7 +220,8 @@ class VisionModuleManager:
                     self._changed.wait(self._slice(module, give_up))
                 if client.gone:
                     raise StateError(f"{client.name} gave up waiting for {module}", module=module)
-                lease = Lease(module, client, self._now() + self.hold_s, self.hold_s, self._now)
+                hold_s = self._longest[module]
+                lease = Lease(module, client, self._now() + hold_s, hold_s, self._now)
                 self._held[module] = lease
                 self._counts[module].leases += 1
                 return lease
