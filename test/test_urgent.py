@@ -111,7 +111,7 @@ def test_a_cancellation_of_all_goals_includes_those_that_wait(flood, asker, wait
 
 @pytest.mark.parametrize("task", [Dispatcher, GripperCoordinator])
 def test_a_task_with_nets_is_paused_and_its_commands_before_ten_thousand_messages(task, wait_until):
-    rclpy.init(args=["--ros-args", "-p", "standalone:=true"])
+    rclpy.init(args=["--ros-args", "-p", "standalone:=true", "-p", "commands:=demo"])  # the others ask /dom first
     node, asker = task(), GuardedNode("asker")
     try:
         with spin_in_thread(node), spin_in_thread(asker):

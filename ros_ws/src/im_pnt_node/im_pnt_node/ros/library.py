@@ -79,9 +79,11 @@ class Library:
         for file in self.files if found and typed else ():
             with contextlib.suppress(ImError):  # no net any more, or gone: the mission goes on without the file
                 net = load_net(file)
-                if net.name in found and fingerprint(net) != found[net.name][1]:
-                    self.newer.append(net)
+                source, known_by = found.get(net.name, (str(file), fingerprint(net)))
+                if fingerprint(net) != known_by and Path(source).name != self._place(net.name, known_by).name:
+                    self.newer.append(net)  # the one of the journal was not loaded later, which would be kept
         nets, self.left_out = load_present(files)
+        nets = [replace(net, source=found[net.name][0]) if net.name in self.changed else net for net in nets]
         return list(nets_by_name(nets).values())
 
     def keep(self, nets: Iterable[Net]) -> None:
