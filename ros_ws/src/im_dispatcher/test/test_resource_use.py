@@ -12,6 +12,7 @@ from im_dispatcher.cell.net import NAME, cell_net
 from im_dispatcher.cell.queue import WaitingLine
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity
+from im_pnt.execution.values import run_at_once
 from im_pnt.expression.template import OPENS
 from im_pnt.model.action import GoalAction, ServiceAction, TopicAction
 from im_pnt.model.arguments import ArgumentSchema
@@ -39,12 +40,7 @@ class StoredObjects(dict[str, object]):
         self[name] = fields
 
     def run(self, work: Coroutine[object, object, None], done: Callable[[ImError | None], None]) -> None:
-        try:
-            work.send(None)
-        except StopIteration:
-            done(None)
-        except ImError as error:
-            done(error)
+        run_at_once(work, done)
 
 
 class Played:

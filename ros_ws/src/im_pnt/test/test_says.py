@@ -5,6 +5,7 @@ import pytest
 from im_core.errors import DataError, ImError
 from im_pnt.errors import NetFileError
 from im_pnt.execution.events import Answer, CommandCancelled, Outcome
+from im_pnt.execution.values import run_at_once
 from im_pnt.expression.scope import check_net
 from im_pnt.netfile import parse_net
 from im_pnt.netfile.writer import yaml_text
@@ -99,12 +100,7 @@ class LateObjects:
     def answer(self, process):
         reads, self.reads = self.reads, []
         for work, done in reads:
-            try:
-                work.send(None)
-            except StopIteration:
-                done(None)
-            except ImError as error:
-                done(error)
+            run_at_once(work, done)
         process.pump()
 
 

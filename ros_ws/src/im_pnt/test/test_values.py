@@ -11,7 +11,7 @@ from im_pnt.errors import NetError, NetFileError
 from im_pnt.execution.events import GuardsChanged
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.jobs import Activity, Command
-from im_pnt.execution.values import ObjectPendingError
+from im_pnt.execution.values import ObjectPendingError, run_at_once
 from im_pnt.expression.scope import NetScope, check_net
 from im_pnt.expression.template import read_answers
 from im_pnt.expression.types import ANY, BOOLEAN, NUMBER, NoTypes, ValueType, field_type, list_of, message_type
@@ -328,12 +328,7 @@ class MemoryObjects:
         self.objects[name] = {**fields, "kind": kind, "place": place}
 
     def run(self, work, done):
-        try:
-            work.send(None)
-        except StopIteration:
-            done(None)
-        except ImError as error:
-            done(error)
+        run_at_once(work, done)
 
 
 def test_data_objects_are_read_and_stored():

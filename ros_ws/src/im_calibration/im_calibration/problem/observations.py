@@ -1,6 +1,6 @@
 """Observations of a light, or a target, on the wrist as they are made, and the calibration problem of them."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -234,18 +234,13 @@ def _views_seen(messages: Sequence[Any], place: str) -> dict[str, SeenPoints]:
         DataError: Two views are of one camera, or the lists of one differ in length, or hold what cannot be.
     """
     views: dict[str, SeenPoints] = {}
-    for view in messages:
-        if not view.found:
-            continue
-        if view.camera in views:
-            raise DataError(f"{place} has two views of {view.camera}", camera=view.camera)
+    for view, stamp_ns in _found(messages, place, "views"):
         lists = [np.array(each, dtype=float) for each in (view.u, view.v, view.sd)]
         if len({len(each) for each in lists}) != 1:
             raise DataError(f"{place}: u, v and sd of {view.camera} have {[len(each) for each in lists]} numbers")
         u, v, deviations = lists
         if np.isinf(lists).any() or (np.isnan(u) != np.isnan(v)).any() or (deviations <= 0.0).any():
             raise DataError(f"{place}: the view of {view.camera} has a point that cannot be", camera=view.camera)
-        stamp_ns = view.stamp.sec * 10**9 + view.stamp.nanosec
         views[view.camera] = SeenPoints(np.column_stack((u, v)), deviations, stamp_ns)
     return views
 
@@ -261,18 +256,29 @@ def spots_of(messages: Sequence[Any], place: str) -> dict[str, SeenSpot]:
         DataError: Two are of one camera, or a number is not finite, or a covariance is none.
     """
     spots: dict[str, SeenSpot] = {}
-    for spot in messages:
-        if not spot.found:
-            continue
-        if spot.camera in spots:
-            raise DataError(f"{place} has two spots of {spot.camera}", camera=spot.camera)
+    for spot, stamp_ns in _found(messages, place, "spots"):
         uv, covariance = np.array([spot.u, spot.v]), np.array(spot.covariance).reshape(2, 2)
         if not np.all(np.isfinite(uv)):
             raise DataError(f"{place}: the spot of {spot.camera} at {uv.tolist()} px is not finite", camera=spot.camera)
         if not _is_covariance(covariance):
             raise DataError(f"{place}: {covariance.tolist()} is no covariance of a spot of {spot.camera} [px^2]")
-        spots[spot.camera] = SeenSpot(uv, covariance, spot.stamp.sec * 10**9 + spot.stamp.nanosec)
+        spots[spot.camera] = SeenSpot(uv, covariance, stamp_ns)
     return spots
+
+
+def _found(messages: Sequence[Any], place: str, what: str) -> Iterator[tuple[Any, int]]:
+    """Yield the messages of found spots or views, each with the stamp [ns].
+
+    Raises:
+        DataError: Two are of one camera.
+    """
+    cameras = set[str]()
+    for each in messages:
+        if each.found:
+            if each.camera in cameras:
+                raise DataError(f"{place} has two {what} of {each.camera}", camera=each.camera)
+            cameras.add(each.camera)
+            yield each, each.stamp.sec * 10**9 + each.stamp.nanosec
 
 
 def _is_covariance(matrix: Array) -> bool:

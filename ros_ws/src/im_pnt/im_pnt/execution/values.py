@@ -61,6 +61,16 @@ class Objects(Protocol):
         """Run a coroutine; on failure, call back with the reason."""
 
 
+def run_at_once(work: Coroutine[object, object, None], done: Done) -> None:
+    """Run a coroutine that waits for nothing; call back with the reason of a failure."""
+    try:
+        work.send(None)
+    except StopIteration:
+        done(None)
+    except ImError as error:
+        done(error)
+
+
 class Told(Protocol):
     """Readable part of the context of an action or guard, for expressions."""
 

@@ -78,13 +78,17 @@ class Library:
         files = [self._as_it_was(name, *known) for name, known in found.items()] if found else self.files
         for file in self.files if found and typed else ():
             with contextlib.suppress(ImError):  # no net any more, or gone: the mission goes on without the file
-                net = load_net(file)
-                source, known_by = found.get(net.name, (str(file), fingerprint(net)))
-                if fingerprint(net) != known_by and Path(source).name != self._place(net.name, known_by).name:
-                    self.newer.append(net)  # the one of the journal was not loaded later, which would be kept
+                self._compare(load_net(file), found)
         nets, self.left_out = load_present(files)
         nets = [replace(net, source=found[net.name][0]) if net.name in self.changed else net for net in nets]
         return list(nets_by_name(nets).values())
+
+    def _compare(self, net: Net, found: Mapping[str, tuple[str, str]]) -> None:
+        """Note a net of a file where the journal has another of the name, and that was not loaded later."""
+        if net.name in found:
+            source, known_by = found[net.name]
+            if fingerprint(net) != known_by and Path(source).name != self._place(net.name, known_by).name:
+                self.newer.append(net)
 
     def keep(self, nets: Iterable[Net]) -> None:
         """Keep nets as they are, for a mission that outlives their files.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
 from im_core.errors import ImError
 from im_pnt.execution.functions import ActionContext
 from im_pnt.execution.timers import Timer
-from im_pnt.execution.values import Done
+from im_pnt.execution.values import Done, run_at_once
 from im_pnt.expression.template import Way
 from im_pnt.model.action import AwaitAction
 
@@ -97,12 +97,7 @@ class MockedObjects:
 
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
         """Run a coroutine, which waits for nothing."""
-        try:
-            work.send(None)
-        except StopIteration:
-            done(None)
-        except ImError as error:
-            done(error)
+        run_at_once(work, done)
 
 
 def _short(name: str) -> str:

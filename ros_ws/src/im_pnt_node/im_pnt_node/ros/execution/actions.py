@@ -182,11 +182,18 @@ class Surroundings:
                     raise StateError(f"nobody offers {what} {where}{offered_alike(self.node, name)}")
             await pause(self.node, 0.05)
         heard = self.heartbeats.heard_since(task) if task else None
-        settled = SETTLING_S + max(server.made, heard or server.made)
-        if settled > monotonic():
-            await pause(self.node, settled - monotonic())
+        await self.settle(max(server.made, heard or server.made))
         if task is None:  # now that a second server has been discovered, too
             await self._until_alone(name, what, unwanted)
+
+    async def settle(self, since: float) -> None:
+        """Wait until an endpoint has been discovered, both ways; messages before may be lost.
+
+        Args:
+            since: When it was made, or its other side was heard again (monotonic) [s].
+        """
+        if (settled := since + SETTLING_S) > monotonic():
+            await pause(self.node, settled - monotonic())
 
     async def _until_alone(self, name: str, what: str, unwanted: Callable[[], bool]) -> None:
         began = monotonic()
@@ -348,8 +355,7 @@ class TopicActions(RosActions[tuple[Publisher, float]]):
         assert isinstance(action, TopicAction)
         publisher, made = self.prepare(action)
         message = await self._surroundings.sent(activity, action, context, interface_class(action.type)())
-        if made + SETTLING_S > monotonic():
-            await pause(self._surroundings.node, made + SETTLING_S - monotonic())
+        await self._surroundings.settle(made)
         require_wanted(activity, action)
         publisher.publish(message)
         return {}
