@@ -3,8 +3,9 @@
 - Upstream: a new process gets the first port without a living reader. The watch of the senders notices a dead reader
   that waited for a message or was busy with one. A reader killed between the two looks alive for ever: senders go on
   to write into the removed memory, and each next process at that port hears nothing of them.
-- Mend: lock such ports while a process takes its own; Fast DDS passes over a locked port. They are not locked for
-  longer: where the last writer removes a locked port, each new process would print an error.
+- Mend: lock such ports while a process takes its own; Fast DDS passes over a locked port. The locks are shared: of
+  processes that begin at once each passes over them. They are not held for longer: where the last writer removes a
+  locked port, each new process would print an error.
 - Issue: none is known.
 - Seen: Fast DDS 2.14 (Jazzy), ``SharedMemGlobal.hpp``.
 - Test: ``test_fast_dds_still_leaves_the_next_process_deaf`` in ``test/test_dead_ports.py`` fails once upstream has
@@ -41,7 +42,7 @@ def passed_over() -> Iterator[list[str]]:
         if match := _LOCK_FILE.fullmatch(path.name):
             with suppress(OSError):  # removed by the last writer, or of a living process
                 made[match[1]] = (SHM / match[1]).stat().st_mtime_ns
-                locks[match[1]] = lock(path)
+                locks[match[1]] = lock(path, shared=True)
     with ExitStack() as held:
         written = mapped() if locks else set()
         dead = sorted(written & locks.keys(), key=made.__getitem__)[-MOST_HELD:]

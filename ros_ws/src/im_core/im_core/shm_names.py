@@ -33,8 +33,12 @@ def left(prefix: str) -> list[Path]:
     return sorted(path for path in SHM.iterdir() if path.name.startswith((prefix, f"sem.{prefix}", f".{prefix}")))
 
 
-def lock(path: Path) -> int:
+def lock(path: Path, shared: bool = False) -> int:
     """Lock a file for the present process; return the descriptor. No link is followed, no FIFO waited for.
+
+    Args:
+        path: The file.
+        shared: Whether other processes may hold a shared lock beside.
 
     Raises:
         FileNotFoundError: There is none.
@@ -42,7 +46,7 @@ def lock(path: Path) -> int:
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError:
         os.close(descriptor)
         raise

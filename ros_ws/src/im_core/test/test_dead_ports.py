@@ -52,6 +52,13 @@ def test_ports_of_killed_readers_are_held_while_a_node_is_made(port, monkeypatch
     assert is_free(dead)
 
 
+def test_processes_that_begin_at_once_pass_over_the_same_ports(port, monkeypatch):
+    monkeypatch.setattr(dead_ports, "_has_ports", lambda: False)  # both are the present process
+    port(7411)
+    with passed_over() as first, passed_over() as second:
+        assert first == second == ["fastrtps_port7411"]
+
+
 def test_other_files_of_fast_dds_are_left_alone(tmp_path, port):
     port(7411).unlink()
     (tmp_path / "fastrtps_port7411_el").symlink_to("/etc/passwd")

@@ -77,10 +77,12 @@ def test_the_loop_of_its_own(folder):
     told = subprocess.run(
         [sys.executable, str(folder / "my_loop.py")], capture_output=True, text=True, timeout=60.0, check=True
     ).stdout
-    calls = dict(re.findall(r"^(\w+): (\d+) calls, \d+ missed, \d+ % of the period$", told, re.MULTILINE))
-    assert calls["filter"] == "10"
-    assert int(calls["controller"]) in (1, 2)  # 2, unless a busy computer misses periods
-    assert int(calls["sampler"]) == 20
+    found = re.findall(r"^(\w+): (\d+) calls, (\d+) missed, \d+ % of the period$", told, re.MULTILINE)
+    calls = {name: (int(calls), int(missed)) for name, calls, missed in found}
+    assert calls["filter"][0] == 10
+    periods = sum(calls["filter"])  # more than ten, if a busy computer misses some
+    assert sum(calls["controller"]) == len(range(2, periods, 5))
+    assert calls["sampler"][0] == 20
 
 
 def test_the_wrists_stop_a_metre_apart(folder, tutorial, make_bench, cell):
