@@ -12,7 +12,7 @@ from im_bringup.calibration.truth import truth_error
 from im_cell.robot import load_cell
 from im_cell.robot.truth import CellTruth
 from im_core.config import package_file
-from support.whole_machine import run_script, running_machine
+from support.whole_machine import COMMAND_S, run_script, running_machine
 
 pytestmark = pytest.mark.end_to_end
 
@@ -42,20 +42,25 @@ def test_cameras_are_calibrated_by_a_board_whose_place_on_the_wrist_nobody_tells
     from std_msgs.msg import String
 
     from im_core.ros import qos
-    from im_msgs.srv import GetTruth
+    from im_msgs.srv import CalibrateCamera, GetTruth
 
     lights = []
     machine.node.create_subscription(String, "/testbed/lights", lights.append, qos.LATCHED)
-    done = machine.execute("calibrate_camera", target="board", poses_file=str(poses))()
-    assert done.success, done.status.message
-    report = json.loads(done.results)["report"]
-    assert report["success"], report["message"]
+    refused = machine.call(CalibrateCamera, "/dispatcher/calibrate_camera", target="lamp")
+    assert "argument target is 'lamp', not one of" in refused.message
+    refused = machine.call(CalibrateCamera, "/dispatcher/calibrate_camera", accuracy=-1.0)
+    assert "argument accuracy is -1" in refused.message
+    asked = {"target": "board", "poses_file": str(poses)}
+    done = machine.call(CalibrateCamera, "/dispatcher/calibrate_camera", COMMAND_S, **asked)
+    assert done.success, done.message
+    folder = Path(os.environ["IM_RESULTS_DIR"]) / "latest"
+    assert folder.resolve() == Path(done.report.directory).resolve()
+    report = json.loads((folder / "report.json").read_text())
     assert [camera["name"] for camera in report["cameras"]] == CEILING
     assert report["board"] == "board"
     assert lights
     assert not any(any(json.loads(told.data).values()) for told in lights), "a board needs no light"
 
-    folder = Path(os.environ["IM_RESULTS_DIR"]) / "latest"
     assert {f"{name}.yaml" for name in CEILING} | {"residuals.png", "coverage.png", "geometry.png"} <= set(
         os.listdir(folder)
     )

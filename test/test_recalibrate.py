@@ -13,11 +13,13 @@ from tf2_msgs.msg import TFMessage
 
 from im_bag import BagWriter, Delivery
 from im_bag import writer as bag_writer
-from im_calibration import calibrate, problem_of, report_of
+from im_calibration import TARGET_NOISE, calibrate, problem_of, problem_of_views, report_of, views_of
+from im_calibration.targets.target import chessboard_of
 from im_cell.camera_model import CameraModel, nominal
 from im_cell.robot import load_cell
+from im_core.config import package_file
 from im_core.errors import StateError
-from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status
+from im_msgs.msg import CalibrationReport, Observation, Spot, SpotCandidates, Status, TargetView
 from im_msgs.srv import Calibrate, SpotFind
 from im_vss.ros import recalibrate
 from im_vss.ros.ports.calibration import from_request
@@ -32,7 +34,7 @@ CAMERAS = ("ceiling_left", "ceiling_right")
 MODELS = {name: nominal(CELL.cameras[name]) for name in CAMERAS}
 OFFSET, PRIOR_SD = (0.01, 0.05, 0.04), 0.003
 OFF_BY = np.array((0.001, -0.002, 0.001))
-NOISE_PX, POSES, SEED = 0.05, 26, 15
+NOISE_PX, POSES, BOARD_POSES, SEED = 0.05, 26, 12, 15
 DELIVERY = Delivery(reliable=True, latched=False, depth=10)
 
 
@@ -145,6 +147,51 @@ def test_other_options_make_a_new_calibration_beside_the_recorded_one(tmp_path, 
     rows = [line.split() for line in told.splitlines() if line.startswith(("ceiling_left fx", "ceiling_right equi"))]
     assert [row[4] for row in rows[:1]] == ["-"], "what was not calibrated now has no new value"
     assert rows[1][3] == "-", "what was not estimated then has no old one"
+
+
+@pytest.fixture
+def by_board(monkeypatch):
+    """A request of a calibration by the board of the cell at random places over the table, and its answer."""
+    monkeypatch.setenv("IM_OBJECTS", str(package_file("im_cell", "cells/puma_pair/board.yaml")))
+    board, dice = chessboard_of(load_cell(), "board"), np.random.default_rng(SEED)
+    in_wrist, observations = Rotation.from_euler("xyz", (0.02, 0.03, 0.1)), []
+    for i in range(BOARD_POSES):
+        turn = Rotation.from_euler("xyz", dice.uniform(-0.4, 0.4, 3)) * Rotation.from_euler("x", dice.choice((0.0, 0.2)))
+        wrist = dice.uniform((-0.4, -0.4, 0.8), (0.4, 0.4, 1.4))
+        corners = wrist + turn.apply(in_wrist.apply(board.points) + (0.01, -0.02, 0.17))
+        views = []
+        for name, model in MODELS.items():
+            u, v = np.array([model.project(corner) for corner in corners]).T
+            u, v = (each + dice.normal(0.0, NOISE_PX, len(corners)) for each in (u, v))
+            views.append(TargetView(camera=name, found=True, u=u, v=v, sd=np.full(len(u), NOISE_PX)))
+            views[-1].stamp.sec = 10 + i
+        x, y, z, w = turn.as_quat()
+        where = Pose(position=Point(x=wrist[0], y=wrist[1], z=wrist[2]), orientation=Quaternion(x=x, y=y, z=z, w=w))
+        sure = (1e-10 * np.eye(6)).ravel().tolist()
+        observations.append(Observation(pose=f"p{i}", wrist=where, wrist_covariance=sure, views=views))
+    asked = Calibrate.Request(cameras=list(CAMERAS), observations=observations, target="board")
+    sizes = {name: (model.width, model.height) for name, model in MODELS.items()}
+    views = views_of(CAMERAS, from_request(asked).observations, board, sizes, SETTINGS.cameras)
+    problem = problem_of_views(views, TARGET_NOISE)
+    report = report_of(calibrate(problem), problem)
+    assert report["success"], report["message"]
+    return asked, report
+
+
+def test_a_calibration_by_a_board_gives_the_same_numbers(tmp_path, by_board, capsys, monkeypatch):
+    asked, report = by_board
+    bag = write_bag(tmp_path / "bag", (asked, answer(report)))
+    assert run(bag, tmp_path / "out") == recalibrate.OK
+    assert "the same numbers as recorded (largest relative difference 0)" in capsys.readouterr().out
+    assert json.loads((tmp_path / "out/observations.json").read_text())["target"]
+    run(bag, tmp_path / "other", "--lens-model", "equidistant", "--cameras", "ceiling_left")
+    (camera,) = json.loads((tmp_path / "other/report.json").read_text())["cameras"]
+    assert (camera["name"], camera["distortion_model"]) == ("ceiling_left", "equidistant")
+    assert run(bag, tmp_path / "images", "--from", "images") == recalibrate.BAD_INPUT
+    assert "a board is not looked for again in images" in capsys.readouterr().err
+    monkeypatch.delenv("IM_OBJECTS")
+    assert run(bag, tmp_path / "none") == recalibrate.BAD_INPUT
+    assert "no chessboard 'board'" in capsys.readouterr().err
 
 
 def drawn(model, light, number):

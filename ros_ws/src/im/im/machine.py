@@ -183,7 +183,11 @@ class Machine:
         return command
 
     def calibrate_camera(
-        self, cameras: tuple[str, ...] | list[str] = (), poses_file: str = "", target: str = "light"
+        self,
+        cameras: tuple[str, ...] | list[str] = (),
+        poses_file: str = "",
+        target: str = "light",
+        accuracy: float = 0.0,
     ) -> CalibrateCamera:
         """Begin ``calibrate_camera``; iterate for progress, and ask for the result.
 
@@ -191,8 +195,9 @@ class Machine:
             cameras: Names of the cameras; empty: the two ceiling cameras.
             poses_file: File of poses on the host of the machine; empty: the poses of the cell.
             target: What the arm shows to the cameras: ``light`` or ``board``.
+            accuracy: Expected error of a triangulated point, RMS, at which the command ends [m]; 0: after all poses.
         """
-        arguments: dict[str, object] = {"cameras": list(cameras), "target": target}
+        arguments: dict[str, object] = {"cameras": list(cameras), "target": target, "accuracy": accuracy}
         if poses_file:
             arguments["poses_file"] = poses_file
         command: CalibrateCamera = self._follow(CalibrateCamera, self._goal("calibrate_camera", 0, arguments))

@@ -249,7 +249,13 @@ class Dispatcher(PntNode):
         self, request: CalibrateCamera.Request, response: CalibrateCamera.Response
     ) -> CalibrateCamera.Response:
         try:
-            arguments: dict[str, object] = {"cameras": list(request.cameras), "poses_file": request.poses_file}
+            arguments: dict[str, object] = {
+                "cameras": list(request.cameras),
+                "poses_file": request.poses_file,
+                "accuracy": request.accuracy,
+            }
+            if request.target:
+                arguments["target"] = request.target
             outcome = await self._run(calibrate_camera.SYMBOL, arguments)
             response.success = outcome.success
             response.message = str(outcome.results.get("message", outcome.status.message))

@@ -13,20 +13,25 @@ from im_bag.command_line import parsed
 from im_bag.reading import messages_of, topics_of
 from im_calibration import (
     SAME,
+    TARGET_NOISE,
     CalibrationProblem,
     DegenerateDataError,
     InconsistentDataError,
     calibrate_possible,
     comparison,
     dataset_of,
+    dataset_of_views,
     largest_difference,
     problem_of,
+    problem_of_views,
     report_of,
+    views_of,
     write_observations,
 )
 from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes
 from im_calibration.problem.problem import NOISE_SOURCES
 from im_calibration.recorded.stamps import stamp_of
+from im_calibration.targets.target import chessboard_of
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock
@@ -111,24 +116,22 @@ def _parser() -> argparse.ArgumentParser:
 def _recalibrate(options: argparse.Namespace) -> int:
     directory = _folder(options)
     call = _chosen(options)
-    if getattr(call.request, "target", ""):  # bags of former versions have none
-        raise DataError(
-            f"{options.bag}: its calibration is by a board; `im calibrate --again` computes its folder again"
-        )
     cell = load_cell()
     settings = load_settings(cell)
     request = _narrowed(from_request(call.request), options, settings)
     changed = options.source == "images" or options.lens_model or options.noise == "estimated"
     changed = bool(changed or request.cameras != tuple(call.request.cameras))
     if options.source == "images":
+        if request.target:
+            raise DataError(f"{options.bag}: a board is not looked for again in images, take --from spots")
         request, found = find_again(options.bag, call, request, settings, _progress())
         print(f"replay: {found}")
-    problem = _problem(options, call, request, cell, settings)
+    dataset, problem = _problem(options, call, request, cell, settings)
     calibration = calibrate_possible(problem)
     book = CameraBook(cell, settings.cameras, directory, settings.stereo.pairs or ())
     mount = mount_in(options.bag, call.logged_ns, cell, settings.region.freshness * 1e9)
     mounted, covariance = on_their_mounts(calibration, request, book, mount)
-    write_observations(directory, dataset_of(problem))
+    write_observations(directory, dataset)
     write_calibration(directory, calibration, problem, book, mounted, covariance)
     print(f"replay: {calibration.message}")
     code = _compared(call, json.loads(json.dumps(report_of(calibration, problem))), changed)
@@ -168,17 +171,29 @@ def _problem(
     request: CalibrateRequest,
     cell: Cell,
     settings: VssSettings,
-) -> CalibrationProblem:
+) -> tuple[dict[str, Any], CalibrationProblem]:
+    """Return the data set and the problem of a request.
+
+    Raises:
+        ImError: The observations are malformed, their board is not in the cell, or the bag does not tell all of them.
+    """
+    sizes, estimated = recorded_sizes(options.bag, call, request.cameras), options.noise == "estimated"
+    lenses = None if options.lens_model is None else (options.lens_model,) * len(request.cameras)
+    if request.target:
+        target = chessboard_of(cell, request.target)
+        views = views_of(request.cameras, request.observations, target, sizes, settings.cameras)
+        views = replace(views, lens_models=lenses or views.lens_models)
+        noise = NOISE_SOURCES if estimated else TARGET_NOISE
+        return dataset_of_views(views, noise), problem_of_views(views, noise)
     offset = call.led_offset()
     if offset is None:
         offset = cell.led.offset, cell.led.offset_prior_sd
         told = f"{[1e3 * value for value in offset[0]]} mm, each axis to {1e3 * offset[1]:g} mm"
         print(f"replay: the bag does not tell where the light is in the wrist; as this workspace has it: {told}")
-    sizes = recorded_sizes(options.bag, call, request.cameras)
     problem = problem_of(request.cameras, request.observations, request.lengths, sizes, offset, settings.cameras)
-    if options.lens_model is not None:
-        problem = replace(problem, lens_models=(options.lens_model,) * len(request.cameras))
-    return replace(problem, noise_to_estimate=NOISE_SOURCES) if options.noise == "estimated" else problem
+    problem = replace(problem, lens_models=lenses or problem.lens_models)
+    problem = replace(problem, noise_to_estimate=NOISE_SOURCES if estimated else problem.noise_to_estimate)
+    return dataset_of(problem), problem
 
 
 def _folder(options: argparse.Namespace) -> Path:
