@@ -28,14 +28,18 @@ def flood(client):
 def test_an_arm_rests_before_the_work_is_done_that_waits(client, flood, wait_until, stop):
     client.to_motion()
     client.start_far_move(speed_scale=0.02)
-    asker, servo = client.node.create_client(*STOPS[stop]), client.mcs._mcs.client()
+    asker, servo, answers = client.node.create_client(*STOPS[stop]), client.mcs._mcs.client(), []
     assert asker.wait_for_service(60.0)
     flood.fill(wait_until)
 
     def stopped():
+        if answers and answers[0].done():
+            answer = answers[0].result()
+            assert getattr(answer, "success", True), answer.message
+            assert not getattr(answer, "return_code", 0), "the cancellation was refused"
         now = servo.snapshot()
         return now["at_rest"].all() or not now["power"]
 
     assert not stopped(), "it moves on while the loop is held"
-    asker.call_async(asker.srv_type.Request())
+    answers.append(asker.call_async(asker.srv_type.Request()))
     flood.let_go(wait_until, stopped)
