@@ -23,7 +23,7 @@ def motion_times(cell: Cell, joints: Sequence[str], ways: Array) -> Array:
         ways: From where to where each goes, shape (..., n) [rad or m].
     """
     limits = [joint.limits for name in joints for joint in cell.joints if joint.name == name]
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", over="ignore"):
         # limits of the share of the way that is covered
         v, a, j = (
             (np.array([getattr(each, kind) for each in limits]) / np.abs(ways)).min(axis=-1)
