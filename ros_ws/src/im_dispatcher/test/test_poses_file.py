@@ -72,7 +72,10 @@ def test_poses_are_read_in_order(tmp_path: Path) -> None:
         ),
         (HEAD + "".join(POSE.format(name=f"p{n}") for n in range(1001)), "at most 1000 items"),
         (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
-        ("order: free\n" + HEAD + POSE.format(name="a"), "order: free needs the joints of each pose; pose 'a' has none"),
+        (
+            "order: free\n" + HEAD + POSE.format(name="a"),
+            "order: free needs the joints of each pose; pose 'a' has none",
+        ),
         ("group: middle\nframe: world\nposes: []\n", r"yaml:1: group"),
     ],
 )
