@@ -119,6 +119,7 @@ def test_the_nets_are_the_program(first_run):
 
 def test_poses_in_free_order_are_visited_in_less_time_than_as_listed(first_run, few_poses):
     from im_coordinators.visiting_order import leg_times
+    from im_dispatcher.accuracy import REST_S
 
     answer, firings = first_run
     names = [f.transition for f in firings if f.net in {"calibrate_camera", "path_planning_coordinator"}]
@@ -131,7 +132,7 @@ def test_poses_in_free_order_are_visited_in_less_time_than_as_listed(first_run, 
     ]
     as_listed = float(leg_times(cell, list(joints), listed).diagonal(1).sum())
     moving = report_of(answer)["timing"]["steps"]["calibrate_camera.move_robot"]["simulated_s"]
-    assert moving < 0.85 * as_listed
+    assert moving - FEW * REST_S < 0.85 * as_listed
 
 
 def the_arm_goes_on_while_the_light_is_searched(firings):
