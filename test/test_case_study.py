@@ -117,6 +117,24 @@ def test_the_nets_are_the_program(first_run):
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), f"firings of {net} were lost"
 
 
+def test_poses_in_free_order_are_visited_in_less_time_than_as_listed(first_run, few_poses):
+    from im_coordinators.visiting_order import leg_times
+    from im_dispatcher.accuracy import REST_S
+
+    answer, firings = first_run
+    names = [f.transition for f in firings if f.net in {"calibrate_camera", "path_planning_coordinator"}]
+    assert "order_positions" in names
+    assert "note_listed" not in names
+    cell, joints = load_cell(), load_cell().joints_of("left")
+    listed = [
+        list(cell.groups["left"].home),
+        *(pose["joints"] for pose in yaml.safe_load(few_poses.read_text())["poses"]),
+    ]
+    as_listed = float(leg_times(cell, list(joints), listed).diagonal(1).sum())
+    moving = report_of(answer)["timing"]["steps"]["calibrate_camera.move_robot"]["simulated_s"]
+    assert moving - FEW * REST_S < 0.85 * as_listed
+
+
 def the_arm_goes_on_while_the_light_is_searched(firings):
     """A pose is exposed when nothing is left of the one before, and the arm never moves while it is exposed."""
     from im_msgs.msg import Firing
@@ -458,6 +476,7 @@ def odd_poses(few_poses, tmp_path):
     half = math.sqrt(0.5)
     poses["poses"][1] = {"name": "moon", "position_m": [0.0, 0.0, 9.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
     poses["poses"][3] = {"name": "down", "position_m": [-0.3, 0.2, 1.2], "orientation_xyzw": [-half, 0.0, 0.0, half]}
+    poses["order"] = "given"
     path = tmp_path / "odd.yaml"
     path.write_text(yaml.safe_dump(poses))
     return path

@@ -219,7 +219,7 @@ class Cast:
         self.calibration = self.client.create_client(CalibrateCamera, "/dispatcher/calibrate_camera")
         self.processes = {name: self.start(name) for name in PROCESSES}
         own = yaml.safe_load(package_file("im_cell", "cells/puma_pair/ceiling_40.yaml").read_text())
-        own["poses"] = own["poses"][:POSES]
+        own |= {"poses": own["poses"][:POSES], "order": "given"}
         self.file = folder / "poses.yaml"
         self.file.write_text(yaml.safe_dump(own))
         self.names = [pose["name"] for pose in own["poses"]]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from im_calibration import DegenerateDataError, InconsistentDataError, Observation, calibrate
 from im_calibration.design import PoseDesign, predicted_problem, unknowns_as_drawn, unknowns_of
 from im_cell.camera_model import nominal
+from im_cell.motion_time import motion_times
 from im_cell.robot import load_cell
 from im_cell.rotations import matrix_of_quaternion
 from im_dispatcher.job import FEWEST_POSES, problem_of_light
@@ -119,25 +120,16 @@ def accuracy_reached(solver: Mapping[str, Any], asked_m: float, visits: Sequence
 
 
 def seconds_to(file: PosesFile, here: Array | None) -> Array:
-    """Return the time of a visit of each pose, shape (m,) [s]: the slowest joint, at its limits, then rest and looks.
+    """Return the time of a visit of each pose, shape (m,) [s]: motion, then rest and looks.
 
     Args:
         file: The poses, with joints.
         here: Where the arm is, shape (n,) [rad or m]; None: at home.
     """
     cell = load_cell()
-    limits = {joint.name: joint.limits for joint in cell.joints}
-    joints = [limits[name] for name in cell.joints_of(file.group)]
-    velocity, acceleration = (
-        np.array([getattr(each, kind) for each in joints]) for kind in ("velocity", "acceleration")
-    )
-    ramp = np.array([each.acceleration / each.jerk for each in joints])
-    way = np.abs(
-        np.array([pose.joints for pose in file.poses]) - (cell.groups[file.group].home if here is None else here)
-    )
-    short = way * acceleration < velocity**2
-    by_joint = np.where(short, 2.0 * np.sqrt(way / acceleration), way / velocity + velocity / acceleration) + ramp
-    return np.asarray(by_joint.max(axis=1) + REST_S + LOOKS * LOOK_S)
+    joints = np.array([pose.joints for pose in file.poses])
+    ways = joints - (cell.groups[file.group].home if here is None else here)
+    return motion_times(cell, cell.joints_of(file.group), ways) + REST_S + LOOKS * LOOK_S
 
 
 def _unseen(file: PosesFile, k: int) -> Observation:

@@ -118,13 +118,10 @@ def _check_accuracy(cameras: Sequence[str], file: PosesFile) -> None:
     """Check that an accuracy can be asked for.
 
     Raises:
-        DataError: The poses have a given order or a pose has no joints, or the cameras are not two or more that are
-            fixed to the world.
+        DataError: The poses have a given order, or the cameras are not two or more that are fixed to the world.
     """
     if file.order != "free":
         raise DataError("an accuracy needs poses in free order; the poses file says order: given", argument="accuracy")
-    if without := [pose.name for pose in file.poses if pose.joints is None]:
-        raise DataError(f"an accuracy needs the joints of each pose; pose '{without[0]}' has none", argument="accuracy")
     fixed = [name for name in cameras if load_cell().cameras[name].parent == "world"]
     if len(fixed) < max(2, len(cameras)):
         told = f"{len(fixed)} of {', '.join(cameras)} are fixed"

@@ -71,7 +71,8 @@ class PosesFile(Model):
 
     Attributes:
         other_joints: Where the other arm must stand, in the order of its joints [rad or m]; None: anywhere.
-        order: Whether the poses are visited as they are listed, or ``free``: in any order, by their joints.
+        order: Whether the poses are visited as they are listed, or ``free``: in the order that takes least time, by
+            their joints.
     """
 
     group: Annotated[str, pydantic.Field(min_length=1, max_length=64)]
@@ -103,6 +104,8 @@ class PosesFile(Model):
         for pose in self.poses:
             if pose.joints is not None and len(pose.joints) != len(names):
                 raise ValueError(f"pose '{pose.name}' has {len(pose.joints)} joints; {self.group} has {len(names)}")
+            if pose.joints is None and self.order == "free":
+                raise ValueError(f"order: free needs the joints of each pose; pose '{pose.name}' has none")
         return self
 
     @property

@@ -74,11 +74,3 @@ def test_an_accuracy_that_cannot_be_had_is_refused(cameras: list[str], order: st
     with pytest.raises(DataError, match=refusal):
         order_of(arguments, list(load_cell().cameras), lambda _: file)
     assert order_of({**arguments, "accuracy": 0.0}, list(load_cell().cameras), lambda _: file).accuracy_m == 0.0
-
-
-def test_a_pose_without_joints_is_refused_where_an_accuracy_is_asked_for_alone() -> None:
-    file = OWN.model_copy(update={"poses": (*OWN.poses, OWN.poses[0].model_copy(update={"name": "x", "joints": None}))})
-    arguments = {"cameras": [], "poses_file": "", "group": "left", "accuracy": 3e-4}
-    with pytest.raises(DataError, match="an accuracy needs the joints of each pose; pose 'x' has none"):
-        order_of(arguments, list(load_cell().cameras), lambda _: file)
-    assert order_of({**arguments, "accuracy": 0.0}, list(load_cell().cameras), lambda _: file).file is file

@@ -266,6 +266,63 @@ def test_every_pose_is_visited_once_and_what_was_skipped_is_known_in_the_end(pla
     assert (report["seed"], report["poses"]) == (3, 40)
 
 
+ORDER = [3, 1, 2, *range(4, 41)]
+
+
+@pytest.fixture
+def free(play: Play) -> Play:
+    """A command whose poses were ordered."""
+    assert play.guard("order_wanted")(None)
+    assert play("poses_to_order") == {"positions": "positions"}
+    kind, fields = play.host.objects[f"{SYMBOL}/1/positions"]
+    assert kind == "trajectory_msgs/msg/JointTrajectory"
+    assert fields["joint_names"] == list(load_cell().joints_of("left"))
+    assert [tuple(point["positions"]) for point in fields["points"]] == [
+        pose.joints for pose in load_named_poses("").poses
+    ]
+    play.job.replies["order_poses"] = {"order": ORDER}
+    assert not play.guard("order_wanted")(None)
+    return play
+
+
+def test_poses_in_free_order_are_reached_by_their_joints_and_keep_their_numbers_in_the_file(free: Play) -> None:
+    for number, name in ((3, "p03"), (1, "p01"), (2, "p02")):
+        assert free.pose() == name
+        way = free("way_known")
+        assert (way["destination"], way["joints"]) == ("", list(_pose_named(name).joints))
+        assert not free.guard("stays")(None)
+        free("present_look")
+        assert free("looked_pose") == {"number": number, "pose": name}
+        free.restart()
+    assert free("next_destination") == {"joints": list(_pose_named("p04").joints), "leaves": "path/left"}
+
+
+def test_of_poses_in_free_order_the_same_are_left_out_and_kept_as_of_listed_ones(free: Play) -> None:
+    names = []
+    for visit in range(40):
+        names.append(free.pose())
+        if visit == 1:
+            free("skip_pose", DataError("hidden"))
+        else:
+            number = ORDER[visit]
+            free.host.objects[f"{SYMBOL}/1/observation/{number}"] = "im_msgs/msg/Observation", observed(number)
+    assert names == [f"p{number:02}" for number in ORDER]
+    collected = free("collected")
+    assert collected["observations"] == list(range(2, 41))
+    assert collected["rejected"] == {"p01": "hidden"}
+    free("note_failure", LinkError("the arm is gone"))
+    free("report_failure")
+    (problem,) = load_problems(Path(str(free.job.memory["directory"])) / "observations.json")
+    assert problem.pose_names == tuple(f"p{number:02}" for number in range(2, 41))
+
+
+def test_poses_without_an_order_are_visited_as_listed(play: Play) -> None:
+    play("note_listed", LinkError("the coordinator is gone"))
+    assert not play.guard("order_wanted")(None)
+    assert play.pose() == "p01"
+    assert play("way_known") == {"planned": False, "near": "home"}
+
+
 def test_a_pose_in_doubt_is_visited_again_and_one_that_was_not_begun_is_not_given_back(play: Play) -> None:
     play.pose()
     names = [play.pose()]

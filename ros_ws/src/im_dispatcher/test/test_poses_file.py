@@ -72,6 +72,10 @@ def test_poses_are_read_in_order(tmp_path: Path) -> None:
         ),
         (HEAD + "".join(POSE.format(name=f"p{n}") for n in range(1001)), "at most 1000 items"),
         (HEAD + POSE.format(name="a") * 2, "two poses are named 'a'"),
+        (
+            "order: free\n" + HEAD + POSE.format(name="a"),
+            "order: free needs the joints of each pose; pose 'a' has none",
+        ),
         ("group: middle\nframe: world\nposes: []\n", r"yaml:1: group"),
     ],
 )
@@ -97,7 +101,7 @@ def test_poses_that_are_read_again_and_again_stay_the_same() -> None:
         each.model_copy(update={"orientation_xyzw": tuple(np.round(each.orientation_xyzw, 4))}) for each in drawn
     ]
     for poses in (own.poses, drawn, [WristPose(**each.model_dump()) for each in rounded]):
-        file = own.model_copy(update={"poses": tuple(poses)})
+        file = own.model_copy(update={"poses": tuple(poses), "order": "given"})
         again = PosesFile.model_validate_json(file.model_dump_json())
         assert again == file
         assert PosesFile.model_validate_json(again.model_dump_json()) == file

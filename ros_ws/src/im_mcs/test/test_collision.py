@@ -66,6 +66,22 @@ def test_paths_are_checked_on_the_way(kinematics, cell):
         kinematics.check_path("left", [start, start], q, -1.0)
 
 
+def test_what_is_close_to_an_arm_at_rest_keeps_no_other_arm_from_moving(kinematics, config, model, cell):
+    """A line may lead nearer than a path: the collision watch alone says how near."""
+    checker, q = CollisionChecker(model, config.collision.clearance_m), cell.home.copy()
+    shoulder = model.index("right_j2")
+    while (closest := checker.closest(q)).distance > 0.018:
+        q[shoulder] -= 0.001
+    assert closest.first.startswith("right_")
+    assert closest.second.startswith("right_")
+    with pytest.raises(ImError, match="at the end: right_"):
+        kinematics.check_path("right", [q[9:].tolist()] * 2, q)
+    pose = kinematics.forward("left", [], q).pose
+    turn = pin.Quaternion(pose.rotation).coeffs()
+    found = kinematics.inverse("left", pose.translation, turn, [], q, avoid_collisions=True)
+    assert kinematics.check_path("left", [q[:9].tolist(), found.tolist()], q) > 0.02
+
+
 class Detour:
     """A motion that ends where it begins, and on its way goes through another position."""
 

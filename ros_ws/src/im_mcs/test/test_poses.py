@@ -57,6 +57,16 @@ def test_poses_are_reachable_one_after_the_other_and_the_light_is_not_hidden(pos
             assert checker.blocking(q, light + 0.03 * towards, camera.position, 0.01) is None
 
 
+def test_poses_may_be_visited_in_any_order_for_each_has_its_joints(poses, config, model):
+    assert poses["order"] == "free"
+    q, group = model.cell.home, poses["group"]
+    index = [model.index(joint) for joint in config.groups[group].joints]
+    for pose, wrist in zip(poses["poses"], wrists(poses), strict=True):
+        q[index] = pose["joints"]
+        off = model.pose(q, config.groups[group].wrist).actInv(wrist)
+        assert np.linalg.norm(pin.log6(off).vector) < 1e-3
+
+
 def test_the_light_shines_into_the_images_of_all_cameras(poses, model):
     led = model.cell.led
     for wrist in wrists(poses):

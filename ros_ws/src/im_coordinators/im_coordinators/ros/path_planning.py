@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 from geometry_msgs.msg import Pose, PoseStamped
@@ -11,6 +12,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from im_cell.robot import load_cell
 from im_coordinators.motion import DESTINATIONS, way_asked
 from im_coordinators.path_planning import (
+    BLOCKED,
     another_may_help,
     configuration,
     home_seed,
@@ -22,6 +24,7 @@ from im_coordinators.path_planning import (
 from im_coordinators.path_search import search_apart
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
+from im_coordinators.visiting_order import BLOCKED_S, leg_times, visiting_order
 from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.messages.status import status_to_error
@@ -54,6 +57,7 @@ def planning_functions(host: Host) -> Functions:
         "plan_around": planning.plan_around,
         "check_given": planning.check_given,
         "check_reach": planning.check_reach,
+        "order_positions": planning.order_positions,
     }
     guards = {
         "search_may_help": woken_by()(lambda ctx: search_may_help(ctx.failure)),
@@ -136,6 +140,33 @@ class PathPlanningFunctions:
         """Find joint positions with the tool at a place, and keep none."""
         here = await self._here(ctx)
         await self._for_tool(here, ToolTarget.asked(ctx.request_arguments), _position(here))
+
+    async def order_positions(self, ctx: ActionContext) -> None:
+        """Find an order of positions that takes little time, by straight free ways where there are such."""
+        given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["positions"])), JointTrajectory)
+        here = await self._here(ctx)
+        require_joints(given.joint_names, here.joints, here.group)
+        places = [_position(here), *(list(point.positions) for point in given.points)]
+        times, known = leg_times(self._cell, list(here.joints), places), set[frozenset[int]]()
+        while True:
+            order = await self._host.noted_apart("order", visiting_order, times)
+            if known.issuperset(legs := [frozenset(leg) for leg in pairwise(order)]):
+                break
+            for a, b in (sorted(leg) for leg in legs if leg not in known):
+                path = _trajectory(here.joints, [places[a], places[b]])
+                if not await self._is_free(CheckPath.Request(group=here.group, path=path)):
+                    times[a, b] = times[b, a] = times[a, b] + BLOCKED_S
+            known.update(legs)
+        ctx.result["order"] = order[1:]
+
+    async def _is_free(self, request: CheckPath.Request) -> bool:
+        try:
+            await self._ask(CHECK, request, "a path to be checked")
+        except ImError as error:
+            if error.code in BLOCKED:
+                return False
+            raise
+        return True
 
     async def _find(self, ctx: ActionContext, here: GroupState, seed: Sequence[float]) -> None:
         asked = ctx.request_arguments

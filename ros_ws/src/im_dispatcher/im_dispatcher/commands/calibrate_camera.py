@@ -36,7 +36,11 @@ POSES = "calibration_poses"
 
 #: Types of the data objects.
 TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", "im_msgs/msg/Rejection"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
+
+#: Transition whose answer is the order of poses in free order.
+ORDER = "order_poses"
 
 #: Arguments of the command that name its poses, and their defaults.
 _NAMED_POSES = {"poses_file": "", "target": "light"}
@@ -80,12 +84,14 @@ class CalibrateCamera:
                 self.write_report,
                 self.note_left,
                 self.note_failure,
+                self.note_listed,
                 self.report_failure,
             )
         }
         requests = (
             self.other_arm,
             self.require_other,
+            self.poses_to_order,
             self.way_known,
             self.present_look,
             self.next_destination,
@@ -96,6 +102,7 @@ class CalibrateCamera:
         builders = {build.__name__: build for build in requests}
         guards = {
             "other_needed": woken_by()(_other_needed),
+            "order_wanted": woken_by()(_order_wanted),
             "more_poses": woken_by()(_more_poses),
             "goes_on": woken_by()(_goes_on),
             "plans_ahead": woken_by()(_plans_ahead),
@@ -122,6 +129,7 @@ class CalibrateCamera:
         ctx.memory["directory"] = self._host.noted("directory", _new_directory)
         ctx.memory["cameras"] = list(order.cameras)
         ctx.memory["light"], ctx.memory["target"] = order.light, order.target
+        ctx.memory["free"] = order.file.order == "free" and order.accuracy_m == 0.0
         ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
         ctx.memory["loop"] = PoseLoop(poses).to_json()
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
@@ -141,6 +149,19 @@ class CalibrateCamera:
     async def require_other(self, ctx: ActionContext, answer: Any) -> None:
         """Check that the other arm, in an ``im_msgs/srv/GetGroupState`` response, stands where the poses need it."""
         (await self._poses(ctx)).require_other(answer.state.joints, answer.state.q)
+
+    async def poses_to_order(self, ctx: ActionContext) -> dict[str, object]:
+        """Store the joints of all poses, and return the name of the data object."""
+        file = await self._poses(ctx)
+        points = [{"positions": list(pose.joints or ())} for pose in file.poses]
+        joints = list(load_cell().joints_of(file.group))
+        await self._host.values.put(ctx.object("positions"), TRAJECTORY, {"joint_names": joints, "points": points})
+        return {"positions": "positions"}
+
+    async def note_listed(self, ctx: ActionContext) -> None:
+        """Tell the reason of a visit of the poses as they are listed."""
+        ctx.memory["free"] = False
+        ctx.progress(f"the poses are visited as they are listed: {_reason(ctx)}", 0.0)
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
         """Count the loop variable down and store the next destination."""
@@ -162,14 +183,14 @@ class CalibrateCamera:
     async def way_known(self, ctx: ActionContext) -> dict[str, object]:
         """Whether the path to the next destination is known already; the first one is sought from home.
 
-        Poses in free order are reached by their joints, wherever the arm comes from.
+        Poses in another order than listed are reached by their joints, wherever the arm comes from.
 
         Each further configuration is near to the one before: so they are the same wherever the arm was at first, and
         the light is as free in all of them as when the poses were chosen.
         """
         loop = _loop(ctx)
         known = {"planned": ctx.memory["planned"], "near": "home" if loop.taken == 1 else "here"}
-        if "accuracy" in ctx.memory and loop.present is not None:
+        if not _as_listed(ctx) and loop.present is not None:
             file = await self._poses(ctx)
             known |= {
                 "destination": "",
@@ -181,7 +202,7 @@ class CalibrateCamera:
         """Where the arm goes from here, and where the path to there is to lie."""
         pose = (await self._poses(ctx)).poses[_pose_of(ctx, _loop(ctx).following) - 1]
         leaves = f"path/{ctx.request_arguments['group']}"
-        if "accuracy" in ctx.memory:
+        if not _as_listed(ctx):
             return {"joints": list(pose.joints or ()), "leaves": leaves}
         await self._host.values.put(ctx.object("next_destination"), POSE, pose.stamped)
         return {"destination": "next_destination", "leaves": leaves}
@@ -204,7 +225,7 @@ class CalibrateCamera:
         loop, pose = _loop(ctx), ctx.memory["looked"]
         ctx.memory.pop("taken_up", None)
         ctx.progress(f"pose {pose} observed", loop.looked_progress)
-        return {"number": loop.looked_number, "pose": pose}
+        return {"number": _observation_number(ctx, loop.looked_number), "pose": pose}
 
     async def visit_again(self, ctx: ActionContext) -> None:
         """Visit the last seen pose again, with more light after a faint spot."""
@@ -245,7 +266,9 @@ class CalibrateCamera:
         return {
             "cameras": ctx.memory["cameras"],
             "target": ctx.memory["target"],
-            "observations": [number for number, name in enumerate(names, 1) if name not in left_out],
+            "observations": sorted(
+                _observation_number(ctx, visit) for visit, name in enumerate(names, 1) if name not in left_out
+            ),
             "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
             "directory": ctx.memory["directory"],
         }
@@ -350,7 +373,8 @@ class CalibrateCamera:
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
-        kept = [await self._observation(ctx, number) for number in range(1, _loop(ctx).taken + 1)]
+        numbers = sorted(_observation_number(ctx, visit) for visit in range(1, _loop(ctx).taken + 1))
+        kept = [await self._observation(ctx, number) for number in numbers]
         if observed := [seen for seen in kept if seen is not None]:
             told = str(ctx.memory["directory"]), ctx.memory["cameras"], str(ctx.memory["target"]), observed
             await self._host.noted_apart("observations", _write_observations, *told)
@@ -488,9 +512,35 @@ def _barred(ctx: ActionContext) -> list[int]:
     return list(_told_accuracy(ctx)["barred"])
 
 
+def _order_wanted(ctx: ActionContext) -> bool:
+    """Return whether the poses may be visited in any order, and none is known yet."""
+    return bool(ctx.memory["free"]) and _order_found(ctx) is None
+
+
+def _order_found(ctx: ActionContext) -> list[int] | None:
+    """Return numbers of the poses in the order of the visits, None before it is found."""
+    match ctx.replies.get(ORDER):
+        case {"order": list(numbers)}:
+            return [int(str(number)) for number in numbers]
+    return None
+
+
+def _as_listed(ctx: ActionContext) -> bool:
+    """Return whether the poses are visited one after the other as they are listed."""
+    return "accuracy" not in ctx.memory and _order_found(ctx) is None
+
+
 def _pose_of(ctx: ActionContext, number: int) -> int:
     """Return the number in the poses file, from 1, of a visit."""
-    return _visits(ctx)[number - 1] if "accuracy" in ctx.memory else number
+    if "accuracy" in ctx.memory:
+        return _visits(ctx)[number - 1]
+    order = _order_found(ctx)
+    return number if order is None else order[number - 1]
+
+
+def _observation_number(ctx: ActionContext, visit: int) -> int:
+    """Return the number of the observation of a visit: that of the pose, or of the look where a pose has several."""
+    return visit if "accuracy" in ctx.memory else _pose_of(ctx, visit)
 
 
 def _name_of(ctx: ActionContext, number: int, pose: str) -> str:

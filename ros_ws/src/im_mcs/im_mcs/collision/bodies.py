@@ -91,12 +91,18 @@ class Bodies:
         """Return the distance of a pair at the last placement, negative for an overlap [m]."""
         return float(pin.computeDistance(self._geometry, self._results, pair).min_distance)
 
-    def closest(self) -> Closest:
-        """The closest pair where the bodies were placed last; endlessly far, without names, where there is no pair."""
+    def closest(self, among: NDArray[np.bool_] | None = None) -> Closest:
+        """The closest pair where the bodies were placed last; endlessly far, without names, where there is no pair.
+
+        Args:
+            among: Which pairs count, shape (pairs,); None: all.
+        """
         if not len(self.pairs):
             return Closest(np.inf, "", "", np.zeros(3))
         pin.computeDistances(self._geometry, self._results)
-        distances = [result.min_distance for result in self._results.distanceResults]
+        distances = np.array([result.min_distance for result in self._results.distanceResults])
+        if among is not None:
+            distances[~among] = np.inf
         k = int(np.argmin(distances))
         result = self._results.distanceResults[k]
         place = (np.asarray(result.getNearestPoint1()) + np.asarray(result.getNearestPoint2())).ravel() / 2.0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import ImError
 from im_mcs.collision.bodies import Bodies, Closest
+from im_mcs.collision.monitor import lever_bounds
 from im_mcs.collision.surroundings import NOTHING, CollisionScene
 from im_mcs.model import CellModel
 
@@ -53,7 +54,7 @@ class CollisionChecker:
     """
 
     def __init__(self, model: CellModel, clearance_m: float, around: CollisionScene = NOTHING) -> None:
-        self._bodies = Bodies(model, around)
+        self._model, self._bodies = model, Bodies(model, around)
         self._clearance = clearance_m
         self._step = np.array([_STEP_M if joint.kind == "prismatic" else _STEP_RAD for joint in model.cell.joints])
 
@@ -62,23 +63,34 @@ class CollisionChecker:
         """How many pairs of bodies are compared."""
         return len(self._bodies.pairs)
 
-    def closest(self, q: NDArray[np.float64]) -> Closest:
-        """The closest pair at ``q``, shape (n,)."""
+    def closest(self, q: NDArray[np.float64], among: NDArray[np.bool_] | None = None) -> Closest:
+        """The closest pair at ``q``, shape (n,), of all pairs or of some, shape (pairs,)."""
         self._bodies.place(q)
-        return self._bodies.closest()
+        return self._bodies.closest(among)
 
-    def require_free(self, q: NDArray[np.float64], where: str = "", least: float | None = None) -> float:
+    def moved(self, index: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which pairs some joints move, shape (pairs,); the others are at rest to each other and stay so."""
+        return np.asarray(lever_bounds(self._model, self._bodies)[:, index].any(axis=1))
+
+    def require_free(
+        self,
+        q: NDArray[np.float64],
+        where: str = "",
+        least: float | None = None,
+        among: NDArray[np.bool_] | None = None,
+    ) -> float:
         """Smallest distance at ``q``, shape (n,) [m].
 
         Args:
             q: Positions of all joints.
             where: Part of a path, for the error.
             least: Smallest distance allowed [m]; None: the clearance.
+            among: Which pairs count, shape (pairs,); None: all.
 
         Raises:
             ImError: Two bodies are closer than that; both are named (code ``collision``).
         """
-        closest, least = self.closest(q), self._clearance if least is None else least
+        closest, least = self.closest(q, among), self._clearance if least is None else least
         if closest.distance >= least:
             return closest.distance
         x, y, z = closest.place
@@ -93,7 +105,7 @@ class CollisionChecker:
             clearance_m=least,
         )
 
-    def _begin(self, q: NDArray[np.float64]) -> tuple[float, float]:
+    def _begin(self, q: NDArray[np.float64], among: NDArray[np.bool_]) -> tuple[float, float]:
         """Return the distance at the start, and the smallest one allowed from there to the end [m].
 
         The watch may stop an arm closer than the clearance: it may leave, and comes no closer on the way.
@@ -101,7 +113,7 @@ class CollisionChecker:
         Raises:
             ImError: Bodies touch.
         """
-        distance = self.require_free(q, "at the start", _TOUCH_M)
+        distance = self.require_free(q, "at the start", _TOUCH_M, among)
         return distance, min(self._clearance, distance - _TOUCH_M)
 
     def check_path(self, q_all: NDArray[np.float64], index: NDArray[np.intp], points: NDArray[np.float64]) -> float:
@@ -109,7 +121,7 @@ class CollisionChecker:
 
         Args:
             q_all: Positions of all joints; those of other groups stay, shape (n,).
-            index: Joints of the group, shape (n,).
+            index: Joints of the group, shape (n,); pairs that none of them moves do not count.
             points: Points of the path, the first is where the group is, shape (m, n).
 
         Returns:
@@ -120,14 +132,15 @@ class CollisionChecker:
         """
         whole = q_all.copy()
         whole[index] = points[0]
-        clearance, least = self._begin(whole)
+        moved = self.moved(index)
+        clearance, least = self._begin(whole, moved)
         for number, (a, b) in enumerate(pairwise(points), start=1):
             steps = max(1, int(np.ceil(np.max(np.abs(b - a) / self._step[index]))))
             for k in range(1, steps + 1):
                 whole[index] = a + (b - a) * (k / steps)
                 where = f"on the way to point {number} ({100 * k // steps} %)" if k < steps else f"at point {number}"
                 last = k == steps and number == len(points) - 1
-                clearance = min(clearance, self.require_free(whole, where, None if last else least))
+                clearance = min(clearance, self.require_free(whole, where, None if last else least, moved))
         return clearance
 
     def check_motion(
@@ -153,14 +166,15 @@ class CollisionChecker:
         times = np.linspace(0.0, motion.duration, count + 1)
         q = motion.span(times).q
         whole[index] = seen = q[0]
-        clearance, least = self._begin(whole)
+        moved = self.moved(index)
+        clearance, least = self._begin(whole, moved)
         for k in range(1, count + 1):
             if k < count and (np.abs(q[k + 1] - seen) <= step).all():
                 continue
             whole[index] = seen = q[k]
             number = motion.point(float(times[k])) + 1
             where = "at the end" if k == count else f"on the way to point {number} ({100 * k // count} % of the time)"
-            clearance = min(clearance, self.require_free(whole, where, None if k == count else least))
+            clearance = min(clearance, self.require_free(whole, where, None if k == count else least, moved))
         return clearance
 
     def blocking(

@@ -107,7 +107,7 @@ class InverseKinematics:
             target: Wanted pose of the wrist in ``world``.
             q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
             seed: Where to start, shape (n,) [rad or m].
-            collision: If given, solutions in collision are passed over.
+            collision: If given, solutions in collision are passed over; pairs that the group does not move do not count.
 
         Returns:
             Positions of the group, shape (n,) [rad or m].
@@ -118,11 +118,12 @@ class InverseKinematics:
         """
         best: IkAttempt | None = None
         blocked: ImError | None = None
+        moved = None if collision is None else collision.moved(self._index)
         for attempt in self.attempts(target, q_all, self._starts(seed)):
             if attempt.reached:
                 try:
                     if collision is not None:
-                        collision.require_free(self._whole(q_all, attempt.q))
+                        collision.require_free(self._whole(q_all, attempt.q), among=moved)
                 except ImError as error:
                     blocked = blocked or error
                     continue

@@ -141,18 +141,19 @@ def _group_for(config: McsConfig, model: CellModel, cameras: Sequence[str]) -> s
 
 
 def to_yaml(group: str, cameras: Sequence[str], selection: Selection, target: str = "light") -> str:
-    """The file's text; one pose a line."""
+    """The file's text: poses in free order, with their joints."""
     s, them = ("s", "it") if len(cameras) == 1 else ("", "them")
     told = _spread(selection).capitalize()
     header = _HEADER.format(target=target, cameras=" and ".join(cameras), s=s, them=them, spread=told)
     others = [f"other_joints: {list(each.home)}" for name, each in load_cell().groups.items() if name != group]
-    lines = [header + f"group: {group}", "frame: world", *others, "poses:"]
+    lines = [header + f"group: {group}", "frame: world", *others, "order: free", "poses:"]
     width = len(str(len(selection.poses)))
     for number, one in enumerate(selection.poses, start=1):
         wrist = one.candidate.wrist
         position = ", ".join(f"{value:.4f}" for value in wrist.translation)
         quaternion = ", ".join(f"{value:.6f}" for value in pin.Quaternion(wrist.rotation).coeffs())
-        lines.append(f"  - {{name: p{number:0{width}d}, position_m: [{position}], orientation_xyzw: [{quaternion}]}}")
+        lines.append(f"  - {{name: p{number:0{width}d}, position_m: [{position}], orientation_xyzw: [{quaternion}],")
+        lines.append(f"     joints: [{', '.join(f'{joint:.4f}' for joint in one.q)}]}}")
     return "\n".join(lines) + "\n"
 
 
