@@ -46,8 +46,8 @@ class Machine:
         connection: The connection, for what this class does not do.
         dom: Data objects.
 
-    The groups of joints are attributes too, by the names that the cell gives them: ``machine.left`` is
-    ``machine.group("left")``.
+    The groups of joints are attributes too, by the names that the cell gives them: ``machine.arm`` is
+    ``machine.group("arm")``.
     """
 
     def __init__(self, connection: Connection, heartbeats: Heartbeats) -> None:
