@@ -93,8 +93,7 @@ im_defaults() {
 # workspace_files ACTION...: what the workspace is built of, for find. Python files need no build: they are linked.
 workspace_files() {
   find "$IM_WS/src" "$IM_WS/standard_msgs" \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name setup.cfg \
-    -o -name '*.pyx' -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' -o -path '*/rviz/*' \
-    -o -path '*/moveit/*' -o -path '*/foxglove/*' \) -type f "$@"
+    -o -name '*.pyx' -o -name '*.msg' -o -name '*.srv' -o -name '*.action' -o -path '*/launch/*' \) -type f "$@"
 }
 
 # im_env: the complete environment, as every script but setup.sh needs it.

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from im import Machine as Client
+from im import MachineError
 from im_cell.robot import load_cell
 from support.whole_machine import free_port, report_of, run_script, running_machine
 
@@ -87,6 +89,26 @@ def test_it_moves_draws_a_line_and_stops(machine, cell, group):
     assert not answer.success
     assert "estopped" in answer.status.message
     assert machine.trigger("/mcs/reset").success  # an emergency stop outlives its machine
+
+
+def test_a_client_finds_the_groups_of_the_cell_by_their_names(machine, cell, group):
+    shipped = cell[1]
+    with Client.connect(timeout=60.0) as im:
+        assert list(im.groups) == list(shipped.groups)
+        assert {*shipped.groups} <= {*dir(im)}
+        arm = getattr(im, group)
+        assert list(arm.joints) == list(shipped.joints_of(group))
+        there_are = f"there is no group 'left'; there are {', '.join(shipped.groups)}"
+        with pytest.raises(MachineError, match=there_are):
+            im.group("left")
+        with pytest.raises(AttributeError, match=f"a machine has no 'left': {there_are}"):
+            _ = im.left
+        with arm.reserved(lease=30.0) as arm:
+            joint, position = next(iter(arm.joints.items()))
+            arm.move_joints(**{joint: position + 0.05})
+            assert arm.joints[joint] == pytest.approx(position + 0.05, abs=1e-3)
+            if shipped.groups[group].gripper:
+                assert arm.gripper.close() < arm.gripper.open()
 
 
 def test_its_commands_are_those_that_its_parts_allow(machine, cell, group):

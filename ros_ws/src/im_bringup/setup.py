@@ -12,10 +12,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/im_bringup"]),
         ("share/im_bringup", ["package.xml"]),
-        *(
-            (f"share/im_bringup/{folder}", sorted(glob(f"{folder}/*.*")))
-            for folder in ("foxglove", "launch", "moveit", "rviz")
-        ),
+        ("share/im_bringup/launch", sorted(glob("launch/*.*"))),
     ],
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},

@@ -28,7 +28,7 @@ _RENEWALS = 6
 
 
 class Group:
-    """Group of joints of the preset in force, such as ``left``.
+    """Group of joints of the preset in force.
 
     Args:
         connection: Connection to the machine.
@@ -145,7 +145,7 @@ class Arm(Group):
 
         Args:
             speed_scale: 0.01 to 1 of the configured limits.
-            **positions: Position by joint [rad or m], such as ``left_joint1=0.3``.
+            **positions: Position by joint [rad or m], such as ``elbow=0.3``.
 
         Raises:
             MachineError: There is no such joint, or the motion failed or was refused.
@@ -185,7 +185,7 @@ class Gripper:
 
     Args:
         connection: Connection to the machine.
-        name: Such as ``left_gripper``.
+        name: Name of the gripper: the group's with ``_gripper``.
     """
 
     def __init__(self, connection: Connection, name: str) -> None:

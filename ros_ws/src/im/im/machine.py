@@ -45,8 +45,9 @@ class Machine:
     Attributes:
         connection: The connection, for what this class does not do.
         dom: Data objects.
-        left: The left arm.
-        right: The right arm.
+
+    The groups of joints are attributes too, by the names that the cell gives them: ``machine.arm`` is
+    ``machine.group("arm")``.
     """
 
     def __init__(self, connection: Connection, heartbeats: Heartbeats) -> None:
@@ -56,7 +57,6 @@ class Machine:
         self._ends = contextlib.ExitStack()
         self._ends.enter_context(connection)
         self.dom = DataObjects(connection)
-        self.left, self.right = self.group("left"), self.group("right")
 
     @classmethod
     def connect(cls, domain: int | None = None, timeout: float = 10.0, watch: Watch | None = None) -> Self:
@@ -192,7 +192,7 @@ class Machine:
         """Begin ``calibrate_camera``; iterate for progress, and ask for the result.
 
         Args:
-            cameras: Names of the cameras; empty: the two ceiling cameras.
+            cameras: Names of the cameras; empty: the first two of the cell.
             poses_file: File of poses on the host of the machine; empty: the poses of the cell.
             target: What the arm shows to the cameras: ``light`` or ``board``.
             accuracy: Expected error of a triangulated point, RMS, at which the command ends [m]; 0: after all poses.
@@ -208,9 +208,41 @@ class Machine:
         command: Command = self._follow(Command, ExecuteCommand.Goal(attach=True, command_id=number))
         return command
 
+    @property
+    def groups(self) -> dict[str, Group]:
+        """The groups of joints of the preset in force, by name."""
+        return {status.group: Group(self.connection, status.group) for status in self.state.groups}
+
     def group(self, name: str) -> Group:
-        """Return a group of the preset in force, such as ``transporter``."""
-        return Group(self.connection, name)
+        """Return a group of the preset in force.
+
+        Raises:
+            MachineError: There is no such group.
+        """
+        groups = self.groups
+        if name not in groups:
+            known = ", ".join(groups)
+            raise MachineError(f"there is no group '{name}'; there are {known}", "not_found", {"group": name})
+        return groups[name]
+
+    def __getattr__(self, name: str) -> Group:
+        """Return the group of the name.
+
+        Raises:
+            AttributeError: There is no such group.
+        """
+        if name.startswith("_"):  # asked by copies, notebooks and debuggers
+            raise AttributeError(name)
+        try:
+            return self.group(name)
+        except MachineError as error:
+            if error.code != "not_found":
+                raise
+            raise AttributeError(f"a machine has no '{name}': {error.message}") from None
+
+    def __dir__(self) -> list[str]:
+        """Complete names by those of the groups."""
+        return [*super().__dir__(), *self.groups]
 
     def camera(self, name: str) -> Camera:
         """Return a camera."""
@@ -234,7 +266,7 @@ class Machine:
         """Switch a light on for the context.
 
         Args:
-            name: Such as ``left_led``.
+            name: Name of the light: of an arm's, the group's with ``_led``.
 
         Raises:
             MachineError: There is no such light.

@@ -81,7 +81,7 @@ class Camera:
 
     Args:
         connection: Connection to the machine.
-        name: Such as ``ceiling_left``.
+        name: Name of the camera.
     """
 
     def __init__(self, connection: Connection, name: str) -> None:

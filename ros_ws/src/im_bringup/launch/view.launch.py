@@ -1,31 +1,45 @@
 """RViz on the running machine of this ROS domain: robot, frames, images, markers.
 
-    view.launch.py
+    view.launch.py cell:=panda
 
 RViz comes with an installed ROS.
 """
 
 import os
+import tempfile
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, Shutdown
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from im_cell.robot import load_cell
+from im_mcs.cell.views import rviz_config
+
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the configuration, and RViz with the time and the reach of the machine."""
-    shipped = str(Path(get_package_share_directory("im_bringup")) / "rviz" / "cell.rviz")
-    config = DeclareLaunchArgument("config", default_value=shipped, description="configuration of RViz")
+    """Declare the cell, a configuration in place of the cell's, and RViz."""
+    told = "cell file, or name of a shipped cell; empty: the default one"
+    cell = DeclareLaunchArgument("cell", default_value="", description=told)
+    config = DeclareLaunchArgument("config", default_value="", description="configuration of RViz; empty: the cell's")
+    return LaunchDescription([cell, config, OpaqueFunction(function=_rviz)])
+
+
+def _rviz(context: LaunchContext) -> list[Node]:
+    """Return RViz with the time and the reach of the machine."""
+    config = LaunchConfiguration("config").perform(context)
+    if not config:
+        cell = load_cell(LaunchConfiguration("cell").perform(context) or None)
+        config = str(Path(tempfile.mkdtemp(prefix="im_view_")) / "cell.rviz")
+        Path(config).write_text(rviz_config(cell), encoding="utf-8")
     rviz = Node(
         package="rviz2",
         executable="rviz2",
-        arguments=["-d", LaunchConfiguration("config")],
+        arguments=["-d", config],
         parameters=[{"use_sim_time": True}],
         additional_env={"ROS_AUTOMATIC_DISCOVERY_RANGE": os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")},
         output="screen",
         on_exit=Shutdown(reason="RViz was closed"),
     )
-    return LaunchDescription([config, rviz])
+    return [rviz]

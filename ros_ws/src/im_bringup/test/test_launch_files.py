@@ -170,10 +170,14 @@ def test_nets_run_alone(described, tmp_path):
     assert described("nets.launch.py").arguments["nets"].default is None  # it must be given
 
 
-def test_the_view_has_a_configuration_that_exists_and_the_time_of_the_machine(described):
+@pytest.mark.parametrize(("cell", "camera"), [("", "ceiling_left"), ("panda", "stand_a")])
+def test_the_view_has_the_configuration_of_the_cell_and_the_time_of_the_machine(described, cell, camera):
     file = described("view.launch.py")
-    (rviz,) = file.others
-    assert (rviz.package, rviz.cmd[:2], rviz.cmd[2].name) == ("rviz2", ["rviz2", "-d"], "config")
-    assert Path(file.arguments["config"].default).is_file()
+    (opaque,) = file.others
+    (rviz,) = opaque.function(Context(cell=cell, config=""))
+    assert (rviz.package, rviz.cmd[:2]) == ("rviz2", ["rviz2", "-d"])
+    assert f"/{camera}/image_raw" in Path(rviz.cmd[2]).read_text()
     assert rviz.parameters == [{"use_sim_time": True}]
     assert isinstance(rviz.on_exit, Shutdown)
+    (own,) = opaque.function(Context(cell=cell, config="my.rviz"))
+    assert own.cmd[2] == "my.rviz"

@@ -22,13 +22,30 @@ SIDE_OR_COUNT = re.compile(
 )
 
 
-@pytest.mark.parametrize("package", ["im_mcs", "im_coordinators", "im_dispatcher", "im_vss"])
+PACKAGES = (
+    "im",
+    "im_bringup",
+    "im_coordinators",
+    "im_dispatcher",
+    "im_mcs",
+    "im_msgs",
+    "im_pnt_display",
+    "im_sim",
+    "im_vss",
+)
+KINDS = {".py", ".yaml", ".js", ".msg", ".srv", ".action"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
 def test_no_file_names_a_part_of_the_default_cell(package):
     folder = SOURCES / package
+    files = [
+        path for path in sorted(folder.rglob("*.*")) if path.suffix in KINDS and not {"test", "vendor"} & {*path.parts}
+    ]
+    assert files
     found = [
         f"{path.relative_to(folder)}:{number}: {line.strip()}"
-        for pattern in ("*.py", "*.yaml")
-        for path in sorted((folder / package).rglob(pattern))
+        for path in files
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
         if NAMED.search(line) or SIDE_OR_COUNT.search(line)
     ]

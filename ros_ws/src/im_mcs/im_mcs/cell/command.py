@@ -1,4 +1,4 @@
-"""``cell``: writes the first cell file of a URDF, and checks cell files."""
+"""``cell``: writes the first cell file of a URDF, checks cell files, and writes what other tools read of a cell."""
 
 import argparse
 import sys
@@ -12,10 +12,13 @@ from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.capsules import capsule_volume
+from im_mcs.cell.moveit import moveit_files
 from im_mcs.cell.template import first_cell, touching_pairs
+from im_mcs.cell.views import foxglove_layout, rviz_config
 from im_mcs.collision.bodies import hull_of
 from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS
 from im_mcs.inverse.closed_form import ClosedForm
+from im_mcs.limits.configuration import load_config
 from im_mcs.model import CellModel
 
 _FEW = "straight lines keep the position, and the orientation but for turns about one axis of the tip"
@@ -31,11 +34,12 @@ exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
 examples:  scripts/im cell new my_robot.urdf --output my_cell.yaml
            scripts/im cell check my_cell.yaml --picture my_cell.png
            scripts/start.sh --cell my_cell.yaml
+           scripts/im cell export my_cell.yaml --output my_cell_views
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check a cell file; exit code 1 on failure, with the reason on standard error."""
+    """Write, check or export a cell; exit code 1 on failure, with the reason on standard error."""
     options = _parser().parse_args(arguments)
     try:
         if options.command == "new":
@@ -45,6 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             write_whole(options.output, text)
             print(f"{options.output}: a first cell file; `im cell check {options.output}` says what it leaves open")
+            return 0
+        if options.command == "export":
+            for file in exported(load_cell(options.cell), options.mcs, options.output):
+                print(file)
             return 0
         print("\n".join(findings(load_cell(options.cell), str(cell_file(options.cell)))))
         if options.picture is not None:
@@ -61,11 +69,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = NumberParser(
         prog="im cell",
-        description="Write the first cell file of a URDF, or check a cell file.",
+        description="Write the first cell file of a URDF, check a cell file, or write what other tools read of a cell.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="new|check")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="new|check|export")
     new = commands.add_parser("new", help="write the first cell file of a URDF")
     new.add_argument("urdf", type=Path, help="the URDF; its meshes are looked for beside it and in ROS packages")
     new.add_argument(
@@ -77,7 +85,29 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="say what a cell file leaves open, and what is assumed for it")
     check.add_argument("cell", help="cell file, or name of a shipped cell")
     check.add_argument("--picture", type=Path, help="file for a picture of the cell at home, such as cell.png")
+    export = commands.add_parser("export", help="write the files that MoveIt, RViz and Foxglove read of a cell")
+    export.add_argument("cell", help="cell file, or name of a shipped cell")
+    export.add_argument("--mcs", type=Path, help="configuration of MCS: preset and limits (default: the shipped one)")
+    export.add_argument("--output", type=Path, required=True, help="folder of the files; made if it is not there")
     return parser
+
+
+def exported(cell: Cell, mcs: Path | None, folder: Path) -> list[Path]:
+    """Write the files that MoveIt, RViz and Foxglove read of a cell, and return the paths.
+
+    Raises:
+        ImError: The configuration of MCS does not fit the cell.
+        OSError: A file cannot be written.
+    """
+    texts = {
+        **moveit_files(cell, load_config(mcs, cell)),
+        "cell.rviz": rviz_config(cell),
+        "foxglove.json": foxglove_layout(cell),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        write_whole(folder / name, text)
+    return [folder / name for name in texts]
 
 
 def findings(cell: Cell, file: str) -> list[str]:

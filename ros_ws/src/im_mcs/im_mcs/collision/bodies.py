@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from im_mcs.collision.surroundings import NOTHING, CollisionScene, Thing
 from im_mcs.model import CellModel
 
-_NEVER_TOUCHING = 2
+NEVER_TOUCHING = 2
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Bodies:
             for j in range(i + 1, len(objects)):
                 a, b = objects[i].parentJoint, objects[j].parentJoint
                 never = frozenset((self.names[i], self.names[j])) in self._never
-                if not never and self._chain_distance(a, b) > _NEVER_TOUCHING:
+                if not never and self._chain_distance(a, b) > NEVER_TOUCHING:
                     self._geometry.addCollisionPair(pin.CollisionPair(i, j))
 
     def _chain_distance(self, a: int, b: int) -> int:
