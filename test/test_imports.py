@@ -82,21 +82,24 @@ def tree(path):
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
 
 
+@functools.cache
 def imports(path):
     """Dotted names of what a file imports, with line numbers; ``from a import b`` gives ``a.b``."""
+    found = []
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            for alias in node.names:
-                yield node.lineno, f"{node.module}.{alias.name}"
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
 
 
+@functools.cache
 def files(package):
     return sorted((SOURCES / package / package).rglob("*.py")) + sorted((SOURCES / package / package).rglob("*.pyi"))
 
 
+@functools.cache
 def relative(path):
     """``im_sim/cameras/render.py`` for the file of that name in the package im_vss."""
     return path.relative_to(SOURCES).as_posix().partition("/")[2]
@@ -271,6 +274,7 @@ def modules():
     return found
 
 
+@functools.cache
 def knows():
     """Whom each module imports, among our modules; what stands under ``TYPE_CHECKING`` counts, too."""
     known = modules()

@@ -79,14 +79,14 @@ def test_who_does_not_listen_is_killed(tmp_path):
 
 
 def test_who_waits_for_a_processor_is_not_killed(tmp_path):
-    """It computes for half a second before it ends: beside sixteen others on one core that is late, but no hang."""
+    """It computes for half a second before it ends: beside eight others on one core that is late, but no hang."""
     core = max(os.sched_getaffinity(0))
     agent = Agent([python(tmp_path, "late", LATE)], environment())
     (started,) = agent.start()
     up(tmp_path, ["late"])
     os.sched_setaffinity(started.pid, {core})
     spin = [sys.executable, "-S", "-c", "while True: pass"]
-    others = [subprocess.Popen(spin, start_new_session=True) for _ in range(16)]  # one scheduling group each, as it has
+    others = [subprocess.Popen(spin, start_new_session=True) for _ in range(8)]  # one scheduling group each, as it has
     try:
         for other in others:
             os.sched_setaffinity(other.pid, {core})

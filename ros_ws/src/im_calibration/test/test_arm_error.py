@@ -29,8 +29,7 @@ def scored(kind, size_m, poses, seeds):
     return rms(np.array(found)) / rms(np.array(expected)), float(np.mean(within))
 
 
-@pytest.mark.parametrize("kind", ["quadratic", "links"])
-@pytest.mark.parametrize(("size_m", "poses"), [(3e-4, 60), (1e-3, 40)])
+@pytest.mark.parametrize(("kind", "size_m", "poses"), [("quadratic", 3e-4, 60), ("links", 1e-3, 40)])
 def test_errors_are_as_expected_where_the_arm_is_bent(kind, size_m, poses):
     ratio, within = scored(kind, size_m, poses, range(700, 703))
     assert 0.5 < ratio < 1.6  # three seeds

@@ -69,7 +69,7 @@ def test_its_slope_is_its_derivative(fitted):
         np.testing.assert_allclose(likelihood.slope(logs)[0], by_differences, rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize(("image", "robot"), [(1.0, 1.0), (0.3, 0.3), (10.0, 10.0), (10.0, 1.0), (0.3, 10.0)])
+@pytest.mark.parametrize(("image", "robot"), [(0.3, 0.3), (10.0, 1.0), (0.3, 10.0)])
 def test_both_factors_are_found_whatever_is_stated(image, robot):
     problem = make_scene(Design(outlier_share=0.1), 21).problem.with_noise(1.0 / image, 1.0 / robot)
     calibration = calibrate(replace(problem, noise_to_estimate=BOTH))

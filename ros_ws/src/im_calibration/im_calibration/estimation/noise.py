@@ -161,16 +161,14 @@ class NoiseLikelihood:
         inverse = np.linalg.inv(information)
         left = self._residuals - self._jacobians @ (inverse @ pull)
         shares = parts / variances
-        spread = [inverse @ (self._jacobians.T * (share / variances)) @ self._jacobians for share in shares]
-        counts = shares.sum(axis=1) - np.array([self._unused, 0.0])
-        taken = np.array([np.trace(part) for part in spread])
-        gradient = counts - taken - (shares / variances * left**2).sum(axis=1)
-        gradient[0] -= self._beside / np.exp(logs[0])
-        expected = np.zeros((2, 2))
-        for k in range(2):
-            for m in range(2):
-                both = inverse @ (self._jacobians.T * (shares[k] * shares[m] / variances)) @ self._jacobians
-                expected[k, m] = (shares[k] * shares[m]).sum() - 2.0 * np.trace(both) + (spread[k] * spread[m].T).sum()
+        leverage = ((self._jacobians @ inverse) * self._jacobians).sum(axis=1) / variances
+        gradient = (shares * (1.0 - leverage - left**2 / variances)).sum(axis=1)
+        gradient[0] -= self._unused + self._beside / np.exp(logs[0])
+        # of the information, the image's part and what it leaves for the robot: no second product over all rows
+        image = (self._jacobians.T * (shares[0] / variances)) @ self._jacobians
+        taken = [inverse @ image, inverse @ (information - self._prior - self._ridge - image)]
+        expected = (shares * (1.0 - 2.0 * leverage)) @ shares.T
+        expected += [[(one * other.T).sum() for other in taken] for one in taken]
         expected[0, 0] -= self._unused
         return gradient, expected
 
@@ -240,6 +238,57 @@ def noise_factors(
         used: Which spots count, shape (c, n).
         free: Which of :data:`NOISE_SOURCES` may differ from what is stated.
     """
+    *found, p_value, scale = _profiles(unknowns, problem, layout, used, free)
+    image, robot, common = (each.factor() if isinstance(each, _Profile) else each for each in found)
+    return NoiseFactors(image, robot, common, p_value, scale)
+
+
+def noise_scale(
+    unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, free: tuple[str, ...]
+) -> tuple[float, float]:
+    """Compute the ``scale`` of :func:`noise_factors`, without the ends of intervals that do not matter for it."""
+    return _profiles(unknowns, problem, layout, used, free)[-1]
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """Profile likelihood of the logarithm of a variance factor.
+
+    Attributes:
+        best: Of greatest likelihood.
+        allowed: Deviance at the ends of the interval.
+        deviance: Of a logarithm.
+        brackets: Logarithms around the lower and the upper end; None: there is no such end.
+    """
+
+    best: float
+    allowed: float
+    deviance: Callable[[float], float]
+    brackets: tuple[tuple[float, float] | None, tuple[float, float] | None]
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data bound the factor from both sides."""
+        return None not in self.brackets
+
+    def factor(self) -> Factor:
+        """Compute the factor with the ends of its interval."""
+        ends = [side * np.inf if found is None else self._end(*found) for side, found in zip((-1, 1), self.brackets)]
+        value = self.best if abs(self.best) < 0.99 * _LIMIT else np.sign(self.best) * np.inf
+        low, value, high = np.exp(np.array([ends[0], value, ends[1]]) / 2.0)
+        return Factor(float(value), float(low), float(high))
+
+    def _end(self, inner: float, outer: float) -> float:
+        return float(scipy.optimize.brentq(lambda at: self.deviance(at) - self.allowed, inner, outer, xtol=1e-3))
+
+
+_Profiles = tuple[_Profile | Factor, _Profile | Factor, _Profile | Factor, float, tuple[float, float]]
+
+
+def _profiles(
+    unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, free: tuple[str, ...]
+) -> _Profiles:
+    """Return what :func:`noise_factors` consists of, ends of intervals not yet searched."""
     likelihood = NoiseLikelihood(unknowns, problem, layout, used)
     stated = likelihood.deviance(np.zeros(2))
     if not likelihood.robot_matters:
@@ -247,35 +296,41 @@ def noise_factors(
     if len(free) < len(NOISE_SOURCES):
         return _one_factor(likelihood, stated, np.array([source in free for source in NOISE_SOURCES]))
     same, same_deviance = likelihood.common(np.zeros(2))
-    common = _interval(same[0], same_deviance, lambda at: likelihood.deviance(np.full(2, at)))
+    common = _profile(same[0], same_deviance, lambda at: likelihood.deviance(np.full(2, at)))
     starts = (same, same - _FAR * _IMAGE, same - _FAR * _ROBOT)
     best, least = min((likelihood.maximum(start, _BOTH) for start in starts), key=lambda found: found[1])
 
     def given(fixed: Mask, at: float) -> tuple[Array, float]:
         return likelihood.maximum(np.where(fixed, at, best), ~fixed)
 
-    image = _interval(best[0], least, lambda at: given(_IMAGE, at)[1])
-    robot = _interval(best[1], least, lambda at: given(_ROBOT, at)[1])
+    image = _profile(best[0], least, lambda at: given(_IMAGE, at)[1])
+    robot = _profile(best[1], least, lambda at: given(_ROBOT, at)[1])
     logs = best
     if image.determined and not robot.determined:
-        logs = given(_ROBOT, 2.0 * np.log(np.clip(1.0, robot.low, robot.high)))[0]
+        logs = given(_ROBOT, _nearest_bound(robot))[0]
     elif robot.determined and not image.determined:
-        logs = given(_IMAGE, 2.0 * np.log(np.clip(1.0, image.low, image.high)))[0]
+        logs = given(_IMAGE, _nearest_bound(image))[0]
     elif not image.determined:
         logs = same if common.determined else np.zeros(2)
-    return NoiseFactors(image, robot, common, _chance(stated - least, 2), _deviations(logs))
+    return image, robot, common, _chance(stated - least, 2), _deviations(logs)
 
 
-def _one_factor(likelihood: NoiseLikelihood, stated: float, free: Mask) -> NoiseFactors:
-    """As :func:`noise_factors` where at most one of the noises is not as stated."""
+def _nearest_bound(profile: _Profile) -> float:
+    """Return the logarithm of a variance factor within the bounds, as near to that of 1 as may be."""
+    factor = profile.factor()
+    return 2.0 * float(np.log(np.clip(1.0, factor.low, factor.high)))
+
+
+def _one_factor(likelihood: NoiseLikelihood, stated: float, free: Mask) -> _Profiles:
+    """As :func:`_profiles` where at most one of the noises is not as stated."""
     as_stated = Factor(1.0, 1.0, 1.0)
     if not free.any():
-        return NoiseFactors(as_stated, as_stated, as_stated, 1.0, (1.0, 1.0))
+        return as_stated, as_stated, as_stated, 1.0, (1.0, 1.0)
     best, least = likelihood.maximum(np.zeros(2), free)
-    factor = _interval(best[free][0], least, lambda at: likelihood.deviance(np.where(free, at, 0.0)))
+    factor = _profile(best[free][0], least, lambda at: likelihood.deviance(np.where(free, at, 0.0)))
     image, robot = (factor if each else as_stated for each in free)
     scale = _deviations(best if factor.determined else np.zeros(2))
-    return NoiseFactors(image, robot, factor, _chance(stated - least, 1), scale)
+    return image, robot, factor, _chance(stated - least, 1), scale
 
 
 def _deviations(logs: Array) -> tuple[float, float]:
@@ -288,8 +343,8 @@ def _chance(gained: float, parameters: int) -> float:
     return float(scipy.stats.chi2.sf(max(0.0, gained), parameters))
 
 
-def _interval(best: float, least: float, deviance: Callable[[float], float]) -> Factor:
-    """Return a factor with bounds: the deviance at each bound is larger by the quantile of chi-square.
+def _profile(best: float, least: float, deviance: Callable[[float], float]) -> _Profile:
+    """Bracket the ends of an interval: the deviance there is larger by the quantile of chi-square.
 
     Args:
         best: Logarithm of the variance factor of greatest likelihood.
@@ -297,18 +352,13 @@ def _interval(best: float, least: float, deviance: Callable[[float], float]) -> 
         deviance: Of a logarithm.
     """
     allowed = least + float(scipy.stats.chi2.ppf(_CHANCE, 1))
-    ends = []
-    for side in (-1.0, 1.0):
+
+    def bracket(side: float) -> tuple[float, float] | None:
         inner, stride = best, 0.1
-        while True:
-            outer = inner + side * stride
-            if abs(outer) > _LIMIT:
-                ends.append(side * np.inf)
-                break
+        while abs(outer := inner + side * stride) <= _LIMIT:
             if deviance(outer) > allowed:
-                ends.append(float(scipy.optimize.brentq(lambda at: deviance(at) - allowed, inner, outer, xtol=1e-3)))
-                break
+                return inner, outer
             inner, stride = outer, 2.0 * stride
-    value = best if abs(best) < 0.99 * _LIMIT else np.sign(best) * np.inf
-    low, value, high = np.exp(np.array([ends[0], value, ends[1]]) / 2.0)
-    return Factor(float(value), float(low), float(high))
+        return None
+
+    return _Profile(best, allowed, deviance, (bracket(-1.0), bracket(1.0)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from im_calibration.estimation.arm import Explanation, with_arm_error
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, fit_with_gates
-from im_calibration.estimation.noise import NoiseFactors, noise_factors
+from im_calibration.estimation.noise import NoiseFactors, noise_factors, noise_scale
 from im_calibration.estimation.residuals import linearise, projectable
 from im_calibration.estimation.search import REDUNDANT_SPOTS, best_explanation, robust_start
 from im_calibration.estimation.solve import robust_fit, spot_distances
@@ -85,10 +85,10 @@ def _settle(
         scale = np.where(_free(free), _LARGER * scale, 1.0)
         gated = fit_with_gates(robust_start(problem.with_noise(*scale), layout), problem.with_noise(*scale), layout)
     for _ in range(_FINE_ROUNDS):
-        factors = noise_factors(gated.fit.unknowns, problem.with_noise(*scale), layout, gated.used, free)
-        if np.abs(np.log(factors.scale)).max() < _FINE:
+        factors = noise_scale(gated.fit.unknowns, problem.with_noise(*scale), layout, gated.used, free)
+        if np.abs(np.log(factors)).max() < _FINE:
             break
-        scale = scale * factors.scale
+        scale = scale * factors
         gated = fit_with_gates(gated.fit.unknowns, problem.with_noise(*scale), layout)
     return gated, scale
 

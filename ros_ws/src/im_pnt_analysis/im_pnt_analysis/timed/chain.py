@@ -51,13 +51,16 @@ class Markings:
         return names[::-1]
 
 
-def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> Markings:
+def reach(
+    net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0, stop_at_rivals: bool = False
+) -> Markings:
     """Find the reachable markings of a timed net; the answer of a command leads back to the beginning.
 
     Args:
         net: The timed net.
         states: Markings at most.
         seconds: CPU time for it [s].
+        stop_at_rivals: End at the first timer that belongs into ``rivals``.
 
     Raises:
         TooManyMarkingsError: More markings than that, or more time.
@@ -80,6 +83,8 @@ def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0) -> M
             current += 1
             continue
         timed, firings = step.firings(vector, found.rivals)
+        if stop_at_rivals and found.rivals:
+            break
         arcs: list[tuple[int, int, int]] = []
         for transition, servers in firings:
             after = fire(vector, transition)

@@ -116,7 +116,7 @@ def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     """
     assert net.ends is not None
     try:
-        found = reach(net, states=_STATES)
+        found = reach(net, states=_STATES, stop_at_rivals=True)
     except TooManyMarkingsError:
         return None
     if found.rivals:
