@@ -11,8 +11,7 @@ import yaml
 from matplotlib.patches import Polygon
 from scipy.optimize import nnls
 
-from im_cell.robot import cell_file, load_cell
-from im_cell.robot.cell import shipped_cells
+from im_cell.robot import cell_file, load_cell, shipped_cells
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclose
 from im_mcs.cell.command import main

@@ -11,8 +11,7 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from im_cell.robot import load_cell, robot_description
-from im_cell.robot.cell import shipped_cells
+from im_cell.robot import load_cell, robot_description, shipped_cells
 from im_mcs.cell.moveit import moveit_files
 from im_mcs.collision import Bodies
 from im_mcs.limits.configuration import load_config
