@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from im_cell.robot import load_cell, robot_description, shipped_cells
-from im_mcs.cell.moveit import moveit_files
+from im_mcs.cell.semantics import moveit_files
 from im_mcs.collision import Bodies
 from im_mcs.limits.configuration import load_config
 from im_mcs.limits.limits import JointLimits

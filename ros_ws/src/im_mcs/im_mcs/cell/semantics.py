@@ -1,4 +1,4 @@
-"""What MoveIt reads of a cell: groups and pairs not compared (SRDF), limits, solvers, controllers."""
+"""Semantics of a cell for MoveIt: groups and pairs not compared (SRDF), limits, solvers, controllers."""
 
 import itertools
 import xml.etree.ElementTree as ET
