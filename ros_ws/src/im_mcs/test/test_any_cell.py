@@ -118,6 +118,26 @@ def test_a_straight_line_is_straight(any_bench):
         assert turned[1] < 1e-3
 
 
+def test_a_stream_is_followed_and_its_silence_ends_at_rest(any_bench):
+    bench, (group, *_) = any_bench, any_bench.mcs.groups.values()
+    bench.to_motion(group.name)
+    start, ones = bench.mcs.measured.q[group.index].copy(), np.ones(len(group.index))
+    turn = 0.01 / bench.driver.period_s
+    for k in range(250):
+        wanted = start + 0.1 * np.sin(0.01 * k)
+        speed = 0.1 * turn * np.cos(0.01 * k) * ones
+        bench.send("stream", group=group.name, kind="setpoint", positions=wanted.tolist(), velocities=speed.tolist(),
+                   lease_s=0.1)  # fmt: skip
+    np.testing.assert_allclose(bench.driver.plant.q[group.index], wanted, atol=1e-2)  # about 30 ms behind
+    for _ in range(200):
+        bench.mcs.tick([])
+    assert np.abs(bench.driver.plant.v).max() < 1e-3
+    assert np.abs(bench.driver.plant.q[group.index] - wanted).max() < 0.1
+    assert "lease" in [
+        each["error"]["code"] for each in bench.events if each["event"] == "reply" and not each["success"]
+    ]
+
+
 def test_derivatives_along_a_line_are_those_of_its_places(name):
     """Central differences of solutions; the wrist turns on the way."""
     model = CellModel(load_cell(name))

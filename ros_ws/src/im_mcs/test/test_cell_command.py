@@ -11,7 +11,7 @@ import yaml
 from matplotlib.patches import Polygon
 from scipy.optimize import nnls
 
-from im_cell.robot import cell_file, load_cell
+from im_cell.robot import cell_file, load_cell, shipped_cells
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclose
 from im_mcs.cell.command import main
@@ -231,6 +231,39 @@ def test_links_that_are_in_the_way_everywhere_are_named(tmp_path):
 def test_each_of_two_arms_is_a_group():
     text = first_cell(cell_file("ur_pair").with_name("ur_pair.urdf"))
     assert re.findall(r"tip: (\w+)", text) == ["one_tool0", "two_tool0"]
+
+
+def test_links_two_joints_apart_are_compared_unless_they_are_close_by_construction():
+    """A folded UR5 has its forearm in its shoulder, a Panda its hand in link 5."""
+    for name, at, links in (
+        ("ur5", {"elbow_joint": 3.0}, {"forearm_link", "shoulder_link"}),
+        ("ur5", {"elbow_joint": -3.14}, {"upper_arm_link", "wrist_1_link"}),
+        ("panda", {"panda_joint6": 0.0, "panda_joint7": 2.89}, {"panda_hand", "panda_link5"}),
+        ("so101", {"elbow_flex": 1.69}, {"lower_arm_link", "shoulder_link"}),
+    ):
+        cell = load_cell(name)
+        places = dict(zip(cell.joint_names, cell.home.tolist(), strict=True)) | at
+        bodies = Bodies(CellModel(cell))
+        bodies.place(np.array(list(places.values())))
+        touching = [{*bodies.pair_names(k)} for k in range(len(bodies.pairs)) if bodies.distance(k) <= 0.0]
+        assert links in touching, (name, touching)
+
+
+@pytest.mark.parametrize("name", shipped_cells())
+def test_links_of_a_shipped_cell_that_are_not_compared_touch_always_or_are_close_by_construction(name):
+    """Or never touch."""
+    cell = load_cell(name)
+    assert cell.never
+    bodies = Bodies(CellModel(cell.model_copy(update={"never": ()})))
+    shapes = {pair: [k for k in range(len(bodies.pairs)) if {*bodies.pair_names(k)} == {*pair}] for pair in cell.never}
+    low, high = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
+    distances = {pair: [] for pair in shapes}
+    for q in np.random.default_rng(1).uniform(low, high, (150, len(low))):
+        bodies.place(q)
+        for pair, ranks in shapes.items():
+            distances[pair].append(min(map(bodies.distance, ranks)))
+    for pair, found in distances.items():
+        assert np.median(found) < 0.03 or min(found) > 0.0, pair
 
 
 def test_pairs_of_an_srdf_are_taken(robot):

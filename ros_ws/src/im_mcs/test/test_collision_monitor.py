@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+from im_cell.robot import load_cell, shipped_cells
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker, CollisionMonitor
-from im_mcs.limits.configuration import Collision
+from im_mcs.limits.configuration import Collision, load_config
 from im_mcs.limits.limits import JointLimits
+from im_mcs.model import CellModel
 from im_mcs.planning import JointPath, Setpoint
 from im_mcs.planning.trajectories.profile import ramp, to_rest
 
@@ -37,13 +39,13 @@ def towards(way, limits):
     def at(t):
         s = start.at(t)
         if t >= start.duration:
-            return way * (start.end_setpoint.q[0] + speed * (t - start.duration)), way * speed, np.zeros(18)
+            return way * (start.end_setpoint.q[0] + speed * (t - start.duration)), way * speed, np.zeros(len(way))
         return way * s.q[0], way * s.v[0], way * s.a[0]
 
     return at
 
 
-def run(monitor, checker, limits, q, way, seconds=4.0):
+def run(monitor, checker, limits, q, way, seconds=4.0, groups=(LEFT, RIGHT)):
     """Set out along ``way`` and brake when told; where it ended, the smallest distance meanwhile, and who was named."""
     at, told, nearest = towards(way, limits), None, np.inf
     for tick in range(int(seconds / PERIOD)):
@@ -57,7 +59,7 @@ def run(monitor, checker, limits, q, way, seconds=4.0):
         if proximity.stop and told is None:
             told = tick, proximity
         if told is not None and tick == told[0] + REACTION:
-            brakes = [to_rest(Setpoint(here[g], v[g], a[g]), limits.motion.of(g)) for g in (LEFT, RIGHT)]
+            brakes = [to_rest(Setpoint(here[g], v[g], a[g]), limits.motion.of(g)) for g in groups]
             longest = max(brake.duration for brake in brakes)
             for t in np.linspace(0.0, longest, 25):
                 here = np.concatenate([brake.at(float(t)).q for brake in brakes])
@@ -89,6 +91,22 @@ def test_braking_when_told_never_ends_in_contact(monitor, checker, limits, cell)
     assert len(stopped) > 10
     assert any("table" in pair for pair in stopped)
     assert any({name.split("_")[0] for name in pair} == {"left", "right"} for pair in stopped)
+
+
+@pytest.mark.parametrize("name", [name for name in shipped_cells() if name != "puma_pair"])
+def test_an_arm_of_another_cell_that_folds_brakes_before_it_meets_itself_or_the_floor(name):
+    cell = load_cell(name)
+    config, model = load_config(cell=cell), CellModel(cell)
+    limits = JointLimits(cell, config.limits, config.slots)
+    groups = [np.array([model.index(joint) for joint in cell.joints_of(group)]) for group in cell.groups]
+    monitor = CollisionMonitor(model, limits.motion, config.collision, groups, PERIOD)
+    checker, random, stopped = CollisionChecker(model, config.collision.clearance_m), np.random.default_rng(5), 0
+    for _ in range(16):
+        way = random.normal(size=model.n)
+        _, nearest, told = run(monitor, checker, limits, cell.home, way / np.abs(way).max(), groups=groups)
+        assert nearest > 0.0, told
+        stopped += told is not None
+    assert stopped >= 3
 
 
 def test_motions_along_free_paths_are_not_stopped(monitor, checker, limits, cell):

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from im_cell.robot import load_cell
-from im_cell.robot.cell import shipped_cells
+from im_cell.robot import load_cell, shipped_cells
 from im_mcs.cell.command import main
 from im_mcs.cell.views import foxglove_layout, rviz_config
 from im_mcs.model import CellModel

@@ -163,10 +163,14 @@ class Cell(ObjectsFile):
             *((("mirrors", rank, "link"), each.link) for rank, each in enumerate(self.mirrors)),
             *((("targets", rank, "parent"), each.parent) for rank, each in enumerate(self.targets)),
             *((("cameras", name, "parent"), each.parent) for name, each in self.cameras.items()),
-            *((("never", rank), name) for rank, pair in enumerate(self.never) for name in pair),
         ]
         for where, link in fixed:
             _require(link, frames, where, "a link")
+        for rank, pair in enumerate(self.never):
+            for name in pair:
+                _require(
+                    name, (*frames, *(box.name for box in self.obstacles)), ("never", rank), "a link or an obstacle"
+                )
         lit = [name for name, group in self.groups.items() if group.light]
         for name, camera in self.cameras.items():
             if not _TOPIC.fullmatch(name):
@@ -200,7 +204,7 @@ class Cell(ObjectsFile):
         """
         return parse_description(robot_text(Path(self.urdf)), self.urdf)
 
-    @cached_property
+    @property
     def untouching(self) -> frozenset[frozenset[str]]:
         """Pairs of links without a comparison, of the cell file and of the SRDF.
 

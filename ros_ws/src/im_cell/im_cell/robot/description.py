@@ -13,6 +13,8 @@ MOVING = ("revolute", "continuous", "prismatic")
 _MOST_LINKS = 500
 _LARGEST_M = 50.0
 """Of an offset between joints: no cell is that large, but one in millimetres is."""
+_LARGEST_RAD = 30.0
+"""Of a limit of an angle: no joint with limits makes five turns to a side, but one in degrees seems to."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def _xml(text: str, name: str) -> ET.Element:
 
 def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
     if not links:
-        raise ValueError("it has no links")
+        raise ValueError("it has no links; macros are expanded where its name ends in .xacro")
     below: dict[str, list[UrdfJoint]] = {name: [] for name in links}
     carried: dict[str, str] = {}
     names: set[str] = set()
@@ -162,6 +164,9 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
         names.add(joint.name)
         carried[joint.child] = joint.name
         below[joint.parent].append(joint)
+    for joint in joints:
+        if joint.mimic and joint.mimic not in names:
+            raise ValueError(f"joint {joint.name} follows '{shortened(joint.mimic)}' (mimic), which is not there")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
         told = f"{len(roots)} links are roots: {', '.join(roots)}" if roots else "no link is the root"
@@ -237,10 +242,13 @@ def _joint(element: ET.Element) -> UrdfJoint:
               for key in ("lower", "upper", "velocity", "effort")}  # fmt: skip
     if (values["lower"] or 0.0) > (values["upper"] or 0.0):
         raise ValueError(f"joint {name}: its limit lower {values['lower']} is above upper {values['upper']}")
+    if kind == "revolute" and max(abs(values["lower"] or 0.0), abs(values["upper"] or 0.0)) > _LARGEST_RAD:
+        told = f"joint {name} turns from {values['lower'] or 0.0:g} to {values['upper'] or 0.0:g} rad"
+        raise ValueError(f"{told}: its limits are degrees, it seems; a joint without limits is continuous")
     parent, child = (_child(element, each, name).get("link", "") for each in ("parent", "child"))
     return UrdfJoint(
         name, kind, parent, child, xyz, rpy, axis, **values,
-        mimic="" if mimic is None else mimic.get("joint", "another joint"),
+        mimic="" if mimic is None else mimic.get("joint", "") or "(none)",
     )  # fmt: skip
 
 

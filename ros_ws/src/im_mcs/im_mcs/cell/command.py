@@ -1,4 +1,4 @@
-"""``cell``: writes the first cell file of a URDF, checks cell files, and writes what other tools read of a cell."""
+"""``cell``: writes the first cell file of a URDF, checks cell files, and exports cells for other tools."""
 
 import argparse
 import sys
@@ -12,7 +12,7 @@ from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
 from im_mcs.cell.capsules import capsule_volume
-from im_mcs.cell.moveit import moveit_files
+from im_mcs.cell.semantics import moveit_files
 from im_mcs.cell.template import first_cell, touching_pairs
 from im_mcs.cell.views import foxglove_layout, rviz_config
 from im_mcs.collision.bodies import hull_of

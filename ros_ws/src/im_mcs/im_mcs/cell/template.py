@@ -16,11 +16,13 @@ from im_core.config import faults
 from im_core.errors import ConfigError, DataError
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.cell.hulls import enclosing_hulls
-from im_mcs.collision.bodies import Bodies
+from im_mcs.collision.bodies import NEIGHBOURS, Bodies
 from im_mcs.model import CellModel
 
 _SAMPLES, _SEED_KEY = 400, 20261127
 _ALWAYS = 0.95
+_HELD_M, _BUILT_M = 0.08, 0.03
+"""Distances of pairs that are always closer and never touch, and the usual one of links two joints apart that may."""
 _TOOL = re.compile("tcp|tool|ee|eef|gripper_frame|flange")
 _FINGER = re.compile("gripper|finger|jaw", re.IGNORECASE)
 _FLOOR = {"link": "world", "name": "floor", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
@@ -61,7 +63,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
         raise ConfigError(f"{urdf}: {faults(error, Cell)[0].sentence}", file=str(urdf)) from error
     capsules, hulls = enclosing_capsules(bare), enclosing_hulls(bare)
     cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
-    never = () if srdf is not None else _always(cell)
+    never = () if srdf is not None else _never(cell)
     home = _home(cell.model_copy(update={"never": never}))
     return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never)
 
@@ -125,22 +127,35 @@ def _middle(joint: UrdfJoint) -> float:
     return 0.0 if joint.lower < 0.0 < joint.upper else (joint.lower + joint.upper) / 2.0
 
 
-def _samples(cell: Cell) -> NDArray[np.float64]:
+def _samples(cell: Cell, margin: float) -> NDArray[np.float64]:
+    """Return random positions, a share of the range away from its ends, shape (k, n) [rad or m]."""
     draw = np.random.Generator(np.random.Philox(key=_SEED_KEY)).uniform(size=(_SAMPLES, len(cell.joints)))
     lower, upper = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
-    span = (upper - lower) * _HOME_MARGIN
+    span = (upper - lower) * margin
     return lower + span + draw * (upper - lower - 2.0 * span)
 
 
-def _always(cell: Cell) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links that touch wherever the joints are: shapes that overlap by construction."""
+def _never(cell: Cell) -> list[tuple[str, str]]:
+    """Return the pairs of links that are not worth a look: shapes that touch, or are kept close, by construction."""
     bodies = Bodies(CellModel(cell))
-    touched = np.zeros(len(bodies.pairs))
-    for q in _samples(cell):
+    shapes: dict[tuple[str, str], list[int]] = {}
+    for pair in range(len(bodies.pairs)):
+        shapes.setdefault(bodies.pair_names(pair), []).append(pair)
+    distances: dict[tuple[str, str], list[float]] = {names: [] for names in shapes}
+    for q in _samples(cell, 0.0):
         bodies.place(q)
-        touched += [bodies.distance(pair) <= 0.0 for pair in range(len(bodies.pairs))]
-    found = (bodies.pair_names(int(pair)) for pair in np.flatnonzero(touched >= _ALWAYS * _SAMPLES))
-    return tuple(dict.fromkeys((first, second) for first, second in found))
+        for names, pairs in shapes.items():
+            distances[names].append(min(map(bodies.distance, pairs)))
+    return [
+        names for names, each in distances.items() if _by_construction(bodies.joints_between(shapes[names][0]), each)
+    ]
+
+
+def _by_construction(joints: int, distances: Sequence[float]) -> bool:
+    """Return whether links touch always, never and are held close, or are two joints apart and usually close."""
+    held = min(distances) > 0.0 and max(distances) < _HELD_M
+    usual = float(np.median(distances))
+    return float(np.quantile(distances, _ALWAYS)) <= 0.0 or held or (joints == NEIGHBOURS + 1 and usual < _BUILT_M)
 
 
 def _home(cell: Cell) -> list[float]:
@@ -149,7 +164,7 @@ def _home(cell: Cell) -> list[float]:
     bodies = Bodies(model)
     best, found, met = 0.0, cell.home, Counter[tuple[str, str]]()
     tried = []
-    for q in (cell.home, *_samples(cell)):
+    for q in (cell.home, *_samples(cell, _HOME_MARGIN)):
         bodies.place(q)
         tried.append((q, bodies.closest()))
     clear_m = next((clear for clear in _CLEAR_M if any(near.distance >= clear for _, near in tried)), np.inf)
@@ -199,7 +214,7 @@ def _written(
     if never:
         lines += [
             "",
-            "never:                  # pairs of links that are not looked at: their shapes overlap by construction",
+            "never:                  # pairs of links that are not looked at: they touch or are close by construction",
         ]
         lines += [f"  - [{first}, {second}]" for first, second in never]
     box = Box.model_validate(_FLOOR)

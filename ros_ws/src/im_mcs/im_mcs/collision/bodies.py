@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from im_mcs.collision.surroundings import NOTHING, CollisionScene, Thing
 from im_mcs.model import CellModel
 
-NEVER_TOUCHING = 2
+NEIGHBOURS = 1
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Bodies:
 
     A link has its hulls, or without them its capsules.
 
-    Links at most two joints apart are not compared: their shapes overlap by construction, and the joints' limits keep
-    them from touching otherwise. Nor are the pairs that the cell names, in `never` or an SRDF.
+    Links with one joint between them are not compared: their shapes overlap by construction. Nor are the pairs that the
+    cell names, in `never` or an SRDF.
 
     Attributes:
         names: Link or box of each body.
@@ -113,6 +113,11 @@ class Bodies:
         first, second = self.pairs[pair]
         return self.names[first], self.names[second]
 
+    def joints_between(self, pair: int) -> int:
+        """Return the number of joints between the bodies of a pair, along the tree."""
+        first, second = (self._geometry.geometryObjects[int(body)].parentJoint for body in self.pairs[pair])
+        return self._chain_distance(first, second)
+
     def touching(self, start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> str | None:
         """Return a link or box in touch with a thick line in ``world`` at the last placement.
 
@@ -161,7 +166,7 @@ class Bodies:
             for j in range(i + 1, len(objects)):
                 a, b = objects[i].parentJoint, objects[j].parentJoint
                 never = frozenset((self.names[i], self.names[j])) in self._never
-                if not never and self._chain_distance(a, b) > NEVER_TOUCHING:
+                if not never and self._chain_distance(a, b) > NEIGHBOURS:
                     self._geometry.addCollisionPair(pin.CollisionPair(i, j))
 
     def _chain_distance(self, a: int, b: int) -> int:

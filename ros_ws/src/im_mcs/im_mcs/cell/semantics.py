@@ -1,4 +1,4 @@
-"""What MoveIt reads of a cell: groups and pairs not compared (SRDF), limits, solvers, controllers."""
+"""Semantics of a cell for MoveIt: groups and pairs not compared (SRDF), limits, solvers, controllers."""
 
 import itertools
 import xml.etree.ElementTree as ET
@@ -8,7 +8,7 @@ import yaml
 
 from im_cell.robot import Cell, Group, Limits, robot_description
 from im_cell.robot.tree import WORLD
-from im_mcs.collision.bodies import NEVER_TOUCHING, Bodies
+from im_mcs.collision.bodies import NEIGHBOURS, Bodies
 from im_mcs.inverse.arm import ARM_JOINTS
 from im_mcs.limits.configuration import McsConfig
 from im_mcs.limits.limits import JointLimits
@@ -141,8 +141,8 @@ def _srdf(cell: Cell, config: McsConfig, robot: _Robot) -> str:
     ET.indent(root)
     return (
         '<?xml version="1.0"?>\n'
-        f"<!-- Groups of the preset {config.preset}. Links at most {NEVER_TOUCHING} joints apart are not compared, as\n"
-        f"     in MCS, nor pairs that the cell names. -->\n{ET.tostring(root, encoding='unicode')}\n"
+        f"<!-- Groups of the preset {config.preset}. As in MCS, neighbours are not compared, nor pairs that the cell\n"
+        f"     names. -->\n{ET.tostring(root, encoding='unicode')}\n"
     )
 
 
@@ -162,23 +162,22 @@ def _add_unions(root: ET.Element, config: McsConfig) -> None:
 def _untouching(cell: Cell, robot: _Robot) -> list[tuple[str, str, str]]:
     """Return the pairs of links that are not compared, with the reason.
 
-    MCS has no bodies of grippers and cameras: their pairs are those of the links that carry them, and neighbours.
+    MCS has no bodies of grippers and cameras: their pairs are those of the links that carry them, and neighbours. What
+    stands still is one link for MoveIt: a link that must not be compared with one part of it is compared with none.
     """
     bodies = Bodies(CellModel(cell))
     boxes = {box.name for box in cell.obstacles}
     carrier = {name: WORLD if name in boxes else robot.carrier(name) for name in bodies.names}
-    shaped = {*carrier.values()}
     compared = {frozenset(carrier[name] for name in bodies.pair_names(pair)) for pair in range(len(bodies.pairs))}
+    named = {frozenset(carrier.get(name, name) for name in pair) for pair in cell.untouching}
+    standing = {pair for pair in named if WORLD in pair}
     found = []
     for first, second in itertools.combinations(robot.solid, 2):
         apart = robot.apart(first, second)
-        if apart is not None and apart <= NEVER_TOUCHING:
-            found.append((first, second, "Adjacent" if apart < NEVER_TOUCHING else "Never"))
-            continue
-        one, other = robot.carrier(first), robot.carrier(second)
-        between = robot.apart(one, other)
-        near = between is not None and between <= NEVER_TOUCHING
-        if not near and {one, other} <= shaped and frozenset((one, other)) not in compared:
+        carriers = frozenset((robot.carrier(first), robot.carrier(second)))
+        if apart is not None and apart <= NEIGHBOURS:
+            found.append((first, second, "Adjacent"))
+        elif carriers in standing | (named - compared):
             found.append((first, second, "Never"))
     return found
 
