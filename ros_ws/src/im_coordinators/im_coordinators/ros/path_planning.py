@@ -142,7 +142,7 @@ class PathPlanningFunctions:
         await self._for_tool(here, ToolTarget.asked(ctx.request_arguments), _position(here))
 
     async def order_positions(self, ctx: ActionContext) -> None:
-        """Find an order of positions that takes little time, by straight free ways where there are such."""
+        """Find an order of positions with little time of motion, along straight free ways if possible."""
         given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["positions"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
