@@ -98,3 +98,11 @@ def test_the_noise_of_readings_is_found_where_it_is_not_stated():
     factor = calibrate(replace(problem, noise_to_estimate=("robot",))).noise.factors.robot
     assert factor.low < 2.0 < factor.high
     assert factor.high / factor.low < 2.0
+
+
+def test_a_robot_that_was_moved_between_readings_of_several_spots_is_told():
+    problem = shared_scene(3, readings=20, each=2).problem
+    moved = np.where(np.arange(len(problem.positions))[:, None] < 20, 0.0, [0.1, 0.0, 0.0])
+    calibration = calibrate(replace(problem, positions=problem.positions + moved))
+    assert not calibration.success
+    assert "the LED positions are off by (100, 0, 0) mm" in calibration.message
