@@ -138,6 +138,7 @@ ASKED = [
     ("motion_coordinator", "find_pos", {"group": "left"}),
     ("path_planning_coordinator", "plan_path", {"group": "left", "destination": "destination"}),
     ("path_planning_coordinator", "validate_path", {"group": "left", "path": "given"}),
+    ("path_planning_coordinator", "order_positions", {"group": "left", "positions": "positions"}),
     ("path_planning_coordinator", "check_reach",
      {"group": "left", "position": [1.0, 2.0, 0.5], "orientation": [0.0, 0.0, 1.0], "frame": "world"}),
     ("vision_coordinator", "light_on", {"light": "left_led"}),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bench.machine.command import accuracy_lines, machine_lines
 from bench.machine.deadlines import deadline_lines
-from bench.machine.handover import handover_lines
+from bench.machine.handover import MOTION, VICTIMS, handover_lines
 from bench.machine.hosts import host_lines
 from bench.machine.pairs import pair_lines
 from bench.machine.rest import rest_lines
@@ -20,7 +20,8 @@ GROUPS = {
     "accuracy": "true errors over expected ones, of one command for each of some seeds",
     "pairs": "two moves at once against the longer one alone, in simulated time",
     "handover": "hand-overs of a part from random places: how many succeed, and how far off the part is at rest",
-    "handover-faults": "the same with a process killed in every tenth step",
+    "handover-faults": "the same with a process killed in every tenth step, but for those of motion control",
+    "handover-motion": "the same with MCS or its servo killed once in each",
     "deadlines": "missed deadlines of the servo in real time",
     "hosts": "time to READY over one, two and three hosts, and what crosses between these at rest",
     "frames": "frames a second of /vss/snap, and where the time goes",
@@ -54,7 +55,8 @@ def _work(options: argparse.Namespace, _: Path) -> Work:
         "accuracy": lambda: accuracy_lines(options.seeds, port),
         "pairs": lambda: pair_lines(options.seeds, 0.0, port),
         "handover": lambda: handover_lines(options.seeds, port),
-        "handover-faults": lambda: handover_lines(options.seeds, port, faults=True),
+        "handover-faults": lambda: handover_lines(options.seeds, port, VICTIMS),
+        "handover-motion": lambda: handover_lines(options.seeds, port, MOTION),
         "deadlines": lambda: deadline_lines(seed, port),
         "hosts": lambda: list(host_lines()),
         "frames": lambda: vision_lines("frames", options.renderer, seed, port),

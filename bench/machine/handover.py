@@ -5,12 +5,14 @@ import math
 import os
 import random
 import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 
 from geometry_msgs.msg import Point, Pose, Quaternion
 from scipy.spatial.transform import Rotation
 
 from bench.chaos.faults import kill
+from bench.chaos.trial import SAYS
 from bench.figures import Line
 from im import Command, Machine, MachineError
 from im_core.config import package_file
@@ -30,39 +32,71 @@ VICTIMS = (
     "cameras",
 )  # fmt: skip
 TENTH, SHARE = 10, 0.9
+#: Of these one is killed once, in one of so many steps from the first time on at which an arm holds the part.
+MOTION, STEPS = ("mcs", "servo"), range(12, 60)
 #: Farthest from upright that a part is safe, and how far below where it stands [m].
 SAFE_DEG, SAFE_M = 5.0, 0.01
 
 
-def handover_lines(seeds: int, port: int, faults: bool = False) -> list[Line]:
+@dataclass(frozen=True)
+class Ended:
+    """End of a hand-over.
+
+    Attributes:
+        off_mm: How far from where it should be the part is at rest; None: the command failed.
+        about_deg: How far it is turned about an axis, 0 where the command failed.
+        safe: Whether the part stands, or is held, upright.
+        told: Whether the reason of a failure names what was killed; True where nothing failed.
+    """
+
+    off_mm: float | None
+    about_deg: float = 0.0
+    safe: bool = True
+    told: bool = True
+
+    @property
+    def good(self) -> bool:
+        """Whether the part is where it should be."""
+        return self.off_mm is not None and self.off_mm <= MOST_MM and self.about_deg <= MOST_DEG
+
+
+def handover_lines(seeds: int, port: int, victims: tuple[str, ...] = ()) -> list[Line]:
     """Start the machine with its free bodies; hand the part over once for each seed, with or without faults.
+
+    Args:
+        seeds: How many, from 1.
+        port: Of the display.
+        victims: Who is killed: of :data:`MOTION` one once, of others one in every tenth step.
 
     Raises:
         MachineError: The machine does not start.
     """
     os.environ["IM_OBJECTS"] = str(package_file("im_cell", "cells/puma_pair/objects.yaml"))
     with Machine.start(factor=0, seed=SEED, port=port, calibration=CALIBRATION, fresh=True, timeout=START_S) as machine:
-        found = [_hand_over(machine, seed, faults) for seed in range(1, seeds + 1)]
-    ended = [errors for errors in found if not isinstance(errors, bool)]
-    good = [errors for errors in ended if errors[0] <= MOST_MM and errors[1] <= MOST_DEG]
-    safe = len(ended) + found.count(True)
-    worst = [max((errors[axis] for errors in ended), default=math.nan) for axis in (0, 1)]
+        found = [_hand_over(machine, seed, victims) for seed in range(1, seeds + 1)]
+    errors = [(end.off_mm, end.about_deg) for end in found if end.off_mm is not None]
+    worst = [max((each[axis] for each in errors), default=math.nan) for axis in (0, 1)]
+    bar = {MOTION: 0, (): seeds}.get(victims, math.ceil(SHARE * seeds))
+    named = f"{seeds} hand-overs, within {MOST_MM:g} mm and {MOST_DEG:g} degree"
     return [
+        Line(named, sum(end.good for end in found), "", bar=bar, at_least=True),
         Line(
-            f"{seeds} hand-overs, within {MOST_MM:g} mm and {MOST_DEG:g} degree",
-            len(good),
+            "  after which the part stood upright, or was held",
+            sum(end.safe for end in found),
             "",
-            bar=math.ceil(SHARE * seeds) if faults else seeds,
+            bar=seeds,
             at_least=True,
         ),
-        Line("  after which the part stood upright, or was held", safe, "", bar=seeds, at_least=True),
+        Line(
+            "  that succeeded, or named what was killed", sum(end.told for end in found), "", bar=seeds, at_least=True
+        ),
         Line("  largest error at rest of those that succeeded", worst[0], "mm", bar=MOST_MM),
         Line("  about an axis", worst[1], "degrees", bar=MOST_DEG),
     ]
 
 
-def _hand_over(machine: Machine, seed: int, faults: bool) -> tuple[float, float] | bool:
-    """Errors at rest [mm, degrees] of one command, which are told; where it failed, whether the part is safe."""
+def _hand_over(machine: Machine, seed: int, victims: tuple[str, ...]) -> Ended:
+    """Hand the part over once, and tell how that ended."""
     draw = random.Random(seed)
     (x, y), to, turn = ([draw.uniform(*each) for each in place] for place in (FROM, TO, ((-TURN, TURN),)))
     for group in ("left", "right"):
@@ -74,29 +108,35 @@ def _hand_over(machine: Machine, seed: int, faults: bool) -> tuple[float, float]
     machine.connection.call(PlaceObject, "/testbed/place_object", name=PART, pose=pose)
     begin = f"({x:.3f}, {y:.3f}) m, {math.degrees(turn[0]):.0f} degrees"
     told = f"hand-over {seed} from {begin}, to ({to[0]:.3f}, {to[1]:.3f}) m"
-    failure = ""
+    failure, killed = "", list[str]()
     try:
-        _follow(machine.run("handover", wait=False, name=PART, near=[x, y, UPRIGHT_M + 0.13], to=to), faults, draw)
+        order = machine.run("handover", wait=False, name=PART, near=[x, y, UPRIGHT_M + 0.13], to=to)
+        _follow(order, victims, draw, killed)
     except MachineError as error:
         failure = str(error)
     place = json.loads(machine.connection.call(GetTruth, "/testbed/get_truth").json)["objects"][PART]
     turned = Rotation.from_quat(place[3:]).as_euler("ZYX", degrees=True)
     if failure:
         safe = place[2] > UPRIGHT_M - SAFE_M and max(abs(turned[1:])) < SAFE_DEG
-        print(f"{told}: {failure}; the part is {'safe' if safe else 'NOT safe'}", flush=True)
+        words = [word for victim in killed for word in SAYS.get(victim, (victim,))]
+        true = any(word in failure.lower() for word in words)
+        named = "" if true else ", the reason NOT true"
+        print(f"{told}: {failure}; the part is {'safe' if safe else 'NOT safe'}{named}", flush=True)
         subprocess.run([ROOT / "scripts/im", "recover"], capture_output=True, check=False)
-        return bool(safe)
+        return Ended(None, safe=bool(safe), told=true)
     off = 1e3 * math.dist(place[:3], (*to, UPRIGHT_M))
     about = max(abs((angle + 45.0) % 90.0 - 45.0) for angle in turned.tolist())
     print(f"{told}: {off:.1f} mm, {about:.2f} degrees off", flush=True)
-    return off, about
+    return Ended(off, about)
 
 
-def _follow(order: Command, faults: bool, draw: random.Random) -> object:
-    """Return the results of a command; with faults, kill a process in every tenth step."""
+def _follow(order: Command, victims: tuple[str, ...], draw: random.Random, killed: list[str]) -> object:
+    """Return the results of a command; kill processes meanwhile, and note which."""
+    once = draw.choice(STEPS) if victims == MOTION else 0
     for step, progress in enumerate(order, start=1):
-        if faults and step % TENTH == 0:
-            fault = kill((draw.choice(VICTIMS),))
+        if victims and (step == once if once else step % TENTH == 0):
+            killed.append(draw.choice(victims))
+            fault = kill((killed[-1],))
             print(f"  step {step}, {progress.message}: {fault}", flush=True)
             fault.inject(lambda: None)
     return order.result

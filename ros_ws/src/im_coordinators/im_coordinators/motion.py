@@ -9,6 +9,8 @@ from im_core.errors import DataError, StateError
 STATES = frozenset({"unconfigured", "cold", "reserved", "active", "motion", "estopped"})
 HOLDING_STATES = frozenset({"reserved", "active", "motion"})
 POWERED_STATES = frozenset({"active", "motion"})
+#: States of MCS in which nothing moves before somebody recovers it.
+STOPPED_STATES = frozenset({"unconfigured", "estopped"})
 
 #: Arguments that say to where a path is planned.
 DESTINATIONS = ("destination", "position", "joints", "posture")
@@ -114,6 +116,21 @@ def end_noted(memory: Mapping[str, object]) -> Any:
         memory: Of the request; of a move in doubt nobody knows how far its arm has gone: it may be there already.
     """
     return memory.get("leads_to")
+
+
+def require_working(state: str, reason: str, what: str) -> None:
+    """Check for a state of MCS in which parts move.
+
+    Args:
+        state: As MCS told it last.
+        reason: Of that state, as MCS told it.
+        what: Name of the part that is to move.
+
+    Raises:
+        StateError: Nothing moves.
+    """
+    if state in STOPPED_STATES:
+        raise StateError(f"{what} does not move, for MCS is {state}" + (f": {reason}" if reason else ""))
 
 
 def require_rest(group: str, at_rest: bool, reason: str = "") -> None:

@@ -10,6 +10,7 @@ from im_coordinators.motion import (
     depends_on_here,
     planned_beforehand,
     require_rest,
+    require_working,
     state_for,
     take_path,
     way_asked,
@@ -91,3 +92,12 @@ def test_what_can_be_no_state_of_mcs_was_not_said_by_it() -> None:
         check_told("motion", [Told("left", "")])
     with pytest.raises(DataError, match=r"^MCS cannot be 'x{40}'; [^x]*$"):
         check_told("x" * 10**6, [])
+
+
+def test_nothing_is_asked_to_move_where_mcs_has_stopped_and_its_reason_is_told() -> None:
+    for state in ("cold", "reserved", "active", "motion"):
+        require_working(state, "", "left_gripper")
+    with pytest.raises(StateError, match="left_gripper does not move, for MCS is unconfigured: the servo ended"):
+        require_working("unconfigured", "the servo ended", "left_gripper")
+    with pytest.raises(StateError, match=r"left_gripper does not move, for MCS is estopped$"):
+        require_working("estopped", "", "left_gripper")

@@ -40,7 +40,12 @@ class MotionCoordinator(Coordinator):
     def __init__(self) -> None:
         super().__init__("motion_coordinator", motion_functions)
         self.host.prepare(GetGroupState, STATE)
-        self.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
+        follow_mcs(self)
+
+
+def follow_mcs(coordinator: Coordinator) -> None:
+    """Follow the states told by MCS."""
+    coordinator.sources.follow(MCS_STATE, McsState, qos.LATCHED, check=lambda told: check_told(told.state, told.groups))
 
 
 def motion_functions(host: Host) -> Functions:

@@ -24,7 +24,7 @@ from im_coordinators.path_planning import (
 from im_coordinators.path_search import search_apart
 from im_coordinators.ros.coordinator import Coordinator
 from im_coordinators.tool import ToolTarget, WristPlacement, require_position
-from im_coordinators.visiting_order import BLOCKED_S, leg_times, visiting_order
+from im_coordinators.visit_order import BLOCKED_S, leg_times, visit_order
 from im_core.errors import ImError, StateError
 from im_core.ros import run
 from im_core.ros.messages.status import status_to_error
@@ -142,14 +142,14 @@ class PathPlanningFunctions:
         await self._for_tool(here, ToolTarget.asked(ctx.request_arguments), _position(here))
 
     async def order_positions(self, ctx: ActionContext) -> None:
-        """Find an order of positions that takes little time, by straight free ways where there are such."""
+        """Find an order of positions with little time of motion, along straight free ways if possible."""
         given = await self._host.dom.get(ctx.object(str(ctx.request_arguments["positions"])), JointTrajectory)
         here = await self._here(ctx)
         require_joints(given.joint_names, here.joints, here.group)
         places = [_position(here), *(list(point.positions) for point in given.points)]
         times, known = leg_times(self._cell, list(here.joints), places), set[frozenset[int]]()
         while True:
-            order = await self._host.noted_apart("order", visiting_order, times)
+            order = await self._host.noted_apart("order", visit_order, times)
             if known.issuperset(legs := [frozenset(leg) for leg in pairwise(order)]):
                 break
             for a, b in (sorted(leg) for leg in legs if leg not in known):

@@ -107,7 +107,7 @@ class InverseKinematics:
             target: Wanted pose of the wrist in ``world``.
             q_all: Positions of all joints; those of other groups stay, shape (n,) [rad or m].
             seed: Where to start, shape (n,) [rad or m].
-            collision: If given, solutions in collision are passed over; pairs that the group does not move do not count.
+            collision: If given, solutions in collision are passed over; only pairs that the group moves count.
 
         Returns:
             Positions of the group, shape (n,) [rad or m].

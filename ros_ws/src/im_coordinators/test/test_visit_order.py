@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_cell.robot import load_cell
-from im_coordinators.visiting_order import BLOCKED_S, leg_times, visiting_order
+from im_coordinators.visit_order import BLOCKED_S, leg_times, visit_order
 
 
 def length(order: list[int], times: np.ndarray) -> float:
@@ -24,7 +24,7 @@ def times_of(seed: int, count: int) -> np.ndarray:
 @given(st.integers(0, 10_000), st.integers(0, 30))
 def test_every_position_is_visited_once_from_the_start_on_and_no_exchange_saves_time(seed: int, count: int) -> None:
     times = times_of(seed, count)
-    order = visiting_order(times)
+    order = visit_order(times)
     assert sorted(order) == list(range(count + 1))
     assert order[0] == 0
     for i in range(1, count):
@@ -37,16 +37,16 @@ def test_every_position_is_visited_once_from_the_start_on_and_no_exchange_saves_
 def test_of_few_positions_the_order_is_hardly_longer_than_the_shortest(seed: int) -> None:
     times = times_of(seed, 6)
     shortest = min(length([0, *rest], times) for rest in permutations(range(1, 7)))
-    assert length(visiting_order(times), times) < 1.15 * shortest
+    assert length(visit_order(times), times) < 1.15 * shortest
 
 
 def test_a_blocked_way_is_avoided() -> None:
     times = times_of(3, 12)
-    order = visiting_order(times)
+    order = visit_order(times)
     for a, b in pairwise(order):
         blocked = times.copy()
         blocked[a, b] = blocked[b, a] = times[a, b] + BLOCKED_S
-        assert length(visiting_order(blocked), blocked) < BLOCKED_S
+        assert length(visit_order(blocked), blocked) < BLOCKED_S
 
 
 def test_the_time_of_a_leg_is_the_same_there_and_back() -> None:

@@ -25,8 +25,8 @@ def leg_times(cell: Cell, joints: list[str], positions: list[list[float]]) -> Ar
     return motion_times(cell, joints, places[:, None] - places[None])
 
 
-def visiting_order(times: Array) -> list[int]:
-    """Return ranks of all positions in a short order; 0, the start, is the first.
+def visit_order(times: Array) -> list[int]:
+    """Return ranks of all positions in a short order, the start with rank 0 first.
 
     Args:
         times: Of the motions between any two, the same there and back, shape (m, m) [s].
@@ -42,8 +42,8 @@ def visiting_order(times: Array) -> list[int]:
 
 
 def _turned(order: NDArray[np.intp], times: Array) -> bool:
-    """Turn parts round, in place, where that saves time; return whether any did."""
-    any_did = False
+    """Turn parts of the order round, in place, to save time; return success."""
+    success = False
     for first in range(1, len(order) - 1):
         before, begin, ends, after = order[first - 1], order[first], order[first + 1 :], order[first + 2 :]
         saved = times[before, begin] - times[before, ends]
@@ -52,13 +52,13 @@ def _turned(order: NDArray[np.intp], times: Array) -> bool:
         if saved[best] > _ROUNDING_S:
             last = first + 1 + best
             order[first : last + 1] = order[first : last + 1][::-1].copy()
-            any_did = True
-    return any_did
+            success = True
+    return success
 
 
 def _moved(order: NDArray[np.intp], times: Array) -> bool:
-    """Move short parts elsewhere, in place, where that saves time; return whether any did."""
-    any_did = False
+    """Move short parts of the order elsewhere, in place, to save time; return success."""
+    success = False
     for length in range(1, _LONGEST_PART + 1):
         for first in range(1, len(order) - length + 1):
             part, rest = order[first : first + length].copy(), np.delete(order, slice(first, first + length))
@@ -69,9 +69,9 @@ def _moved(order: NDArray[np.intp], times: Array) -> bool:
                 best = int(np.argmin(added))
                 if without - _length(part, times) - added[best] > _ROUNDING_S:
                     order[:] = np.insert(rest, best + 1, way)
-                    any_did = True
+                    success = True
                     break
-    return any_did
+    return success
 
 
 def _length(order: NDArray[np.intp], times: Array) -> float:
