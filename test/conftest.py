@@ -34,7 +34,8 @@ def pytest_configure(config):
         (folder / name).mkdir(mode=0o700)
     os.environ["IM_RUN_DIR"] = str(folder / "run")
     os.environ["IM_RESULTS_DIR"] = str(folder / "results")
-    os.environ["IM_CACHE_DIR"] = str(folder / "cache")
+    if not hasattr(config, "workerinput"):  # processes of one session share what was proved of nets
+        os.environ["IM_CACHE_DIR"] = str(folder / "cache")
     os.environ["ROS_LOG_DIR"] = str(folder / "ros")
     secret = folder / "secret"
     secret.touch(mode=0o600)

@@ -51,9 +51,7 @@ class Markings:
         return names[::-1]
 
 
-def reach(
-    net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0, stop_at_rivals: bool = False
-) -> Markings:
+def reach(net: TimedNet, *, states: int = 1_000_000, seconds: float = 60.0, stop_at_rivals: bool = False) -> Markings:
     """Find the reachable markings of a timed net; the answer of a command leads back to the beginning.
 
     Args:
