@@ -72,7 +72,7 @@ def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
     for command, arguments, why in (
         ("find", {"name": "cup"}, "argument name is 'cup', not one of 'table_tag'"),
         ("handover", {"name": "can"}, "argument name is 'can', not one of 'table_tag'"),
-        ("handover", {"name": "part", "near": [0.0, 5.0, 1.0]}, "cannot be at"),
+        ("find", {"name": "part", "near": [0.0, 5.0, 1.0]}, "cannot be at"),
         ("hand_over", {"giver": "left", "receiver": "left"}, "a hand over needs both arms"),
         ("hand_over", {"position": [0.0, 5.0, 1.0]}, "cannot be at"),
         ("pick", {"position": [-0.45, 0.9, 0.9], "name": "cup"}, "there is no object or link 'cup'"),
