@@ -148,7 +148,7 @@ def test_a_part_is_found_handed_over_and_set_down(machine, tmp_path):
     assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"
     assert abs(math.sin(4.0 * 2.0 * math.atan2(qz, qw))) < math.sin(math.radians(4.0)), "with its faces along the axes"
     stand(machine, x, 1.6, z, turn)
-    gone = machine.execute("handover", name="part")()
+    gone = machine.execute("find", name="part")()
     assert not gone.success
     assert "'part' was not found: part in wrist_left not seen" in gone.status.message
 
