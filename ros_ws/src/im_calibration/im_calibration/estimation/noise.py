@@ -289,7 +289,7 @@ _Profiles = tuple[_Profile | Factor, _Profile | Factor, _Profile | Factor, float
 def _profiles(
     unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, free: tuple[str, ...]
 ) -> _Profiles:
-    """Return what :func:`noise_factors` consists of, ends of intervals not yet searched."""
+    """Return the parts of :func:`noise_factors`, with the ends of intervals still to be searched."""
     likelihood = NoiseLikelihood(unknowns, problem, layout, used)
     stated = likelihood.deviance(np.zeros(2))
     if not likelihood.robot_matters:
