@@ -177,7 +177,8 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
     assert json.loads(printed)["width"] == pytest.approx(0.02, abs=1e-3)
 
 
-def test_what_a_machine_was_given_outlives_its_death_while_it_rests(machines):
+def test_what_a_machine_was_given_outlives_its_death_and_a_new_mission_takes_nothing_of_the_one_before(machines):
+    """A queue of commands is set aside whole: named, kept, and carried out by nobody; no number stands for another."""
     machines("--fresh")
     machine = Machine()
     try:
@@ -187,15 +188,10 @@ def test_what_a_machine_was_given_outlives_its_death_while_it_rests(machines):
     put = client("data_objects", "put", "mark", "std_msgs/msg/String", '{"data": "here"}')
     assert put.wait(COMMAND_S) == 0
     leftovers.end_all()
-    assert "was not stopped but died: its loaded nets and data objects are there again" in machines()
+    assert "was not stopped but died: its loaded nets and data objects are there again" in machines("--factor", 1)
     greeted = client("run_command", "greet").communicate(timeout=COMMAND_S)
     assert "done" in greeted[0], greeted
     assert '"here"' in client("data_objects", "get", "mark").communicate(timeout=COMMAND_S)[0]
-
-
-def test_a_new_mission_takes_nothing_of_the_one_before(machines):
-    """A queue of commands is set aside whole: named, kept, and carried out by nobody; no number stands for another."""
-    machines("--fresh", "--factor", 1)
     machine = Machine()
     try:
         _, numbers = line_up(machine)

@@ -1,4 +1,7 @@
-"""Objects are picked up, handed over and set down by commands of the whole machine; truth is asked afterwards."""
+"""Objects are picked up, handed over and set down by commands of the whole machine; truth is asked afterwards.
+
+Also by two commands at once over one table: two parts, one part asked for twice, a part taken away under the jaws.
+"""
 
 import json
 import math
@@ -15,6 +18,9 @@ from support.whole_machine import COMMAND_S, ROOT, running_machine
 
 pytestmark = pytest.mark.end_to_end
 
+LONG_S = 5.0 * COMMAND_S
+BLOCK, CAN = "block", "can"
+BLOCK_AT, CAN_AT = (-0.45, 0.90, 0.83), (0.25, 0.90, 0.82)
 CALIBRATION = ROOT / "test/data/wrist_left"
 """Of the camera on the left wrist, of the same seed; its spots are those of `wrist_left_18.yaml`."""
 
@@ -66,7 +72,7 @@ def test_what_cannot_be_is_a_sentence_and_moves_nothing(machine):
     for command, arguments, why in (
         ("find", {"name": "cup"}, "argument name is 'cup', not one of 'table_tag'"),
         ("handover", {"name": "can"}, "argument name is 'can', not one of 'table_tag'"),
-        ("handover", {"name": "part", "near": [0.0, 5.0, 1.0]}, "cannot be at"),
+        ("find", {"name": "part", "near": [0.0, 5.0, 1.0]}, "cannot be at"),
         ("hand_over", {"giver": "left", "receiver": "left"}, "a hand over needs both arms"),
         ("hand_over", {"position": [0.0, 5.0, 1.0]}, "cannot be at"),
         ("pick", {"position": [-0.45, 0.9, 0.9], "name": "cup"}, "there is no object or link 'cup'"),
@@ -142,6 +148,69 @@ def test_a_part_is_found_handed_over_and_set_down(machine, tmp_path):
     assert 2.0 * math.hypot(qx, qy) < math.radians(1.0), "upright"
     assert abs(math.sin(4.0 * 2.0 * math.atan2(qz, qw))) < math.sin(math.radians(4.0)), "with its faces along the axes"
     stand(machine, x, 1.6, z, turn)
-    gone = machine.execute("handover", name="part")()
+    gone = machine.execute("find", name="part")()
     assert not gone.success
     assert "'part' was not found: part in wrist_left not seen" in gone.status.message
+
+
+@pytest.fixture
+def both_at_home(machine):
+    """Both arms at home with open jaws, and both parts in their places."""
+    for group in ("left", "right"):
+        require(machine.execute("open_gripper", group=group)(LONG_S))
+        require(machine.execute("home", group=group)(LONG_S))
+    put(machine, BLOCK, BLOCK_AT)
+    put(machine, CAN, CAN_AT)
+    return machine
+
+
+def require(ended):
+    assert ended.success, ended.status.message
+
+
+def put(machine, name, place):
+    pose = Pose(position=Point(**dict(zip("xyz", place, strict=True))), orientation=Quaternion(w=1.0))
+    placed = machine.call(PlaceObject, "/testbed/place_object", name=name, pose=pose)
+    assert placed.success, placed.message
+
+
+def both(*begun):
+    return [ended(LONG_S) for ended in begun]
+
+
+def pick(machine, group, place, width):
+    x, y, z = place
+    return machine.execute("pick", group=group, position=[x, y, z + 0.055], width=width, force=60.0)
+
+
+def test_two_parts_are_moved_at_once_also_close_to_each_other(both_at_home):
+    for ended in both(pick(both_at_home, "left", BLOCK_AT, 0.05), pick(both_at_home, "right", CAN_AT, 0.06)):
+        require(ended)
+    to = {"left": (-0.12, 0.95), "right": (0.13, 0.95)}  # where the carts come into each other's way
+    down = [
+        both_at_home.execute("place", group=group, position=[*to[group], z + 0.057])
+        for group, (_, _, z) in (("left", BLOCK_AT), ("right", CAN_AT))
+    ]
+    for ended in both(*down):
+        require(ended)
+    assert truth(both_at_home)[BLOCK][:3] == pytest.approx([*to["left"], BLOCK_AT[2]], abs=5e-3)
+    assert truth(both_at_home)[CAN][:3] == pytest.approx([*to["right"], CAN_AT[2]], abs=5e-3)
+
+
+def test_two_arms_are_asked_for_one_thing(both_at_home):
+    ended = both(pick(both_at_home, "left", BLOCK_AT, 0.05), pick(both_at_home, "right", BLOCK_AT, 0.05))
+    told = [each.status.message for each in ended if not each.success]
+    assert len(told) == 1, "one arm has it"
+    assert "would collide with" in told[0] or "come too close" in told[0] or "hold nothing" in told[0]
+    assert truth(both_at_home)[BLOCK][2] == pytest.approx(BLOCK_AT[2] + 0.12, abs=0.01), "and holds it"
+    require(both_at_home.execute("home", group="right" if ended[0].success else "left")(LONG_S))
+
+
+def test_a_part_is_taken_away_before_the_jaws_close(both_at_home):
+    begun = pick(both_at_home, "left", BLOCK_AT, 0.05)
+    both_at_home.wait_for_firing("pick", "grasp.allow.pass")
+    put(both_at_home, BLOCK, (-0.45, 1.3, 0.83))
+    ended = begun(LONG_S)
+    assert not ended.success
+    assert "the jaws closed to 0 mm, and hold nothing" in ended.status.message
+    require(both_at_home.execute("home", group="left")(LONG_S))

@@ -5,6 +5,7 @@ import os
 import random
 import shutil
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,8 @@ from tf2_msgs.msg import TFMessage
 
 from im_bag import BagReader, BagWriter, Delivery
 from im_bag.reading import messages_of, topics_of
+from im_bag.ros import recorder as recorder_module
+from im_bag.ros import replay
 from im_bag.ros.recorder import BagRecorder, RecordedTopic
 from im_core import clock
 from im_core.errors import DataError, NotFoundError
@@ -183,7 +186,7 @@ def holds_messages(part):
     return False
 
 
-@pytest.mark.parametrize("count", random.Random(15).sample(range(50, 600), 3))
+@pytest.mark.parametrize("count", random.Random(15).sample(range(50, 600), 2))
 def test_a_recorder_that_is_killed_leaves_a_bag_that_opens(recorder, ros, wait_until, tmp_path, count):
     node = ros(Node("source"))
     publisher = node.create_publisher(Firing, "/events", qos.EVENTS)
@@ -218,9 +221,22 @@ def test_a_folder_that_is_removed_ends_the_recording_with_a_sentence(recorder, w
     assert told[0].startswith(f"record: {tmp_path / 'bag'} cannot be written: ")
 
 
-def test_a_bag_is_never_overwritten(script, tmp_path):
-    done = script("record", "-o", tmp_path)
-    assert (done.returncode, f"the bag {tmp_path} cannot be made" in done.stderr) == (2, True)
+@pytest.fixture
+def refused(monkeypatch, capsys):
+    """``refused(command, words...)``: what is said of a command line that is refused."""
+
+    def run(command, *words):
+        monkeypatch.setattr("sys.argv", ["command", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            sys.exit(command.main())
+        assert ended.value.code == 2
+        return capsys.readouterr().err
+
+    return run
+
+
+def test_a_bag_is_never_overwritten(refused, tmp_path):
+    assert f"the bag {tmp_path} cannot be made" in refused(recorder_module, "-o", tmp_path)
 
 
 @pytest.mark.parametrize(("first", "second"), [(qos.EVENTS, qos.SENSOR), (qos.LATCHED_EVENTS, qos.EVENTS)])
@@ -290,10 +306,9 @@ def test_the_type_of_a_topic_is_that_of_its_publishers_and_another_is_said_once(
         assert (dict(bag.types), dict(bag.counts)) == ({"/a": "std_msgs/msg/String"}, {"/a": 1})
 
 
-def test_names_that_are_no_full_names_of_topics_are_refused(script, tmp_path):
-    done = script("record", "-o", tmp_path / "bag", "--topics", "/tf", "joint_states")
-    assert done.returncode == 2
-    assert "error: --topics: joint_states is no full name of a topic: " in done.stderr
+def test_names_that_are_no_full_names_of_topics_are_refused(refused, tmp_path):
+    told = refused(recorder_module, "-o", tmp_path / "bag", "--topics", "/tf", "joint_states")
+    assert "error: --topics: joint_states is no full name of a topic: " in told
     assert not (tmp_path / "bag").exists()
 
 
@@ -402,15 +417,14 @@ def test_what_comes_while_one_subscription_is_looked_at_after_the_other_keeps_it
     assert publisher.sent - len(got) < 5
 
 
-def test_extracting_goes_with_nothing_that_is_of_publishing(script, tmp_path):
-    done = script("replay", "nowhere", "--extract", tmp_path / "new", "--start", "3", "--loop")
-    assert done.returncode == 2
-    assert "error: --extract publishes nothing: it does not go with --start, --loop" in done.stderr
+def test_extracting_goes_with_nothing_that_is_of_publishing(refused, tmp_path):
+    told = refused(replay, "nowhere", "--extract", tmp_path / "new", "--start", "3", "--loop")
+    assert "error: --extract publishes nothing: it does not go with --start, --loop" in told
 
 
 @pytest.mark.parametrize("arguments", [["nowhere"], ["nowhere", "--rate", "0"], ["nowhere", "--remap", "a=b"], []])
-def test_replay_refuses_what_it_cannot_play(script, arguments):
-    assert script("replay", *arguments).returncode == 2
+def test_replay_refuses_what_it_cannot_play(refused, arguments):
+    assert refused(replay, *arguments)
 
 
 def test_message_classes_are_found_by_name():

@@ -46,6 +46,19 @@ def line(process, tmp_path):
     return start
 
 
+@pytest.fixture
+def run_here(monkeypatch, capfd):
+    """``run_here(words...)``: ``pnt run`` in this process; its exit code, and all that it says."""
+
+    def run(*words):
+        with monkeypatch.context() as patch:  # files beside a net are found once it is read
+            patch.setattr(sys, "path", list(sys.path))
+            code = pnt(["run", *map(str, words)])
+        return code, "".join(capfd.readouterr())
+
+    return run
+
+
 def done(folder, file="done"):
     path = folder / file
     return path.read_text().splitlines() if path.exists() else []
@@ -173,40 +186,34 @@ def test_a_command_with_other_arguments_is_not_taken_for_the_one_that_goes_on(tm
         (["--arg", "masses=[-1.0]"], 2, "argument masses[0] is -1.0, not a number >= 0 [kg]"),
     ],
 )
-def test_what_is_reckoned_in_python_comes_back_or_says_its_own_sentence(process, wait_until, given, code, told):
-    line = ["run", str(FILES / "pack.yaml"), "--symbol", "pack", *given]
-    command = process(sys.executable, "-m", "im_pnt_analysis", *line)
-    wait_until(lambda: command.poll() is not None, "the end of the task")
-    assert (command.returncode, told in command.out.read_text()) == (code, True), command.out.read_text()
+def test_what_is_reckoned_in_python_comes_back_or_says_its_own_sentence(run_here, given, code, told):
+    ended, said = run_here(FILES / "pack.yaml", "--symbol", "pack", *given)
+    assert (ended, told in said) == (code, True), said
 
 
 COUNT = """
 net: count
 places: {idle: 1, counted: , odd: }
 transitions:
-  count: {symbol: count, in: idle, out: counted, action: "counting:count", on_failure: odd}
+  count: {symbol: count, in: idle, out: counted, action: "MODULE:count", on_failure: odd}
   tell: {in: counted, out: idle, emit: count_done}
   give_up: {in: odd, out: idle, emit: count_failed}
 """
 
 
 @pytest.mark.parametrize(
-    ("returned", "told"),
+    ("module", "returned", "told"),
     [
-        ("{1: 'one'}", "what count returned has the key 1"),
-        ("{'parts': {2, 3}}", "what count returned.parts is {2, 3} (set)"),
-        ("{'mass': float('nan')}", "what count returned.mass is nan"),
+        ("counting_a_key", "{1: 'one'}", "what count returned has the key 1"),
+        ("counting_a_set", "{'parts': {2, 3}}", "what count returned.parts is {2, 3} (set)"),
+        ("counting_no_number", "{'mass': float('nan')}", "what count returned.mass is nan"),
     ],
 )
-def test_results_that_nobody_could_be_told_fail_the_command_with_a_sentence(
-    process, tmp_path, wait_until, returned, told
-):
-    (tmp_path / "count.yaml").write_text(COUNT)
-    (tmp_path / "counting.py").write_text(f"def count(ctx):\n    ctx.result.update({returned})\n")
-    line = ["run", str(tmp_path / "count.yaml"), "--symbol", "count"]
-    command = process(sys.executable, "-m", "im_pnt_analysis", *line)
-    wait_until(lambda: command.poll() is not None, "the end of the task")
-    assert (command.returncode, f"count failed: {told}" in command.out.read_text()) == (1, True)
+def test_results_that_nobody_could_be_told_fail_the_command_with_a_sentence(run_here, tmp_path, module, returned, told):
+    (tmp_path / "count.yaml").write_text(COUNT.replace("MODULE", module))
+    (tmp_path / f"{module}.py").write_text(f"def count(ctx):\n    ctx.result.update({returned})\n")
+    ended, said = run_here(tmp_path / "count.yaml", "--symbol", "count")
+    assert (ended, f"count failed: {told}" in said) == (1, True), said
 
 
 def test_a_robot_that_is_not_there_is_said_to_be_missing(line, wait_until):

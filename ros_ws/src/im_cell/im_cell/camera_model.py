@@ -169,8 +169,16 @@ class CameraModel:
         Raises:
             DataError: The lens model cannot be inverted there.
         """
-        pixels = np.asarray(uv, dtype=float) - self.K[:2, 2]
-        return self.lens.undistort(pixels @ np.linalg.inv(self.K[:2, :2]).T, self.D)
+        return self.lens.undistort(self._on_plane(uv), self.D)
+
+    def undistort_or_nan(self, uv: ArrayLike) -> Array:
+        """As :meth:`undistort`, with NaN where the lens model cannot be inverted."""
+        points, solved = self.lens.inverse(self._on_plane(uv), self.D)
+        return np.where(solved[..., None], points, np.nan)
+
+    def _on_plane(self, uv: ArrayLike) -> Array:
+        """Return the distorted points on the plane z = 1 of pixels, shape (..., 2) [-]."""
+        return np.asarray((np.asarray(uv, dtype=float) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T)
 
     def corners(self, share: float = 1.0) -> Array:
         """Return the corners of the image, or of its middle part of a share of its sides, clockwise, (4, 2) [px]."""

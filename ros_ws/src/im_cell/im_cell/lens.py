@@ -69,6 +69,17 @@ class LensModel(ABC):
         """Derivative of the pixels by the coefficients, for fx and fy [px], shape (..., 2, len(D)) [px]."""
 
     @abstractmethod
+    def inverse(self, xd: ArrayLike, D: ArrayLike) -> tuple[Array, Mask]:
+        """Invert :meth:`distort` where the lens model can be inverted.
+
+        Args:
+            xd: Distorted points on the plane z = 1, shape (..., 2) [-].
+            D: The coefficients.
+
+        Returns:
+            Ideal points, shape (..., 2) [-], and which of them are right, shape (...).
+        """
+
     def undistort(self, xd: ArrayLike, D: ArrayLike) -> Array:
         """Invert :meth:`distort`.
 
@@ -82,6 +93,11 @@ class LensModel(ABC):
         Raises:
             DataError: A point lies outside the part of the image where the lens model can be inverted.
         """
+        points, solved = self.inverse(xd, D)
+        if not np.all(solved):
+            model = f"the lens model {self.name}, D = {np.asarray(D).tolist()},"
+            raise DataError(f"{model} cannot be inverted at some of the given pixels")
+        return points
 
 
 class Brown(LensModel):
@@ -135,7 +151,7 @@ class Brown(LensModel):
         found[..., 0, 3], found[..., 1, 3] = fx * (r2 + 2.0 * x * x), fy * 2.0 * xy
         return found[..., : len(self.coefficients)]
 
-    def undistort(self, xd: ArrayLike, D: ArrayLike) -> Array:
+    def inverse(self, xd: ArrayLike, D: ArrayLike) -> tuple[Array, Mask]:
         """Invert by Newton's method."""
         target = np.asarray(xd, dtype=float)
         guess = target.copy()
@@ -144,14 +160,11 @@ class Brown(LensModel):
                 residual = self.distort(guess, D) - target
                 if np.all(np.abs(residual) < _TOLERANCE):
                     break
-                try:
-                    guess = guess - np.linalg.solve(self.jacobian(guess, D), residual[..., None])[..., 0]
-                except np.linalg.LinAlgError:
-                    break  # on the fold: refused below
+                (a, b), (_, c) = np.moveaxis(self.jacobian(guess, D), (-2, -1), (0, 1))  # no number is left on the fold
+                u, v = np.moveaxis(residual, -1, 0) / (a * c - b * b)
+                guess = guess - np.stack((c * u - b * v, a * v - b * u), axis=-1)
             solved = np.all(np.abs(self.distort(guess, D) - target) < _SOLVED, axis=-1)
-            if np.all(solved & self._before_the_fold(guess, D)):
-                return guess
-        raise _not_invertible(self, D)
+            return guess, np.asarray(solved & self._before_the_fold(guess, D))
 
     def _radial(self, r2: Array, D: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the radial factor, twice the derivative by `r2`, and the denominator of the factor."""
@@ -204,7 +217,7 @@ class Equidistant(LensModel):
         pixels = points * self._over_radius(points, theta)[..., None] * np.array(focal)
         return np.asarray(pixels[..., None] * theta[..., None, None] ** np.array([2, 4, 6, 8]))
 
-    def undistort(self, xd: ArrayLike, D: ArrayLike) -> Array:
+    def inverse(self, xd: ArrayLike, D: ArrayLike) -> tuple[Array, Mask]:
         """Invert by Newton's method on the angle."""
         target = np.asarray(xd, dtype=float)
         radius = np.linalg.norm(target, axis=-1)
@@ -217,10 +230,8 @@ class Equidistant(LensModel):
                 theta = theta - (angle - radius) / slope
             angle, slope = self._polynomial(theta, D)
             solved = (np.abs(angle - radius) < _SOLVED) & (slope > 0.0) & (theta >= 0.0) & (theta < _WIDEST)
-        if not np.all(solved):
-            raise _not_invertible(self, D)
         scale = np.where(radius > _ON_AXIS, np.tan(theta) / np.maximum(radius, _ON_AXIS), 1.0)
-        return np.asarray(target * scale[..., None])
+        return np.asarray(target * scale[..., None]), np.asarray(solved)
 
     def _scale(self, points: Array, D: ArrayLike) -> tuple[Array, Array, Array]:
         """Return the angle off axis, the factor on ideal points, and the derivative by the radius over the radius."""
@@ -244,11 +255,6 @@ class Equidistant(LensModel):
         t2 = theta * theta
         angle = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
         return angle, 1.0 + t2 * (3.0 * k1 + t2 * (5.0 * k2 + t2 * (7.0 * k3 + t2 * 9.0 * k4)))
-
-
-def _not_invertible(lens: LensModel, D: ArrayLike) -> DataError:
-    model = f"the lens model {lens.name}, D = {np.asarray(D).tolist()},"
-    return DataError(f"{model} cannot be inverted at some of the given pixels")
 
 
 PLUMB_BOB = Brown("plumb_bob", 5, 4)

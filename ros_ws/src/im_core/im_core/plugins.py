@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -65,11 +66,17 @@ def extensions(group: str, name: str | None = None) -> Iterator[Callable[..., An
             functions that return values for ``parameters`` of net files by name.
         name: The entry point of this name alone; None: all.
     """
+    for entry in _entries(group):
+        if name in (None, entry.name):
+            yield entry.load()
+
+
+@cache
+def _entries(group: str) -> Sequence[Any]:
+    """Return the entry points of a group by name: hundreds of files tell them, and each net that is read asks."""
     from importlib.metadata import entry_points  # takes longer than many a command, most of which need none
 
-    chosen = entry_points(group=group) if name is None else entry_points(group=group, name=name)
-    for entry in sorted(chosen, key=lambda entry: entry.name):
-        yield entry.load()
+    return sorted(entry_points(group=group), key=lambda entry: entry.name)
 
 
 def make(reference: str, what: str, *arguments: object) -> object:

@@ -273,7 +273,8 @@ class _Profile:
 
     def factor(self) -> Factor:
         """Compute the factor with the ends of its interval."""
-        ends = [side * np.inf if found is None else self._end(*found) for side, found in zip((-1, 1), self.brackets)]
+        lower, upper = self.brackets
+        ends = [-np.inf if lower is None else self._end(*lower), np.inf if upper is None else self._end(*upper)]
         value = self.best if abs(self.best) < 0.99 * _LIMIT else np.sign(self.best) * np.inf
         low, value, high = np.exp(np.array([ends[0], value, ends[1]]) / 2.0)
         return Factor(float(value), float(low), float(high))
@@ -288,7 +289,7 @@ _Profiles = tuple[_Profile | Factor, _Profile | Factor, _Profile | Factor, float
 def _profiles(
     unknowns: Unknowns, problem: CalibrationProblem, layout: ParameterLayout, used: Mask, free: tuple[str, ...]
 ) -> _Profiles:
-    """Return what :func:`noise_factors` consists of, ends of intervals not yet searched."""
+    """Return the parts of :func:`noise_factors`, with the ends of intervals still to be searched."""
     likelihood = NoiseLikelihood(unknowns, problem, layout, used)
     stated = likelihood.deviance(np.zeros(2))
     if not likelihood.robot_matters:

@@ -11,7 +11,6 @@ from im_calibration.estimation.unknowns import Unknowns
 from im_cell.calibration_error import CalibrationError, rms
 from im_cell.camera_model import CameraModel
 from im_cell.workspace import Workspace
-from im_core.errors import DataError
 
 Array = NDArray[np.float64]
 
@@ -91,20 +90,9 @@ def image_error(unknowns: Unknowns, covariance: Array, c: int, model: CameraMode
     u, v = np.linspace(0.0, model.width - 1.0, _COLUMNS), np.linspace(0.0, model.height - 1.0, _ROWS)
     depth = float(np.median(points @ model.R_cam_base[2] + model.t_cam_base[2])) if len(points) else 1.0
     grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    ideal = np.column_stack((_undistorted(model, grid), np.ones(len(grid))))
+    ideal = np.column_stack((model.undistort_or_nan(grid), np.ones(len(grid))))
     over_image = expected((depth * ideal - model.t_cam_base) @ model.R_cam_base)
     return ImageError(u, v, over_image.reshape(_ROWS, _COLUMNS), rms(expected(points)))
-
-
-def _undistorted(model: CameraModel, pixels: Array) -> Array:
-    """Return ideal points of pixels, NaN where the lens folds the image, shape (n, 2)."""
-    try:
-        return model.undistort(pixels)
-    except DataError:
-        if len(pixels) == 1:
-            return np.full_like(pixels, np.nan)
-        half = len(pixels) // 2
-        return np.concatenate((_undistorted(model, pixels[:half]), _undistorted(model, pixels[half:])))
 
 
 @dataclass(frozen=True)

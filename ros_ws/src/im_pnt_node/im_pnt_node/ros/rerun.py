@@ -7,6 +7,7 @@ import sys
 from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -229,6 +230,7 @@ def _changed_message(bag: Path) -> str:
 
 def rerun(
     bag: Path,
+    streams: Sequence[NodeStream],
     nets: Mapping[str, Net],
     told: Callable[[str], None] = lambda _: None,
     tolerance: float = TOLERANCE_S,
@@ -237,6 +239,7 @@ def rerun(
 
     Args:
         bag: Folder of the bag, or a file of it.
+        streams: What is told in it.
         nets: Nets that take the places of those in the bag, by name.
         told: Is told how far it is.
         tolerance: Time by which a delay may be over later than in the bag [s].
@@ -249,7 +252,6 @@ def rerun(
         DataError: The bag does not hold what is needed.
     """
     whole, began = Compared(set(), 0, 0, set()), monotonic()
-    streams = told_in(bag)
     for rank, stream in enumerate(streams, 1):
         if monotonic() - began > TOLD_S:
             told(f"{rank} of {len(streams)} nodes: {stream.node}")
@@ -289,10 +291,12 @@ def main(words: Sequence[str] | None = None, program: str = "mission") -> int:
     )
     options = parsed(parser, words)
     try:
+        streams = told_in(options.bag)  # before the nets are read: it may be no such bag
         nets = {} if options.bag_nets else installed_nets()
         given = nets_by_name(map(load_net, options.nets))
         nets |= given
-        found = rerun(options.bag, nets, lambda text: print(f"{program}: {text}", file=sys.stderr), options.tolerance)
+        said = partial(print, f"{program}:", file=sys.stderr)
+        found = rerun(options.bag, streams, nets, said, options.tolerance)
         if unknown := sorted(given.keys() - found.nets):
             raise DataError(f"net {unknown[0]} is not in the bag; it has {', '.join(sorted(found.nets))}")
     except Difference as difference:
