@@ -11,6 +11,7 @@ from im_calibration.estimation.gates import predict_from_others
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.search import first_explanation
 from im_calibration.estimation.unknowns import ParameterLayout
+from im_calibration.judgement import causes
 from im_cell.calibration_error import rms
 
 SIGMA_M = 4e-4
@@ -98,3 +99,10 @@ def test_the_noise_of_readings_is_found_where_it_is_not_stated():
     factor = calibrate(replace(problem, noise_to_estimate=("robot",))).noise.factors.robot
     assert factor.low < 2.0 < factor.high
     assert factor.high / factor.low < 2.0
+
+
+def test_a_robot_that_was_moved_between_readings_of_several_spots_is_found():
+    problem = shared_scene(3, readings=20, each=2).problem
+    moved = np.where(np.arange(len(problem.positions))[:, None] < 20, 0.0, [0.1, 0.0, 0.0])
+    told = causes._moved(replace(problem, positions=problem.positions + moved), None)
+    assert told.startswith("From pose 20 on the LED positions are off by (100, 0, ")

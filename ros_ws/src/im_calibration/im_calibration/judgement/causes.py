@@ -176,8 +176,10 @@ def _moved(problem: CalibrationProblem, whole: Unknowns | None) -> str:
     for half in (np.arange(n // 2), np.arange(n // 2, n)):
         part = problem.taking(half)
         fitted = _fit(part)
-        if (unknowns := fitted.unknowns) is None:
+        if fitted.unknowns is None:
             continue
+        # the readings of the other half are not those of this one
+        unknowns = replace(fitted.unknowns, shared_errors=np.zeros(problem.shared_errors.shape[2]))
         tolerance = _GATE * max(1.0, fitted.sigmas) ** 2
         stay = _explained(problem, unknowns, tolerance)
         others = problem.detected.any(axis=0) & ~stay
