@@ -158,7 +158,8 @@ def test_tasks_of_one_process_die_and_come_back_together(small_deployment, scrip
         ]
         assert len({task.pid for task in killed}) == 1
         assert len({task.incarnation for task in killed}) == 2
-        assert {name for name, _ in observer.get_node_names_and_namespaces()} >= {"dom", "gripper_coordinator"}
+        names = {"dom", "gripper_coordinator"}
+        wait_until(lambda: {name for name, _ in observer.get_node_names_and_namespaces()} >= names, "both nodes")
         put = observer.create_client(PutObject, "/dom/put")
         answer = call_blocking(
             put,

@@ -24,6 +24,14 @@ node.create_subscription(Int32, "/told", lambda message: print(message.data, flu
 print("begun", flush=True)
 rclpy.spin(node)
 """
+CLIENT = """
+import threading
+from std_msgs.msg import Int32
+from im.connection import Connection
+Connection().subscribe(Int32, "/told", lambda message: print(message.data, flush=True), 10)
+print("begun", flush=True)
+threading.Event().wait()
+"""
 PATIENCE_S = 60.0
 #: How long no message may come, of twenty a second, until a listener counts as deaf [s].
 SILENCE_S = 6.0
@@ -36,7 +44,8 @@ class Listener:
     """A process that prints what it hears; its output is read by a thread."""
 
     def __init__(self, kind):
-        command = [sys.executable, "-c", LISTENER.format(kind=kind)]
+        program = CLIENT if kind == "Connection" else LISTENER.format(kind=kind)
+        command = [sys.executable, "-c", program]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert "begun\n" in iter(self.process.stdout.readline, "")
         self._heard = threading.Event()
@@ -109,9 +118,9 @@ def test_fast_dds_still_leaves_the_next_process_deaf(listener, deadly):
     pytest.fail("each process heard: Fast DDS may be mended")
 
 
-@pytest.mark.parametrize("times", [1, 3])
-def test_the_next_node_hears(listener, deadly, times):
+@pytest.mark.parametrize(("kind", "times"), [("GuardedNode", 1), ("GuardedNode", 3), ("Connection", 2)])
+def test_the_next_node_hears(listener, deadly, kind, times):
     for _ in range(times):
-        following = listener("GuardedNode")
+        following = listener(kind)
         assert following.hears()
         following.kill(between_messages=True)

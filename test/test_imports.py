@@ -49,10 +49,10 @@ MAY_IMPORT = {
     "im_vss": {"im_core", "im_bag", "im_cell", "im_calibration"},
     "im_sim": {"im_core", "im_cell"},
     "im_bringup": {"im_core", "im_cell", "im"},
-    "im": set(),
+    "im": {"im_core"},
 }
 
-#: Packages that are clients of the machine and nothing else: rclpy and interfaces are all they know.
+#: Packages that are clients of the machine and nothing else, on top of rclpy and interfaces.
 CLIENTS = {"im"}
 
 #: Where each heavy library may be imported: package, or package/folder.

@@ -20,6 +20,7 @@ from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
 from im.waits import wait_for
+from im_core.dead_ports import passed_over
 
 ResultT = TypeVar("ResultT")
 
@@ -49,7 +50,8 @@ class Connection:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.domain = int(self._context.get_domain_id())
-        self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)
+        with passed_over():
+            self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}

@@ -29,14 +29,11 @@ _LOCK_FILE = re.compile(r"(fastrtps_port\d+)_el")
 
 @contextmanager
 def passed_over() -> Iterator[list[str]]:
-    """Hold the dead ports while a block makes a node: with the first node of a process, Fast DDS chooses its ports.
+    """Hold the dead ports while a block makes the first node of a context, for which Fast DDS chooses the ports.
 
     Yields:
-        Names of the ports; none where the process has its ports.
+        Names of the ports.
     """
-    if _has_ports():
-        yield []
-        return
     made, locks = {}, {}
     for path in filter(is_own, SHM.glob("fastrtps_port*_el")):
         if match := _LOCK_FILE.fullmatch(path.name):
@@ -54,8 +51,8 @@ def passed_over() -> Iterator[list[str]]:
         yield dead
 
 
-def _has_ports() -> bool:
-    """Return whether the present process reads a port."""
+def has_ports() -> bool:
+    """Return whether the present process reads a port, so that it has a context with nodes."""
     for descriptor in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # closed meanwhile
             path = descriptor.readlink()

@@ -8,6 +8,7 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Coroutine
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -26,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.dead_ports import passed_over
+from im_core.dead_ports import has_ports, passed_over
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
 from im_core.ros.failures import Failures, few, sentence
@@ -95,7 +96,7 @@ class GuardedNode(Node):
         self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
-        with passed_over():
+        with nullcontext() if has_ports() else passed_over():
             super().__init__(name, **options)
         self._logger: RcutilsLogger = Logger(Node.get_logger(self).name)
 

@@ -131,7 +131,7 @@ def findings(cell: Cell, file: str) -> list[str]:
 
 
 def _shapes(cell: Cell) -> list[str]:
-    """Return sentences about the shapes that are compared."""
+    """Return sentences about the compared shapes."""
     rounded = dict.fromkeys(body.link for body in cell.capsules_compared)
     lines = [f"compared as capsules: {', '.join(rounded)}"] if rounded else []
     for link in dict.fromkeys(hull.link for hull in cell.hulls):

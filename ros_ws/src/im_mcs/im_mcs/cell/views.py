@@ -74,7 +74,7 @@ def rviz_config(cell: Cell) -> str:
         "Visualization Manager": manager,
         "Window Geometry": {"Height": 900, "Width": 1400},
     }
-    return f"# ros2 launch im_bringup view.launch.py opens it.\n{yaml.safe_dump(whole, sort_keys=False)}"
+    return f"# view.launch.py of im_bringup opens it.\n{yaml.safe_dump(whole, sort_keys=False)}"
 
 
 def foxglove_layout(cell: Cell) -> str:
