@@ -163,7 +163,8 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
             assert f"im run --resume {numbers[symbol]} goes on with it, --cancel {numbers[symbol]} ends it" in said
         require_stillness()
         # a dispatcher that has not begun to fire, on a busy computer, has not taken the pauses either
-        wait_until(lambda: all(" paused" in under_way().get(numbers[symbol], "") for symbol in unfinished), "the pauses")
+        wanted = {numbers[symbol] for symbol in unfinished}
+        wait_until(lambda: wanted <= {n for n, line in under_way().items() if " paused" in line}, "the pauses")
     for symbol in ("demo", "home", "move"):
         resume(symbol, numbers[symbol])
     for symbol in ("demo", "home", "move"):
