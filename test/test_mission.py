@@ -154,6 +154,7 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
         machine.close()
     unfinished = {note.symbol for note in unfinished_commands.noted(names.run_dir())}
     assert "close_gripper" in unfinished
+    wanted = {numbers[symbol] for symbol in unfinished}
     for start in range(starts):
         if start:
             leftovers.end_all()
@@ -163,7 +164,6 @@ def test_what_ran_and_what_waited_comes_back_paused_and_goes_on_when_it_is_told_
             assert f"im run --resume {numbers[symbol]} goes on with it, --cancel {numbers[symbol]} ends it" in said
         require_stillness()
         # a dispatcher that has not begun to fire, on a busy computer, has not taken the pauses either
-        wanted = {numbers[symbol] for symbol in unfinished}
         wait_until(lambda: wanted <= {n for n, line in under_way().items() if " paused" in line}, "the pauses")
     for symbol in ("demo", "home", "move"):
         resume(symbol, numbers[symbol])
