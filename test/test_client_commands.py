@@ -117,17 +117,35 @@ def test_a_step_and_the_words_that_it_tells_at_once_are_one_line():
 
 
 class Walking(Dispatcher):
-    """Tells the number of a command first, and then its step, as the Dispatcher does."""
+    """Tells the number of a command first, and then its step, as the Dispatcher does; again until it was heard."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = threading.Event()
 
     async def _do(self, handle):
-        for step in ("", "walk"):
-            handle.publish_feedback(ExecuteCommand.Feedback(command_id=4, progress=-1.0, step=step, state="running"))
+        over = Future()
+
+        def tell():
+            for step in ("", "walk"):
+                told = ExecuteCommand.Feedback(command_id=4, progress=-1.0, step=step, state="running")
+                handle.publish_feedback(told)
+            if self.heard.is_set() and not over.done():
+                over.set_result(None)
+
+        telling = self.create_timer(0.05, tell)
+        await over
+        telling.cancel()
         return await super()._do(handle)
 
 
 def test_who_prints_the_progress_prints_no_empty_line(machine):
-    command = machine(Walking()).run("go", wait=False)
-    assert [str(progress) for progress in command] == ["walk"]
+    dispatcher = Walking()
+    told = []
+    for progress in machine(dispatcher).run("go", wait=False):
+        told.append(str(progress))
+        dispatcher.heard.set()
+    assert set(told) == {"walk"}
 
 
 class Loading(Dispatcher):

@@ -3,7 +3,6 @@
 - Upstream: a new process gets the first port without a living reader. The watch of the senders notices a dead reader
   that waited for a message or was busy with one. A reader killed between the two looks alive for ever: senders go on
   to write into the removed memory, and each next process at that port hears nothing of them.
-  So it is where the port was removed meanwhile: a process that took it, and has ended, does that.
 - Mend: lock such ports while a process takes its own; Fast DDS passes over a locked port. The locks are shared: of
   processes that begin at once each passes over them. They are not held for longer: where the last writer removes a
   locked port, each new process would print an error.
@@ -13,7 +12,6 @@
   mended it.
 """
 
-import math
 import os
 import re
 from collections.abc import Iterator
@@ -26,8 +24,7 @@ from im_core.shm_names import SHM, lock, mapped
 #: Ports passed over at most, the last made first: Fast DDS tries 100, and living processes need some.
 MOST_HELD = 48
 #: The lock file of a port with one reader.
-_LOCK_FILE = re.compile(r"fastrtps_port\d+_el")
-_PORT = re.compile(r"fastrtps_port\d+")
+_LOCK_FILE = re.compile(r"(fastrtps_port\d+)_el")
 
 
 @contextmanager
@@ -37,35 +34,21 @@ def passed_over() -> Iterator[list[str]]:
     Yields:
         Names of the ports.
     """
+    made, locks = {}, {}
+    for path in filter(is_own, SHM.glob("fastrtps_port*_el")):
+        if match := _LOCK_FILE.fullmatch(path.name):
+            with suppress(OSError):  # removed by the last writer, or of a living process
+                made[match[1]] = (SHM / match[1]).stat().st_mtime_ns
+                locks[match[1]] = lock(path, shared=True)
     with ExitStack() as held:
-        dead: list[str] = []
-        for port in sorted(filter(_PORT.fullmatch, mapped()), key=_made_ns, reverse=True):
-            with suppress(OSError):  # of a living process
-                if len(dead) < MOST_HELD and not (SHM / f"{port}_sl").exists():  # that one has many readers
-                    held.callback(os.close, _locked(SHM / f"{port}_el"))
-                    dead.append(port)
-        yield sorted(dead)
-
-
-def _made_ns(port: str) -> float:
-    """Return when a port was made [ns]; of a removed one, that is still in the memory of a process, infinity."""
-    try:
-        return (SHM / port).stat().st_mtime_ns
-    except OSError:
-        return math.inf
-
-
-def _locked(path: Path) -> int:
-    """Lock the lock file of a port, which may have to be made; return the descriptor.
-
-    Raises:
-        OSError: A living process holds the lock, or the file belongs to another user or cannot be made.
-    """
-    with suppress(FileExistsError):
-        os.close(os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666))
-    if not is_own(path):
-        raise PermissionError(f"{path} belongs to another user")
-    return lock(path, shared=True)
+        written = mapped() if locks else set()
+        dead = sorted(written & locks.keys(), key=made.__getitem__)[-MOST_HELD:]
+        for port, descriptor in locks.items():
+            if port in dead:
+                held.callback(os.close, descriptor)
+            else:
+                os.close(descriptor)
+        yield dead
 
 
 def has_ports() -> bool:
