@@ -46,8 +46,13 @@ class Listener:
     def __init__(self, kind):
         program = CLIENT if kind == "Connection" else LISTENER.format(kind=kind)
         command = [sys.executable, "-c", program]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert "begun\n" in iter(self.process.stdout.readline, "")
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.told_first = []
+        for line in self.process.stdout:
+            if line == "begun\n":
+                break
+            self.told_first.append(line)
+        assert self.process.poll() is None, self.told_first
         self._heard = threading.Event()
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -62,7 +67,7 @@ class Listener:
         """Ends it with SIGKILL; at will where its readers have told one message and do not wait for the next one."""
         os.kill(self.process.pid, signal.SIGSTOP)
         if between_messages:
-            for port in self._ports():
+            for port in self.ports():
                 with (SHM / port).open("r+b") as file:
                     states = file.read().find(NAME) - READERS * STATE_SIZE
                     file.seek(states)
@@ -73,7 +78,7 @@ class Listener:
         self.process.kill()
         self.process.wait(PATIENCE_S)
 
-    def _ports(self):
+    def ports(self):
         """The ports that it has locked."""
         for descriptor in os.listdir(f"/proc/{self.process.pid}/fd"):
             with contextlib.suppress(OSError):
@@ -124,3 +129,15 @@ def test_the_next_node_hears(listener, deadly, kind, times):
         following = listener(kind)
         assert following.hears()
         following.kill(between_messages=True)
+
+
+def test_a_port_removed_while_a_process_writes_there_is_taken_without_a_word(listener):
+    first = listener("GuardedNode")
+    assert first.hears()
+    ports = list(first.ports())
+    assert ports
+    first.kill()
+    for port in ports:
+        (SHM / port).unlink()
+        (SHM / f"{port}_el").unlink()
+    assert listener("GuardedNode").told_first == []
