@@ -113,6 +113,16 @@ def test_what_is_no_slip_gets_no_such_name():
     assert named == dict.fromkeys(sets, "")
 
 
+@pytest.mark.parametrize("seed", [70, 74])
+def test_positions_of_an_arm_are_in_metres_however_badly_they_fit(seed):
+    """Whole readings are off by decimetres: as millimetres they would fit, with the noise of the robot as stated."""
+    problem = overhead(seed)
+    readings = np.arange(len(problem.positions)) // 3
+    errors = np.random.default_rng(seed).normal(scale=0.1, size=(readings[-1] + 1, 3))
+    moved = replace(problem, positions=problem.positions + errors[readings], readings=tuple(map(str, readings)))
+    assert find_slip(moved) == ""
+
+
 def test_a_fit_that_ends_early_is_no_slip():
     """Of this set a short fit ends in a camera that is off by 5.5 px, and the honest positions fit to 1 px."""
     rng = np.random.default_rng(13)

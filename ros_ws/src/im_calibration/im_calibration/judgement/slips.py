@@ -18,6 +18,8 @@ _MIRROR = np.diag([1.0, 1.0, -1.0])
 _EULER = (("ZYX", "XYZ"), ("XYZ", "ZYX"), ("ZYX", "zyx"), ("XYZ", "xyz"), ("ZYX", "xyz"))
 """How Euler angles were read, and how they may be meant, capital letters about moving axes; others say the same."""
 _SHIFTS = ((1, "before"), (-1, "after"))
+_WORKSPACE_M = (0.02, 20.0)
+"""What the positions of an arm extend over [m]: in a wrong unit, any spots fit positions that are all but one."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,11 @@ def slips_of(problem: CalibrationProblem) -> Iterator[Slip]:
     """
     sentence = "The positions are mirrored, or all images are: with one axis reversed, or two exchanged,"
     yield Slip(sentence, _with_axes(problem, _MIRROR), mirror=True)
+    least, most = _WORKSPACE_M
+    extent = float(np.linalg.norm(np.ptp(problem.positions, axis=0)))
     for factor, units in ((1e-3, "millimetres"), (1e3, "kilometres")):
-        yield Slip(f"The positions are not in metres: as {units}", _scaled(problem, factor))
+        if least < factor * extent < most:
+            yield Slip(f"The positions are not in metres: as {units}", _scaled(problem, factor))
     inverses = np.swapaxes(problem.wrist_rotations, 1, 2)
     origins = -(inverses @ problem.positions[..., None])[..., 0]
     inverted = replace(problem, positions=origins, wrist_rotations=inverses)
