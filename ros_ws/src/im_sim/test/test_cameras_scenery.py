@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pybullet
 import pytest
 from scipy.optimize import least_squares
 
@@ -15,7 +16,7 @@ from im_cell.robot import Lamp, Mirror, load_cell
 from im_cell.sensor import SensorControls
 from im_sim.cameras import process
 from im_sim.cameras.bank import CameraBank
-from im_sim.cameras.lens import vignette
+from im_sim.cameras.lens import Lens, vignette
 from im_sim.cameras.light import reflect
 from im_sim.cameras.scene import SceneMirror
 from im_vss.settings import load_settings
@@ -59,6 +60,29 @@ def test_centre_of_the_light_is_right_to_a_fiftieth_of_a_pixel(scene, make_truth
         )
         worst = max(worst, *np.abs(fit.x[:2] + corner - (u, v)))
     assert 0.0 < worst < 0.02
+
+
+def test_scenery_drawn_apart_looks_as_if_drawn_with_the_robot(scene, make_truth, monkeypatch):
+    """But for single pixels, where two faces are as near as single precision tells."""
+    with monkeypatch.context() as patch:
+        patch.setattr(SceneMirror, "_choose", lambda *_: ("egl", pybullet.ER_TINY_RENDERER))
+        whole = SceneMirror(CELL, "tiny")
+    true = make_truth(CELL).cameras["wall"]
+    camera = CameraModel(640, 480, true.K, true.D, true.R_cam_base, true.t_cam_base_m)
+    pinhole = Lens(camera, scene.renderer_offset).pinhole
+    rng = np.random.default_rng(2)
+    backdrop, differ = scene.backdrop(pinhole, camera), 0
+    assert whole.backdrop(pinhole, camera) is None
+    for _ in range(4):
+        q = CELL.home + rng.uniform(-0.5, 0.5, len(CELL.home))
+        for each in (scene, whole):
+            each.set_joints(q)
+        brightness, depth = scene.render(pinhole, camera, backdrop)
+        together = whole.render(pinhole, camera, None)
+        assert np.abs(depth - together[1]).max() < 1e-4
+        differ += int((brightness != together[0]).sum())
+    whole.close()
+    assert differ < 4
 
 
 def test_vignetting():

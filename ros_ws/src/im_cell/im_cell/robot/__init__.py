@@ -25,7 +25,7 @@ from im_cell.robot.parameters import (
 )
 from im_cell.robot.scenery import Lamp, LaserScanner, Mirror, Target
 from im_cell.robot.tree import ORIGIN, Joint, LinkInertia
-from im_cell.robot.urdf import PALM_KGM2, robot_description, urdf
+from im_cell.robot.urdf import PALM_KGM2, robot_description, scenery_urdf, urdf
 
 __all__ = [
     "ORIGIN",
@@ -53,6 +53,7 @@ __all__ = [
     "kinematic_derivatives",
     "load_cell",
     "robot_description",
+    "scenery_urdf",
     "shipped_cells",
     "urdf",
 ]

@@ -18,7 +18,7 @@ _PAST_STROKE_M = 1e-3  # a joint at its limit takes pybullet time
 _PALM_KG, PALM_KGM2, _JAW_KGM2 = 1e-3, 0.15, 1e-5
 
 
-def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool = False) -> str:
+def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool = False, scenery: bool = True) -> str:
     """The cell as physics and control load it, as URDF, one element a line (pybullet does not parse one long line).
 
     Args:
@@ -27,10 +27,12 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool
             mass of 1 kg, so physics leaves them out.
         shapes: With visual and collision shapes.
         grippers: With palms and jaws, which have mass then, and are drawn instead of the last links.
+        scenery: With the boxes that stand still (:func:`scenery_urdf`).
     """
     lines = ['<link name="world">']
+    if shapes and scenery:
+        lines += _standing(cell)
     if shapes:
-        lines += [line for box in cell.boxes if box.link == WORLD for line in _visual_box(box)]
         lines += _shapes_of(cell, WORLD)
     lines.append("</link>")
     hidden = _behind_grippers(cell) if grippers else ()
@@ -45,6 +47,15 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool
             group = name.removesuffix("_gripper")
             lines += _gripper(group, cell.gripper, wrist.parent, wrist.xyz, wrist.rpy, heavy=True)
     return _robot(lines)
+
+
+def scenery_urdf(cell: Cell) -> str:
+    """The boxes that stand still, to be drawn, as URDF."""
+    return _robot(['<link name="world">', *_standing(cell), "</link>"])
+
+
+def _standing(cell: Cell) -> list[str]:
+    return [line for box in cell.boxes if box.link == WORLD for line in _visual_box(box)]
 
 
 def _behind_grippers(cell: Cell) -> set[str]:

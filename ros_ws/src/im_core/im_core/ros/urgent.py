@@ -7,7 +7,7 @@ from rclpy.exceptions import InvalidHandle
 from im_core import clock
 
 #: How often urgent readers are looked into while callbacks run [s]; a look costs some microseconds a reader.
-LOOK_S = 0.005
+LOOK_S = 0.01
 
 
 class UrgentReaders:

@@ -18,7 +18,7 @@ from im_sim.cameras.lens import FloatImage, Lens, vignette
 from im_sim.cameras.light import Spot, add_spot, image_of_light, reflect
 from im_sim.cameras.plates import Plates, TargetPatch, in_world, target_patch
 from im_sim.cameras.protocol import CameraSettings
-from im_sim.cameras.scene import SceneMirror
+from im_sim.cameras.scene import Drawn, SceneMirror
 from im_sim.cameras.sensor import noise_stream, read_out
 
 Array = NDArray[np.float64]
@@ -41,6 +41,7 @@ class _Camera:
     vignette: FloatImage
     renderer_offset: tuple[float, float]
     patches: list[TargetPatch] | None = None
+    backdrop: Drawn | None = None
     scene: FloatImage | None = None
     scene_q: Array | None = None
     scene_bodies: Array | None = None
@@ -210,7 +211,9 @@ class CameraBank:
         moved = unit.scene_q is None or self._motion_px(unit, q - unit.scene_q) > STILL_PX
         if unit.scene is None or moved or self._bodies_moved(unit):
             with self._watch.step("render_s"):
-                brightness, depth = self._scene.render(unit.lens.pinhole, placed)
+                if unit.parent != "world" or unit.backdrop is None:
+                    unit.backdrop = self._scene.backdrop(unit.lens.pinhole, placed)
+                brightness, depth = self._scene.render(unit.lens.pinhole, placed, unit.backdrop)
             with self._watch.step("warp_s"):
                 scene = unit.lens.warp(brightness)
             with self._watch.step("plates_s"):

@@ -1,13 +1,14 @@
 """The scene as seen by the cameras: a mirror of the testbed's joint positions, rendered and probed with rays."""
 
 import importlib.util
+from typing import NamedTuple
 
 import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
 from im_cell.camera_model import CameraModel
-from im_cell.robot import ORIGIN, Cell, Vector, urdf
+from im_cell.robot import ORIGIN, Cell, Vector, scenery_urdf, urdf
 from im_core.errors import ConfigError
 from im_sim.bodies import FreeBodies
 from im_sim.cameras.lens import FloatImage, Pinhole
@@ -20,6 +21,25 @@ _LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32) / 255.0
 _SUN = (0.4, -0.6, 1.0)
 _BASE = -1
 _MOST_RAYS = 8192
+
+
+class Drawn(NamedTuple):
+    """What a renderer has drawn.
+
+    Attributes:
+        colours: Red, green, blue, alpha, shape (h, w, 4).
+        nearness: Normalised depth, 0 at the near plane and 1 at the far one, shape (h, w).
+    """
+
+    colours: NDArray[np.uint8]
+    nearness: FloatImage
+
+    def before(self, backdrop: "Drawn") -> "Drawn":
+        """Return the picture of both; what was drawn last, the present one, hides what is as near."""
+        seen = self.nearness <= backdrop.nearness
+        return Drawn(
+            np.where(seen[..., None], self.colours, backdrop.colours), np.minimum(self.nearness, backdrop.nearness)
+        )
 
 
 class SceneMirror:
@@ -38,7 +58,10 @@ class SceneMirror:
         self._client = pybullet.connect(pybullet.DIRECT)
         self.renderer, self._flag = self._choose(renderer)
         pybullet.setGravity(0.0, 0.0, 0.0, physicsClientId=self._client)
-        text = urdf(cell, frames=False, grippers=bool(cell.objects))
+        self._scenery = None if self.renderer == "egl" else pybullet.connect(pybullet.DIRECT)
+        if self._scenery is not None:
+            load_urdf(scenery_urdf(cell), self._scenery, 0)
+        text = urdf(cell, frames=False, grippers=bool(cell.objects), scenery=self._scenery is None)
         self._body = load_urdf(text, self._client, pybullet.URDF_MAINTAIN_LINK_ORDER)
         self._bodies = FreeBodies(cell.objects, self._client)
         self._frames: dict[str, tuple[int, Vector, Vector]] = {"world": (_BASE, ORIGIN, ORIGIN)}
@@ -109,8 +132,22 @@ class SceneMirror:
                     share[index], normals[index] = fraction, normal
         return share, normals
 
-    def render(self, pinhole: Pinhole, camera: CameraModel) -> tuple[FloatImage, FloatImage]:
+    def backdrop(self, pinhole: Pinhole, camera: CameraModel) -> Drawn | None:
+        """Draw the scenery alone, at the pose of `camera`; None with EGL, which draws it with all else.
+
+        Large faces cost TinyRenderer most. A camera that stands still needs them once.
+        """
+        return None if self._scenery is None else self._drawn(self._scenery, pinhole, camera)
+
+    def render(self, pinhole: Pinhole, camera: CameraModel, backdrop: Drawn | None) -> tuple[FloatImage, FloatImage]:
         """Brightness, 0 to 1, and depth [m] of a pinhole image at the pose of `camera`, each of shape (h, w)."""
+        drawn = self._drawn(self._client, pinhole, camera)
+        if backdrop is not None:
+            drawn = drawn.before(backdrop)
+        depth = _FAR_M * _NEAR_M / (_FAR_M - (_FAR_M - _NEAR_M) * drawn.nearness)
+        return np.asarray(drawn.colours[..., :3] @ _LUMA, dtype=np.float32), np.asarray(depth, dtype=np.float32)
+
+    def _drawn(self, client: int, pinhole: Pinhole, camera: CameraModel) -> Drawn:
         pixels, buffer = pybullet.getCameraImage(
             pinhole.width,
             pinhole.height,
@@ -125,17 +162,17 @@ class SceneMirror:
             shadow=0,
             renderer=self._flag,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
-            physicsClientId=self._client,
+            physicsClientId=client,
         )[2:4]
         shape = (pinhole.height, pinhole.width)
         colours = np.asarray(pixels, dtype=np.uint8).reshape(*shape, 4)
-        nearness = np.asarray(buffer, dtype=np.float32).reshape(shape)
-        depth = _FAR_M * _NEAR_M / (_FAR_M - (_FAR_M - _NEAR_M) * nearness)
-        return np.asarray(colours[..., :3] @ _LUMA, dtype=np.float32), np.asarray(depth, dtype=np.float32)
+        return Drawn(colours, np.asarray(buffer, dtype=np.float32).reshape(shape))
 
     def close(self) -> None:
         """Release the client."""
         pybullet.disconnect(self._client)
+        if self._scenery is not None:
+            pybullet.disconnect(self._scenery)
 
     def _choose(self, renderer: str) -> tuple[str, int]:
         if renderer in ("auto", "egl"):
