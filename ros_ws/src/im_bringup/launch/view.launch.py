@@ -6,8 +6,6 @@ RViz comes with an installed ROS.
 """
 
 import os
-import tempfile
-from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
@@ -15,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from im_cell.robot import load_cell
+from im_core import names
 from im_mcs.cell.views import rviz_config
 
 
@@ -31,8 +30,9 @@ def _rviz(context: LaunchContext) -> list[Node]:
     config = LaunchConfiguration("config").perform(context)
     if not config:
         cell = load_cell(LaunchConfiguration("cell").perform(context) or None)
-        config = str(Path(tempfile.mkdtemp(prefix="im_view_")) / "cell.rviz")
-        Path(config).write_text(rviz_config(cell), encoding="utf-8")
+        file = names.run_dir() / "cell.rviz"
+        file.write_text(rviz_config(cell), encoding="utf-8")
+        config = str(file)
     rviz = Node(
         package="rviz2",
         executable="rviz2",
