@@ -434,8 +434,11 @@ sys.exit(main(sys.argv[1:]))
         "tests": docs / "tasks" / "confirm.yaml",
     }
     command = [sys.executable, "-c", program, *(word.format(**given) for word in words.split())]
+    workspace = SOURCES.parent
     kept = [
-        folder for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep) if not banned & set(Path(folder).parts)
+        folder
+        for folder in os.environ.get("PYTHONPATH", "").split(os.pathsep)
+        if not Path(folder).is_relative_to(workspace) or not banned & set(Path(folder).relative_to(workspace).parts)
     ]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(kept)}
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300, env=env)
