@@ -11,6 +11,7 @@ import pytest
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import GoalResponse
+from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -23,6 +24,7 @@ from im_core.ros.guard import GuardedActionClient, GuardedActionServer, GuardedN
 from im_core.ros.node import ManagedNode
 from im_msgs.action import ExecuteCommand
 from im_msgs.srv import GetObject
+from support.loop import in_loop
 
 pytestmark = pytest.mark.raises
 
@@ -256,6 +258,30 @@ def test_a_goal_that_cannot_be_told_is_carried_out_all_the_same(ros, asker, monk
     result = wait_until(lambda: sent.done() and sent.result(), "the server to take a goal").get_result_async()
     assert wait_until(lambda: result.done() and result.result(), "the result").result.success
     assert server.failures.counts == {"action /teller/do (its event)": 2}
+    client.destroy()
+
+
+def test_a_goal_that_ends_after_its_server_was_destroyed_says_nothing(ros, asker, wait_until, recwarn):
+    """As at the end of a node; a client that asked for the result has no server that could answer."""
+    server, over = ros(ManagedNode("leaving")), Future()
+
+    async def work(goal):
+        await over
+        goal.succeed()
+        return ExecuteCommand.Result(success=True)
+
+    actions = GuardedActionServer(server, ExecuteCommand, "/leaving/do", work)
+    client = GuardedActionClient(asker, ExecuteCommand, "/leaving/do")
+    assert client.wait_for_server(60.0)
+    sent = client.send_goal_async(ExecuteCommand.Goal())
+    handle = wait_until(lambda: sent.done() and sent.result(), "the server to take a goal")
+    handle.get_result_async()
+    (result,) = actions._result_futures.values()
+    wait_until(lambda: result._callbacks, "the client to ask for the result")
+    in_loop(server, actions.destroy)
+    in_loop(server, result.set_result, ExecuteCommand.Impl.GetResultService.Response())
+    assert server.failures.counts == {}
+    assert [str(told.message) for told in recwarn if "done callback" in str(told.message)] == []
     client.destroy()
 
 

@@ -264,12 +264,17 @@ class GuardedActionServer(ActionServer):
         node.urgent.add(self._take_cancellations)
 
     def _take_cancellations(self) -> None:
-        """Begin the cancellations that wait, each after the goals that wait: all goals may be meant."""
+        """Begin the cancellations that wait, each after the goals that wait: all goals may be meant.
+
+        Raises:
+            InvalidHandle: The server was destroyed.
+        """
         types = self._action_type.Impl
-        while all(cancellation := self._handle.take_cancel_request(types.CancelGoalService.Request)):
-            while all(goal := self._handle.take_goal_request(types.SendGoalService.Request)):
-                self._guard.begin(self.execute({"goal": goal}))
-            self._guard.begin(self.execute({"cancel": cancellation}))
+        with self._handle:
+            while all(cancellation := self._handle.take_cancel_request(types.CancelGoalService.Request)):
+                while all(goal := self._handle.take_goal_request(types.SendGoalService.Request)):
+                    self._guard.begin(self.execute({"goal": goal}))
+                self._guard.begin(self.execute({"cancel": cancellation}))
 
     def register_goal_callback(self, goal_callback: Callable[[Any], Any] | None) -> None:
         """Register the goal callback as in rclpy; a goal is rejected if the callback raises."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.timer import Timer
 
@@ -73,11 +74,13 @@ class LateAnswers:
             answer: Sends it.
 
         Raises:
-            Exception: What sending it raised, other than that its client is not reached.
+            Exception: What sending it raised, other than that its client is not reached, or its server destroyed.
         """
         if not self._waiting or (what, sender_of(header)) not in self._waiting:
             try:
                 answer()
+                return
+            except InvalidHandle:  # the server was destroyed: none of its clients waits for an answer
                 return
             except SystemError as error:
                 if not unreached(error):
