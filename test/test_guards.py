@@ -11,6 +11,7 @@ import pytest
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action.server import GoalResponse
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -261,7 +262,7 @@ def test_a_goal_that_cannot_be_told_is_carried_out_all_the_same(ros, asker, monk
     client.destroy()
 
 
-def test_a_goal_that_ends_after_its_server_was_destroyed_says_nothing(ros, asker, wait_until, recwarn):
+def test_a_goal_that_ends_after_its_server_was_destroyed_says_nothing(ros, asker, wait_until):
     """As at the end of a node; a client that asked for the result has no server that could answer."""
     server, over = ros(ManagedNode("leaving")), Future()
 
@@ -280,9 +281,40 @@ def test_a_goal_that_ends_after_its_server_was_destroyed_says_nothing(ros, asker
     wait_until(lambda: result._callbacks, "the client to ask for the result")
     in_loop(server, actions.destroy)
     in_loop(server, result.set_result, ExecuteCommand.Impl.GetResultService.Response())
+    in_loop(server, lambda: None)  # behind the answer
     assert server.failures.counts == {}
-    assert [str(told.message) for told in recwarn if "done callback" in str(told.message)] == []
     client.destroy()
+
+
+def test_a_service_that_was_destroyed_answers_nobody_and_is_no_failure(ros, asker, wait_until):
+    server, over, begun = ros(ManagedNode("leaving")), [], []
+
+    async def work(request, response):
+        over.append(server.promise())
+        await over[0]
+        begun.append(request)
+        return response
+
+    service = server.create_service(Trigger, "/leaving/ask", work)
+    client = asker.create_client(Trigger, "/leaving/ask")
+    assert client.wait_for_service(60.0)
+    client.call_async(Trigger.Request())
+    wait_until(lambda: over, "the request")
+    in_loop(server, server.destroy_service, service)
+    in_loop(server, over[0].set_result, None)
+    wait_until(lambda: begun, "the answer")
+    in_loop(server, lambda: None)
+    assert server.failures.counts == {}
+
+
+def test_what_a_node_waited_for_may_come_after_its_end(asker, recwarn):
+    """As the end of a thread: rclpy would warn of an unhandled exception in a callback."""
+    node = ManagedNode("ended", parameter_overrides=[Parameter("standalone", value=True)])
+    future, promise = Future(), node.promise()
+    future.add_done_callback(lambda _: promise.set_result(None))
+    node.destroy_node()
+    future.set_result(None)
+    assert [str(told.message) for told in recwarn if "done callback" in str(told.message)] == []
 
 
 def test_coroutines_alarms_and_tasks_that_raise_leave_the_loop_turning(clumsy, wait_until):

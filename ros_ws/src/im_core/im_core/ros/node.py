@@ -5,10 +5,12 @@ import os
 import secrets
 import socket
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from typing import Any
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.parameter import Parameter
 from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
@@ -168,7 +170,8 @@ class ManagedNode(GuardedNode):
         """Let the executor look at suspended coroutines soon; from any thread."""
         if not self._awake and rclpy.ok():
             self._awake = True
-            self._wake_timer.reset()
+            with suppress(InvalidHandle):  # the node has ended before what it waited for
+                self._wake_timer.reset()
 
     def shut_down_once(self) -> None:
         """Run :meth:`phase_shutdown` if not run yet."""
