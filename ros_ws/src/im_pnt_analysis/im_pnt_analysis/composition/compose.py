@@ -30,7 +30,7 @@ from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
-from im_pnt_analysis.guards.coverage import decide_guards
+from im_pnt_analysis.guards.coverage import decide_guards, granted_values
 
 _BOUNDED = ("constant", "uniform", "triangular")
 """Delays of which not every one may be over before every other one."""
@@ -93,7 +93,7 @@ def compose(nets: Sequence[Net]) -> Composition:
     check_arguments(nets)
     decided = {net.name: decide_guards(net) for net in nets}
     flat = FlatNet(by_name)
-    composer = _Composer(flat, decided)
+    composer = _Composer(flat, decided, {net.name: granted_values(net) for net in nets})
     for net in by_name.values():
         composer.add(net)
     composer.close()
@@ -118,8 +118,10 @@ def compose(nets: Sequence[Net]) -> Composition:
 
 
 class _Composer:
-    def __init__(self, flat: FlatNet, decided: Mapping[str, frozenset[str]]) -> None:
-        self.flat, self.decided = flat, decided
+    def __init__(
+        self, flat: FlatNet, decided: Mapping[str, frozenset[str]], granted: Mapping[str, frozenset[str]]
+    ) -> None:
+        self.flat, self.decided, self.granted = flat, decided, granted
         self.assumed = Assumptions(flat)
         self.calls = ServiceCalls(flat, self.assumed.promises)
         self.disturbances: set[str] = set()
@@ -207,6 +209,10 @@ class _Composer:
             flat.add_environment(replace(transition, inhibitors=busy))
         for text in assumptions(list(flat.nets.values()), self.decided):
             flat.assume(text)
+        for name, values in self.granted.items():
+            if values:
+                told = "without one a guard counts as false"
+                flat.assume(f"{NOT_LOOKED_AT}whether each command brings {', '.join(sorted(values))} ({name}): {told}")
         if any(INPUT_SEMAPHORE in net.places for net in flat.nets.values()):
             flat.assume("requests of different callers are served in any order")
 
