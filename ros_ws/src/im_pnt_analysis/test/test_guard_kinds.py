@@ -216,6 +216,36 @@ def test_a_token_that_waits_for_what_its_own_command_holds_is_stuck_though_anoth
     assert "near.chosen=1" in readable(verify_to_load([net]), {})
 
 
+def test_a_token_that_waits_for_its_way_is_still_seen_by_inhibitors():
+    seen = """pick: {symbol: pick, in: idle, out: chosen}
+  near: {in: [chosen, left], out: [late, left], guard: "${arguments.x < 3}"}
+  far: {in: chosen, out: idle, inhibitors: [left], guard: "not ${arguments.x < 3}", emit: pick_done}
+  last: {in: [late, right], out: [idle, right], inhibitors: [chosen], emit: pick_done}"""
+    report = verify_to_load([choice(before=seen, places=ARMS + ", late: ", arguments="x: {type: number}")])
+    assert "far.chosen=1" in readable(report, {})
+
+
+def test_a_way_that_no_value_goes_is_no_way_into_trouble():
+    before = """pick: {symbol: pick, in: [idle, left], out: a}
+  far: {in: a, out: [idle, left], guard: "${arguments.x >= 3}", emit: pick_done}
+  near: {in: a, out: chosen, guard: "${arguments.x < 3}"}
+  one: {in: [chosen, right], out: [idle, left, right], guard: "${arguments.x < 3}", emit: pick_done}
+  two: {in: [chosen, left], out: [idle, {left: 2}], guard: "${arguments.x >= 3}", emit: pick_done}"""
+    before = before.replace("[idle, {left: 2}]", "{idle: 1, left: 2}")
+    assert verify_to_load([choice(before=before, places=ARMS + ", a: ", arguments="x: {type: number}")]).ok
+
+
+def test_a_wait_of_python_for_one_resource_is_named_though_its_opposite_needs_another():
+    waits = """pick: {symbol: pick, in: idle, out: chosen}
+  near: {in: [chosen, left], out: [idle, left], guard: is_near, emit: pick_done}
+  far: {in: [chosen, right], out: [idle, right], guard: not is_near, emit: pick_done}"""
+    report = verify_to_load([choice(before=waits, places=ARMS)])
+    assert report.ok
+    assert any(
+        "whether each of the guards 'is_near' (near), 'not is_near' (far)" in text for text in report.assumptions
+    )
+
+
 def test_what_is_computed_with_rounded_numbers_or_never_declared_is_said_to_be_left_out():
     rounded = choice("${arguments.x / 49 * 49 == arguments.x}", arguments="x: {type: number, minimum: 0, maximum: 5}")
     assert 1 / 49 * 49 != 1  # which hangs

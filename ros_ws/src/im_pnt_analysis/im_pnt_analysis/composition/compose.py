@@ -25,6 +25,7 @@ from im_pnt.model.action import AwaitAction
 from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
 from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net, Role, Transition
+from im_pnt.model.resources import resource_places
 from im_pnt_analysis.composition.arguments import check_arguments
 from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
@@ -255,14 +256,24 @@ def _names(named: Iterable[Net | Transition]) -> str:
     return ", ".join(each.name for each in named)
 
 
+def _beside_work(transition: Transition, resources: frozenset[str]) -> tuple[Mapping[str, int], Mapping[str, int]]:
+    """Return what a transition needs beside the tokens of the command: resources, and places without tokens."""
+    return {place: transition.inputs[place] for place in transition.inputs if place in resources}, transition.inhibitors
+
+
 def open_guards(net: Net, decided: frozenset[str]) -> Iterator[str]:
     """Return the guards without a counterpart: such a guard might keep a net waiting for ever."""
-    waits = []
+    waits, resources = [], resource_places(net)
     for transition in net.transitions.values():
         if transition.guard is None or transition.origin in decided or transition.guard.name == "cancelled":
             continue  # a cancelled command has this way out beside those of others
         opposite = replace(transition.guard, negated=not transition.guard.negated)
-        rivals = (t for t in net.transitions.values() if t.inputs.keys() & transition.inputs.keys() and t != transition)
+        needs = _beside_work(transition, resources)
+        rivals = (
+            t
+            for t in net.transitions.values()
+            if t.inputs.keys() & transition.inputs.keys() and t != transition and _beside_work(t, resources) == needs
+        )
         if not any(t.guard == opposite or (t.guard is None and t.symbol is None) for t in rivals):
             waits.append(f"'{transition.guard}' ({transition.origin})")
     if waits:

@@ -58,24 +58,35 @@ def settled_choices(net: Net) -> Net:
     """Return a net with a place for each choice of guards, where the token waits for the needs of that choice alone.
 
     That differs where transitions at one place need different resources, or are inhibited by different places: the
-    token waits for the resource of the transition whose guard holds, though that of another one is free.
+    token waits for the resource of the transition whose guard holds, though that of another one is free. A transition
+    whose guard never holds where its tokens come from needs a token that is never there.
 
     Args:
         net: As of :func:`decide_guards`.
     """
     coverage = _decided(_SameNet(net))
     places, transitions = dict(net.places), dict(net.transitions)
-    for names in coverage.choices:
-        for name in names:
-            taker, way = net.transitions[name], f"{name}.chosen"
-            work = {place: weight for place, weight in taker.inputs.items() if place not in coverage.resources}
-            needs = {place: weight for place, weight in taker.inputs.items() if place in coverage.resources}
-            places[way] = Place(way)
-            transitions[f"{name}.choose"] = Transition(
-                f"{name}.choose", work, {way: 1}, origin=name, guard=taker.guard, keeps_failure=True, line=taker.line
-            )
-            transitions[name] = replace(taker, inputs={way: 1, **needs}, guard=None)
-    return replace(net, places=places, transitions=transitions) if coverage.choices else net
+    waiting: dict[str, dict[str, int]] = {}
+    for name in coverage.never:
+        places[f"{name}.never"] = Place(f"{name}.never")
+        inputs = {**net.transitions[name].inputs, f"{name}.never": 1}
+        transitions[name] = replace(net.transitions[name], inputs=inputs)
+    for name in (name for names in coverage.choices for name in names):
+        taker, way = transitions[name], f"{name}.chosen"
+        needs = {place: weight for place, weight in taker.inputs.items() if place in coverage.resources}
+        work = {place: weight for place, weight in taker.inputs.items() if place not in needs}
+        for place in work:
+            waiting.setdefault(place, {})[way] = 1
+        places[way] = Place(way)
+        transitions[f"{name}.choose"] = Transition(
+            f"{name}.choose", work, {way: 1}, origin=name, guard=taker.guard, keeps_failure=True, line=taker.line
+        )
+        transitions[name] = replace(taker, inputs={way: 1, **needs}, guard=None)
+    for name, each in transitions.items():
+        seen = {way: 1 for place in each.inhibitors for way in waiting.get(place, ())}
+        if seen:  # one that waits is still there for them
+            transitions[name] = replace(each, inhibitors={**each.inhibitors, **seen})
+    return replace(net, places=places, transitions=transitions) if transitions != net.transitions else net
 
 
 def types_read(net: Net) -> list[str]:
@@ -154,6 +165,7 @@ class GuardCoverage:
         resources: Places whose tokens belong to nobody.
         choices: Transitions of which exactly one guard holds for each value, but that do not need the same beside the
             tokens of the command.
+        never: Transitions whose guards hold for no value that their tokens can have.
         granted: Values that are taken to be there: arguments of a command that declares none, and fields of objects.
     """
 
@@ -169,6 +181,7 @@ class GuardCoverage:
         self._bounds = {path: found for name in self._stored for path, found in _bounds(net, name).items()}
         self.resources = self._knowledge.resources
         self.choices: list[tuple[str, ...]] = []
+        self.never: set[str] = set()
         self.decided: set[str] = set()
         self.granted: set[str] = set()
 
@@ -179,9 +192,11 @@ class GuardCoverage:
             NetError: For some value no guard of a place holds; names the value, the place, and the lines.
         """
         decided: dict[str, bool] = {}
+        found: dict[str, Ways] = {}
         apart: dict[tuple[str, ...], bool] = {}
         for kind in (*self._net.begun_symbols(), *self._net.services):
             ways = self._knowledge.ways(kind)
+            found[kind] = ways
             for place in sorted(ways):
                 guarded = self._guarded(place, kind)
                 if guarded:
@@ -195,6 +210,10 @@ class GuardCoverage:
                         decided[transition.name] = decided.get(transition.name, True) and proved
         self.decided = {name for name, proved in decided.items() if proved}
         self.choices = [names for names, several in apart.items() if several and self.decided.issuperset(names)]
+        for each in (self._net.transitions[name] for names in self.choices for name in names):
+            serving = [(kind, ways) for kind, ways in found.items() if self._knowledge.serves(each, kind)]
+            if all(self._is_never(kind, each, ways) for kind, ways in serving):
+                self.never.add(each.name)
 
     def _guarded(self, place: str, kind: str) -> list[Transition]:
         """Return the takers of a place if all have guards, and need the same tokens, and nothing else moves one."""
@@ -225,9 +244,36 @@ class GuardCoverage:
         )
 
     def _looked_at(self, transition: Transition) -> bool:
-        """Return whether an inhibitor counts the tokens that wait for a transition."""
+        """Return whether an inhibitor counts several tokens that wait for a transition."""
         places = self._knowledge.work_inputs(transition)
-        return any(not places.isdisjoint(each.inhibitors) for each in self._net.transitions.values())
+        others = self._net.transitions.values()
+        return any(weight > 1 and place in places for each in others for place, weight in each.inhibitors.items())
+
+    def _is_never(self, kind: str, transition: Transition, ways: Ways) -> bool:
+        """Return whether the guard of a transition is false for all values of a command's tokens at its places."""
+        import z3
+
+        work = self._knowledge.work_inputs(transition)
+        if not work or not work <= ways.keys() or transition.guard is None:
+            return False
+        at = self._knowledge.together(work, ways)
+        possible = False
+        for known in at:
+            given = replace(self._given(kind, [transition], known), rounded=True)
+            with _one_at_a_time:
+                formulas = Formulas(z3, given)
+                facts = [formulas.holds(guard) for guard in _relevant(known.facts, [transition])]
+                solver = z3.Solver()
+                solver.set("rlimit", _EFFORT)
+                held = formulas.holds(transition.guard)
+                solver.add(*formulas.limits(), *facts)
+                if solver.check() == z3.unsat:
+                    continue  # no token comes this way
+                possible = True
+                solver.add(held)
+                if formulas.granted or solver.check() != z3.unsat:
+                    return False
+        return possible
 
     def _covers(self, place: str, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
         with _one_at_a_time:
