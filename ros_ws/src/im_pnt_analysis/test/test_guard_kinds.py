@@ -15,6 +15,7 @@ from im_pnt.netfile import parse_net
 from im_pnt_analysis import verify_to_load
 from im_pnt_analysis.guards import coverage
 from im_pnt_analysis.guards.coverage import decide_guards
+from im_pnt_analysis.simulation.replay import FiringSequence, replay
 from im_pnt_analysis.verify.proofs import fingerprint
 from im_pnt_analysis.verify.report import readable
 
@@ -208,7 +209,11 @@ def test_a_token_that_waits_for_what_its_own_command_holds_is_stuck_though_anoth
     net = choice(
         before=held.replace("[idle, {left: 2}]", "{idle: 1, left: 2}"), places=ARMS, arguments="x: {type: number}"
     )
-    assert "near.chosen=1" in readable(verify_to_load([net]), {})
+    report = verify_to_load([net])
+    assert "near.chosen=1" in readable(report, {})
+    refusal = report.refusals[0]
+    last = list(replay([net], FiringSequence(refusal.sequence, marking=refusal.marking)))[-1]
+    assert last.transition == "near.choose"
     inhibited = """pick: {symbol: pick, in: idle, out: chosen}
   near: {in: chosen, out: idle, inhibitors: [left], guard: "${arguments.x < 3}", emit: pick_done}
   far: {in: chosen, out: idle, guard: "${arguments.x >= 3}", emit: pick_done}"""
