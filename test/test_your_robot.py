@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from im_core import clock
 from im_core.ros.node import ManagedNode
@@ -299,3 +300,29 @@ def test_a_message_of_a_process_that_has_just_begun_is_heard(tmp_path, ros, line
     wait_until(lambda: told.poll() is not None, "the end of the command")
     assert told.returncode == 0
     wait_until(lambda: heard == ["hello"], "the message")
+
+
+ASKS = """
+net: asks
+places: {idle: 1, failed: }
+transitions:
+  ask: {symbol: ask, in: idle, out: idle, service: {name: /lamp/on, type: std_srvs/srv/Trigger}, on_failure: failed,
+        emit: ask_done}
+  fail: {in: failed, out: idle, emit: ask_failed}
+"""
+
+
+@pytest.mark.parametrize(("new", "code", "told"), [
+    ("/lamps/first/on", 0, "ask done"),
+    ("/lamps/frist/on", 1, "nobody offers the service /lamps/frist/on"),
+])  # fmt: skip
+def test_a_service_is_sought_under_the_name_that_remapping_gives_it(tmp_path, ros, line, wait_until, new, code, told):
+    node, asked = ros(ManagedNode("lamps")), []
+    node.create_service(
+        Trigger, "/lamps/first/on", lambda request, answer: asked.append(1) or Trigger.Response(success=True)
+    )
+    (tmp_path / "asks.yaml").write_text(ASKS)
+    child = line(f"run {tmp_path}/asks.yaml --symbol ask --ros-args -r /lamp/on:={new}")
+    wait_until(lambda: child.poll() is not None, "the end of the command")
+    assert told in child.out.read_text()
+    assert (child.returncode, len(asked)) == (code, 1 - code)

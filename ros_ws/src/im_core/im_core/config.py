@@ -160,8 +160,8 @@ def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> 
         below: Location = getattr(context.get("error"), "location", ())
         known = _keys(model, each["loc"][:-1]) if each["type"] == "extra_forbidden" else ()
         words = each["msg"].removeprefix("Value error, ")
-        for said in context.values():
-            if isinstance(said, str):  # such as the tag of a union, which the file has chosen
+        for name, said in context.items():
+            if isinstance(said, str) and name != "expected":  # such as the tag of a union, which the file has chosen
                 words = words.replace(said, shortened(said))
         told.append(Fault(each["type"], (*each["loc"], *below), each["input"], words, context, known))
     # pydantic leaves wrong elements out, and then finds the list too short

@@ -212,7 +212,7 @@ def test_rules_may_stand_in_a_file_beside_the_net_and_the_net_is_flat(tmp_path):
             r"net:6:19: during: there is no transition 'raech' \(did you mean 'reach'\?\)",
         ),
         ("if: alarmed, ", "", "has neither 'watch' nor 'if'"),
-        ("then: THEN", "then: again", "then: Input should be 'restart', 'skip', 'fail' or 'continue'"),
+        ("then: THEN", "then: again", "then: Input should be 'restart', 'skip', 'fail' or 'continue', not 'again'"),
         ("do: [{action: say}], then: THEN", "then: continue", "'continue' needs something to do"),
         ("{action: say}", "{action: say, in: idle}", "'in' of what an interrupt does follows from the interrupt"),
         ("{action: say}", "say", "'say' is not a mapping"),

@@ -77,6 +77,7 @@ def test_any_name_goes_through_the_whole_of_analysis_and_drawing(tmp_path):
     [
         ("<?xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><x/><?xml", "not XML|document type"),
         ("<pnml>", "<!DOCTYPE pnml SYSTEM 'http://x/y'><pnml>", r"net.pnml:2:\d+: document type 'pnml' is not allowed"),
+        ("<pnml>", "<!DOCTYPE workspaceElements PUBLIC 'a' 'b'><pnml>", "is of CPN Tools, whose nets are coloured"),
         ("</pnml>", "", "not XML: no element found"),
         ("pnml>", "svg>", "svg: is not the root of a PNML file"),
         ("<net ", "<nets ", "not XML: mismatched tag"),

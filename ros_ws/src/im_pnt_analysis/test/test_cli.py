@@ -115,6 +115,37 @@ def test_verify_says_where_it_cannot_check_types(tmp_path, capsys, monkeypatch):
     assert json.loads(capsys.readouterr().out)["types"].startswith("not checked")
 
 
+def test_a_program_that_needs_ros_says_so(capsys, monkeypatch):
+    def no_ros(group, name):
+        raise ModuleNotFoundError(f"No module named 'rclpy' for {group} {name}", name="rclpy")
+        yield  # as entry points are loaded one by one
+
+    monkeypatch.setattr(sys.modules[main.__module__], "extensions", no_ros)
+    for program in ("run", "mission"):
+        assert main([program, "net.yaml"]) == BAD_INPUT
+        assert capsys.readouterr().err == f"pnt: {program} needs ROS, which was not sourced (rclpy is not found)\n"
+
+
+def test_a_wrong_type_of_an_argument_is_named_beside_all_that_are_allowed(tmp_path, capsys):
+    file = tmp_path / "kinds.yaml"
+    file.write_text(
+        "net: n\ncommands: {go: {arguments: {x: {type: int}}}}\nplaces: {a: 1}\n"
+        "transitions: {go: {symbol: go, in: a, out: a}}\n"
+    )
+    assert main(["verify", str(file)]) == BAD_INPUT
+    said = capsys.readouterr().err
+    assert "kinds.yaml:2:39: commands.go.arguments.x.type: " in said
+    assert said.endswith("'integers', 'numbers', 'strings' or 'object', not 'int'\n")
+
+
+def test_xml_under_another_name_is_said_to_be_xml(tmp_path, capsys):
+    file = tmp_path / "model.cpn"
+    file.write_text('<?xml version="1.0"?>\n<workspaceElements/>\n')
+    assert main(["verify", str(file)]) == BAD_INPUT
+    said = "model.cpn:1:1: is XML; nets of other tools are read from names with .pnml, .xml or .tapn\n"
+    assert capsys.readouterr().err.endswith(said)
+
+
 def test_simulation_is_repeatable(data, capsys):
     runs = []
     for _ in range(2):

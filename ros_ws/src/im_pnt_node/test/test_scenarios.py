@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core.errors import ConfigError
-from im_pnt.expression.types import NoTypes
+from im_pnt.expression.types import BOOLEAN, INTEGER, NUMBER, NoTypes, message_type
 from im_pnt_node.cli import scenarios as command
+from im_pnt_node.scenario import file as file_module
 from im_pnt_node.scenario.draws import Draws, shrink
 from im_pnt_node.scenario.file import (
     AnswerFile,
@@ -24,10 +25,11 @@ from im_pnt_node.scenario.file import (
     ScenariosFile,
     StepFile,
     load_scenarios,
+    message_types,
 )
 from im_pnt_node.scenario.report import Coverage
 from im_pnt_node.scenario.run import ScenarioRunner
-from im_pnt_node.scenario.verdict import judge, message_types, unreached
+from im_pnt_node.scenario.verdict import judge, unreached
 
 ROOT = Path(__file__).resolve().parents[4]
 SHIPPED = sorted([*(ROOT / "docs/nets").rglob("*.test.yml"), *(ROOT / "ros_ws/src").glob("*/*/nets/*.test.yml")])
@@ -121,6 +123,9 @@ def complaints(folder, scenario, net=NET):
         ("    steps: [{symbol: stop}]\n    expect: {marking: {amr: 1}}", 4, "'amr' (did you mean 'arm'?)"),
         ("    steps: [{while: easy, symbol: stop}]", 3, "no transition with an action 'easy'"),
         ("    steps: [{symbol: stop, at: -1}]", 3, "at"),
+        ("    steps: [{symbol: stop, takes: [3, 1]}]", 3, "the least time, 3 s, is greater than the greatest, 1 s"),
+        ("    steps: [{symbol: stop}]\n    answers: {look: {code: dark}}", 4, "is of a failure; give `failure`"),
+        ("    steps: [{symbol: stop}]\n    objects: {seen: {x: 1}}", 4, "there is no data object 'seen'"),
     ],
 )
 def test_an_error_names_file_line_and_what_is_allowed(tmp_path, scenario, line, sentence):
@@ -129,6 +134,67 @@ def test_an_error_names_file_line_and_what_is_allowed(tmp_path, scenario, line, 
         load_scenarios(file)
     assert error.value.message.startswith(f"{file}:{line}: ")
     assert sentence in error.value.message
+
+
+TYPED = """net: cell
+commands: {go: {}}
+places: {arm: 1, asked: , at: {data_object: {name: map, type: a_msgs/msg/Map}}, seen: }
+transitions:
+  ask: {symbol: go, in: arm, out: asked}
+  look: {in: asked, out: at, service: {name: /look, type: a_msgs/srv/Look}, on_failure: arm}
+  see: {in: at, out: seen, await: {name: /seen, type: a_msgs/msg/Map}, on_failure: arm}
+  good: {in: seen, out: arm, guard: "${answers.look.success and answers.see.point.y == 0}", emit: go_done}
+  bad: {in: seen, out: arm, guard: otherwise, emit: go_failed}
+"""
+FIELDS = {
+    "a_msgs/srv/Look_Request": {"where": NUMBER},
+    "a_msgs/srv/Look_Response": {"success": BOOLEAN, "size": INTEGER},
+    "a_msgs/msg/Map": {"point": message_type("a_msgs/msg/Point")},
+    "a_msgs/msg/Point": {"x": NUMBER, "y": NUMBER},
+}
+
+
+class TypesHere:
+    def fields(self, message):
+        if message not in FIELDS:
+            raise ConfigError(f"there is no type {message}")
+        return FIELDS[message]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (
+            "answers: {look: {answer: {sucess: true}}}",
+            "answers.look.answer.sucess: a_msgs/srv/Look_Response has no field",
+        ),
+        ("answers: {look: [{}, {answer: {size: big}}]}", "answers.look[1].answer.size: 'big' is not a whole number"),
+        ("answers: {look: {when: {wher: 1}}}", "when.wher: a_msgs/srv/Look_Request has no field 'wher' (did you mean"),
+        ("objects: {map: {point: {z: 1}}}", "objects.map.point.z: a_msgs/msg/Point has no field 'z'"),
+        ("objects: {mapp: {}}", "there is no data object 'mapp' (did you mean 'map'?)"),
+        ("steps: [{messages: {/seen: {point: 3}}}]", "messages./seen.point: '3' is not a_msgs/msg/Point"),
+    ],
+)
+def test_a_field_that_the_message_does_not_have_is_refused(tmp_path, monkeypatch, lines, said):
+    monkeypatch.setattr(file_module, "message_types", TypesHere)
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_scenarios(write(tmp_path, f"    {lines}", TYPED))
+    monkeypatch.setattr(file_module, "message_types", NoTypes)  # no ROS, nothing known of fields
+    if "mapp" not in lines:
+        load_scenarios(write(tmp_path, f"    {lines}", TYPED))
+
+
+def test_an_action_that_ended_well_was_a_success_and_fields_left_out_are_empty(tmp_path, monkeypatch):
+    monkeypatch.setattr(file_module, "message_types", TypesHere)
+    file = load_scenarios(
+        write(
+            tmp_path,
+            "    steps: [{symbol: go}, {symbol: go, at: 1.0, ends: failed}]\n"
+            "    answers: {see: [{answer: {point: {x: 1}}}, {answer: {point: {y: 1}}}]}",
+            TYPED,
+        )
+    )
+    assert not judge(file, file.scenarios[0], Coverage(), TypesHere()).complaints
 
 
 def test_a_name_of_two_nets_asks_for_the_net(tmp_path):

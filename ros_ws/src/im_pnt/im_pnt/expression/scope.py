@@ -30,8 +30,8 @@ from im_pnt.model.net import Net, Transition
 from im_pnt.model.resources import resource_places
 
 _FIELDS = {ServiceAction: ("service", "request"), GoalAction: ("goal", "goal"), TopicAction: ("topic", "message")}
-_SENT = {ServiceAction: "_Request", GoalAction: "_Goal", TopicAction: ""}
-_ANSWERED = {ServiceAction: "_Response", GoalAction: "_Result", AwaitAction: ""}
+SENT = {ServiceAction: "_Request", GoalAction: "_Goal", TopicAction: ""}
+ANSWERED = {ServiceAction: "_Response", GoalAction: "_Result", AwaitAction: ""}
 
 
 class PlacedError(ExpressionError):
@@ -87,7 +87,7 @@ def _values(net: Net, transition: Transition) -> Iterator[tuple[Location, object
     if isinstance(action, GoalAction):
         yield ("goal", "name"), action.name, ANY
     if isinstance(action, ServiceAction | GoalAction | TopicAction):
-        yield _FIELDS[type(action)], dict(action.fields), message_type(f"{action.type}{_SENT[type(action)]}")
+        yield _FIELDS[type(action)], dict(action.fields), message_type(f"{action.type}{SENT[type(action)]}")
     elif isinstance(action, AwaitAction):
         yield ("await",), {}, message_type(action.type)
         if action.until is not None:
@@ -185,7 +185,7 @@ class NetScope:
         if isinstance(action, RequestAction):
             return ANY
         if isinstance(action, ServiceAction | GoalAction | AwaitAction):
-            return message_type(f"{action.type}{_ANSWERED[type(action)]}")
+            return message_type(f"{action.type}{ANSWERED[type(action)]}")
         raise ExpressionError(
             f"answers.{name}: transition '{name}' is not answered{nearest(name, answering(self.net))}"
         )

@@ -17,7 +17,7 @@ from im_pnt.expression.template import OPENS, has_expressions, written_pieces
 from im_pnt.netfile.interrupts import Interrupt, Weave
 from im_pnt.netfile.schema.names import is_qualified
 from im_pnt.netfile.schema.scalars import as_plain, written
-from im_pnt.netfile.schema.templates import PortsFile, SubnetUseFile
+from im_pnt.netfile.schema.templates import Parameter, PortsFile, SubnetUseFile, as_parameter
 from im_pnt.netfile.schema.transitions import ACTIONS
 from im_pnt.netfile.substitution import Template, filled, size
 from im_pnt.netfile.text import checked, complaint, complaint_at, read_data
@@ -145,6 +145,18 @@ class _Level:
         return rebuilt(node, self._node)
 
 
+def _parameter(value: Value) -> Parameter:
+    """Return a given value as that of a parameter.
+
+    Raises:
+        NetFileError: It is nothing, or a number that is not finite.
+    """
+    try:
+        return as_parameter(as_data(value, written))
+    except ValueError as error:
+        raise complaint(value, str(error)) from error
+
+
 def _expression(value: Value, name: str) -> Node:
     """Return a given value as an expression.
 
@@ -238,7 +250,7 @@ class Subnets:
         note = f" (subnet {use.use}, used in {key.file}:{key.line}:{key.column})"
         given = self._given(level, value, use, template)
         bound = dict(template.given)
-        bound |= {name: str(child.text) for name, child in given.items() if name in template.file.parameters}
+        bound |= {name: _parameter(child) for name, child in given.items() if name in template.file.parameters}
         raw = find(template.root, template.location).value
         objects = {name: prefix + name for name in _objects(raw)}
         sections = {k.text: filled(template.location, v, {**bound, **objects}, note) for k, v in raw.pairs}

@@ -1,9 +1,10 @@
 """Templates of net files: ``$(...)`` in them becomes the value of a parameter."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from im_core.text.yamltext import Kind, Location, Value, scalar, sequence
+from im_core.errors import nearest
+from im_core.text.yamltext import Kind, Location, Value, mapping, scalar, sequence
 from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.evaluation import as_text, evaluate
 from im_pnt.expression.syntax import parse
@@ -60,20 +61,24 @@ def substitute(text: str, values: Mapping[str, Parameter]) -> str:
 
 
 def evaluated(text: str, values: Mapping[str, Parameter]) -> Parameter:
-    """Return the value of an expression with parameters as the only names: a number, a text, or a list of these.
+    """Return the value of an expression with parameters as the only names: a number, a text, a list or a mapping.
 
     Raises:
         ExpressionError: It has none.
     """
 
     def parameter(name: str, field: str) -> object:
-        if field:
-            raise ExpressionError(f"parameter {name} has no field '{field}'")
-        return values[name]
+        value = values[name]
+        if not field:
+            return value
+        if not isinstance(value, dict) or field not in value:
+            hint = nearest(field, value) if isinstance(value, dict) else ""
+            raise ExpressionError(f"parameter {name} has no field '{field}'{hint}")
+        return value[field]
 
     found = evaluate(parse(text, tuple(values)), parameter)
-    if isinstance(found, bool) or not isinstance(found, int | float | str | list):
-        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a number, a text nor a list")
+    if isinstance(found, bool) or not isinstance(found, int | float | str | list | dict):
+        raise ExpressionError(f"'{text}' is {as_text(found)}, neither a number, a text, a list nor a mapping")
     return found
 
 
@@ -84,11 +89,7 @@ def filled(location: Location, value: Value, bound: Mapping[str, Parameter], not
             return replace(value, note=note)
         try:
             if is_whole(value.text):
-                found = evaluated(value.text[2:-1], bound)
-                if isinstance(found, list):
-                    return _listed(found, replace(value, note=note))
-                quoted = isinstance(found, str) and not isinstance(found, Written)  # it keeps the type of its value
-                return replace(value, text=str(found), quoted=quoted, note=note)
+                return _written(evaluated(value.text[2:-1], bound), replace(value, note=note))
             return replace(value, text=substitute(value.text, bound), note=note)
         except ExpressionError as error:
             raise complaint(replace(value, note=note), str(error), location) from error
@@ -98,14 +99,13 @@ def filled(location: Location, value: Value, bound: Mapping[str, Parameter], not
     return replace(value, pairs=pairs, note=note)
 
 
-def _listed(values: Sequence[object], near: Value) -> Value:
-    return sequence(
-        (
-            _listed(each, near) if isinstance(each, list) else scalar(str(each), near, quoted=isinstance(each, str))
-            for each in values
-        ),
-        near,
-    )
+def _written(found: object, near: Value) -> Value:
+    """Return a value as it would be written in the file, with its type."""
+    if isinstance(found, list):
+        return sequence((_written(each, near) for each in found), near)
+    if isinstance(found, dict):
+        return mapping(((scalar(name, near), _written(each, near)) for name, each in found.items()), near)
+    return scalar(str(found), near, quoted=isinstance(found, str) and not isinstance(found, Written))
 
 
 def _entries(location: Location, value: Value, bound: Mapping[str, Parameter], note: str) -> Iterator[Value]:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
+from typing import cast
 
 from im_core.errors import DataError, nearest, quoted_text
 from im_core.message_paths import resolve_below
@@ -204,6 +205,10 @@ def _copies(root: Value, location: Location, use: UseFile, template: Template) -
 
 def _value(given: Parameter, running: Mapping[str, Parameter]) -> Parameter:
     """Evaluate a given value: a whole expression to a number, one within a text to a text."""
+    if isinstance(given, list):
+        return [_value(cast(Parameter, each), running) for each in given]
+    if isinstance(given, dict):
+        return {name: _value(cast(Parameter, each), running) for name, each in given.items()}
     if not isinstance(given, str) or "$(" not in given:
         return given
     return evaluated(given[2:-1], running) if is_whole(given) else substitute(given, running)

@@ -8,7 +8,7 @@ import pydantic
 
 from im_core import files
 from im_core.config import Fault, faults, field_name
-from im_core.errors import nearest
+from im_core.errors import nearest, quoted_text
 from im_core.text.yamltext import Kind, Location, Value, YamlError, as_data, find, read_yaml
 from im_pnt.errors import NetFileError
 from im_pnt.netfile.schema.names import shown_name
@@ -63,6 +63,8 @@ def read_values(text: str, file: str) -> Value:
     Raises:
         NetFileError: It is not YAML, or more than a net can need.
     """
+    if text.lstrip("\ufeff \n").startswith("<"):
+        raise NetFileError(file, 1, "is XML; nets of other tools are read from names with .pnml, .xml or .tapn", 1)
     try:
         return read_yaml(text, file)
     except YamlError as error:
@@ -147,6 +149,8 @@ def _told(root: Value, fault: Fault, base: Location) -> NetFileError:
             sentence = f"{fault.value} is not <= {limits['le']}"
         case "greater_than":
             sentence = f"{at[-1]} {fault.value} is not > {limits['gt']:g}"
+        case "literal_error" if isinstance(fault.value, str):
+            sentence = f"{fault.words}, not {quoted_text(fault.value)}"
         case _:
             sentence = fault.words
     return complaint_at(root, at, sentence, key=isinstance(limits.get("error"), WrongKeyError))

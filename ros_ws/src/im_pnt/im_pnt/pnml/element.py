@@ -130,8 +130,10 @@ class _Builder:
         self._texts[-1].append(text)
 
     def doctype(self, name: str, *_: object) -> None:
-        place = self._at()
-        raise NetFileError(self._file, place.line, f"document type '{name[:60]}' is not allowed", place.column)
+        place, what = self._at(), f"document type '{name[:60]}' is not allowed"
+        if name == "workspaceElements":
+            what = "is of CPN Tools, whose nets are coloured; place/transition nets are read"
+        raise NetFileError(self._file, place.line, what, place.column)
 
     def _at(self) -> Value:
         assert self.parser is not None

@@ -74,9 +74,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = NumberParser(prog="im pnt", formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     if words[:1] and words[0] in _PROGRAMS:
-        for program in extensions("im_pnt.programs", words[0]):
-            return int(program(words[1:], f"im pnt {words[0]}"))
-        return _not_installed(words[0])
+        try:
+            program = next(extensions("im_pnt.programs", words[0]), None)
+        except ModuleNotFoundError as error:
+            print(f"pnt: {words[0]} needs ROS, which was not sourced ({error.name} is not found)", file=sys.stderr)
+            return BAD_INPUT
+        return _not_installed(words[0]) if program is None else int(program(words[1:], f"im pnt {words[0]}"))
     called = next((word for word in words if not word.startswith("-")), "")
     for name, text in _COMMANDS.items():
         command = commands.add_parser(name, help=text, formatter_class=raw)

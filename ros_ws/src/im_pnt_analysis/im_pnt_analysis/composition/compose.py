@@ -25,12 +25,13 @@ from im_pnt.model.action import AwaitAction
 from im_pnt.model.expand import INPUT_SEMAPHORE, expand, input_place
 from im_pnt.model.groups import nets_by_name
 from im_pnt.model.net import Net, Role, Transition
+from im_pnt.model.resources import resource_places
 from im_pnt_analysis.composition.arguments import check_arguments
 from im_pnt_analysis.composition.assumptions import Assumptions
 from im_pnt_analysis.composition.flat_net import NOT_LOOKED_AT, FlatNet
 from im_pnt_analysis.composition.requests import ServiceCalls
 from im_pnt_analysis.composition.resets import stop_above_capacity, ways_to_empty
-from im_pnt_analysis.guards.coverage import decide_guards
+from im_pnt_analysis.guards.coverage import decide_guards, granted_values
 
 _BOUNDED = ("constant", "uniform", "triangular")
 """Delays of which not every one may be over before every other one."""
@@ -93,7 +94,7 @@ def compose(nets: Sequence[Net]) -> Composition:
     check_arguments(nets)
     decided = {net.name: decide_guards(net) for net in nets}
     flat = FlatNet(by_name)
-    composer = _Composer(flat, decided)
+    composer = _Composer(flat, decided, {net.name: granted_values(net) for net in nets})
     for net in by_name.values():
         composer.add(net)
     composer.close()
@@ -118,8 +119,10 @@ def compose(nets: Sequence[Net]) -> Composition:
 
 
 class _Composer:
-    def __init__(self, flat: FlatNet, decided: Mapping[str, frozenset[str]]) -> None:
-        self.flat, self.decided = flat, decided
+    def __init__(
+        self, flat: FlatNet, decided: Mapping[str, frozenset[str]], granted: Mapping[str, frozenset[str]]
+    ) -> None:
+        self.flat, self.decided, self.granted = flat, decided, granted
         self.assumed = Assumptions(flat)
         self.calls = ServiceCalls(flat, self.assumed.promises)
         self.disturbances: set[str] = set()
@@ -207,6 +210,10 @@ class _Composer:
             flat.add_environment(replace(transition, inhibitors=busy))
         for text in assumptions(list(flat.nets.values()), self.decided):
             flat.assume(text)
+        for name, values in self.granted.items():
+            if values:
+                told = "without one a guard counts as false"
+                flat.assume(f"{NOT_LOOKED_AT}whether each command brings {', '.join(sorted(values))} ({name}): {told}")
         if any(INPUT_SEMAPHORE in net.places for net in flat.nets.values()):
             flat.assume("requests of different callers are served in any order")
 
@@ -249,14 +256,24 @@ def _names(named: Iterable[Net | Transition]) -> str:
     return ", ".join(each.name for each in named)
 
 
+def _beside_work(transition: Transition, resources: frozenset[str]) -> tuple[Mapping[str, int], Mapping[str, int]]:
+    """Return what a transition needs beside the tokens of the command: resources, and places without tokens."""
+    return {place: transition.inputs[place] for place in transition.inputs if place in resources}, transition.inhibitors
+
+
 def open_guards(net: Net, decided: frozenset[str]) -> Iterator[str]:
     """Return the guards without a counterpart: such a guard might keep a net waiting for ever."""
-    waits = []
+    waits, resources = [], resource_places(net)
     for transition in net.transitions.values():
         if transition.guard is None or transition.origin in decided or transition.guard.name == "cancelled":
             continue  # a cancelled command has this way out beside those of others
         opposite = replace(transition.guard, negated=not transition.guard.negated)
-        rivals = (t for t in net.transitions.values() if t.inputs.keys() & transition.inputs.keys() and t != transition)
+        needs = _beside_work(transition, resources)
+        rivals = (
+            t
+            for t in net.transitions.values()
+            if t.inputs.keys() & transition.inputs.keys() and t != transition and _beside_work(t, resources) == needs
+        )
         if not any(t.guard == opposite or (t.guard is None and t.symbol is None) for t in rivals):
             waits.append(f"'{transition.guard}' ({transition.origin})")
     if waits:

@@ -1,17 +1,23 @@
 """Proof that guards leave no token waiting for ever: for each value at each place, one guard holds."""
 
 import threading
-from collections.abc import Iterator
-from functools import lru_cache
-from itertools import product
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache, lru_cache
+from itertools import combinations, product
 from typing import Any
 
+from im_core.errors import ImError
+from im_core.plugins import extensions
 from im_pnt.errors import NetError
+from im_pnt.expression.inference import Meanings
 from im_pnt.expression.scope import NetScope
-from im_pnt.expression.types import NoTypes
-from im_pnt.model.net import Net, Role, Transition
-from im_pnt_analysis.guards.formula import Formulas
-from im_pnt_analysis.guards.knowledge import Knowledge, TokenKnowledge, Ways
+from im_pnt.expression.syntax import Binary, Literal
+from im_pnt.expression.template import OPENS, nodes, references
+from im_pnt.expression.types import ANY, MessageTypes, NoTypes, ValueType
+from im_pnt.model.net import Guard, Net, ObjectScope, Place, Role, Transition
+from im_pnt_analysis.guards.formula import Bounds, Formulas, ValueKnowledge
+from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways, named
 
 MOST_CHANGING = 6
 """Values that may change at any time, of one place; with more nothing is decided."""
@@ -36,7 +42,90 @@ def decide_guards(net: Net) -> frozenset[str]:
     Raises:
         NetError: For some value no guard of a place holds; names the value, the place, and the lines.
     """
-    return _decided(_SameNet(net))
+    return frozenset(_decided(_SameNet(net)).decided)
+
+
+def granted_values(net: Net) -> frozenset[str]:
+    """Return the values that the decision of a net's guards takes to be there, though no declaration says so.
+
+    Args:
+        net: As of :func:`decide_guards`.
+    """
+    return frozenset(_decided(_SameNet(net)).granted)
+
+
+def settled_choices(net: Net) -> Net:
+    """Return a net with a place for each choice of guards, where the token waits for the needs of that choice alone.
+
+    That differs where transitions at one place need different resources, or are inhibited by different places: the
+    token waits for the resource of the transition whose guard holds, though that of another one is free. A transition
+    whose guard never holds where its tokens come from needs a token that is never there.
+
+    Args:
+        net: As of :func:`decide_guards`.
+    """
+    coverage = _decided(_SameNet(net))
+    places, transitions = dict(net.places), dict(net.transitions)
+    waiting: dict[str, dict[str, int]] = {}
+    for name in coverage.never:
+        places[f"{name}.never"] = Place(f"{name}.never")
+        inputs = {**net.transitions[name].inputs, f"{name}.never": 1}
+        transitions[name] = replace(net.transitions[name], inputs=inputs)
+    for name in (name for names in coverage.choices for name in names):
+        taker, way = transitions[name], f"{name}.chosen"
+        needs = {place: weight for place, weight in taker.inputs.items() if place in coverage.resources}
+        work = {place: weight for place, weight in taker.inputs.items() if place not in needs}
+        for place in work:
+            waiting.setdefault(place, {})[way] = 1
+        places[way] = Place(way)
+        transitions[f"{name}.choose"] = Transition(
+            f"{name}.choose", work, {way: 1}, origin=name, guard=taker.guard, keeps_failure=True, line=taker.line
+        )
+        transitions[name] = replace(taker, inputs={way: 1, **needs}, guard=None)
+    for name, each in transitions.items():
+        seen = {way: 1 for place in each.inhibitors for way in waiting.get(place, ())}
+        if seen:  # one that waits is still there for them
+            transitions[name] = replace(each, inhibitors={**each.inhibitors, **seen})
+    return replace(net, places=places, transitions=transitions) if transitions != net.transitions else net
+
+
+def types_read(net: Net) -> list[str]:
+    """Return the types of the values that guards read of messages, as text; a proof holds for these alone.
+
+    Args:
+        net: The net as written.
+    """
+    paths = {path for guard in net.guards() for node in nodes(guard) for path in references(node)}
+    paths = {path for path in paths if path[0] in ("answers", "data")}
+    if not paths:
+        return []
+    types = installed_types()
+    scope = NetScope(net, types).meanings(next(iter(net.transitions.values())))
+    return [f"{'.'.join(path)}: {_type_at(path, scope)}" for path in sorted(paths)]
+
+
+def _type_at(path: tuple[str, ...], scope: Meanings) -> ValueType:
+    """Return the type at the end of a way into a message, through lists too."""
+    try:
+        found = (scope.answers if path[0] == "answers" else scope.data)(path[1])
+        for name in path[2:]:
+            while found.element is not None:
+                found = found.element
+            found = (scope.types.fields(found.message) or {}).get(name, ANY)
+    except ImError:
+        return ANY
+    return found
+
+
+@cache
+def installed_types() -> MessageTypes:
+    """Return the types of the installed messages; without ROS none is known."""
+    try:
+        makers = list(extensions("im_pnt.message_types"))
+    except ModuleNotFoundError:
+        return NoTypes()
+    types: MessageTypes = makers[0]() if makers else NoTypes()
+    return types
 
 
 class _SameNet:
@@ -53,14 +142,12 @@ class _SameNet:
 
 
 @lru_cache(maxsize=_NETS)
-def _decided(key: _SameNet) -> frozenset[str]:
+def _decided(key: _SameNet) -> "GuardCoverage":
     net = key.net
-    written = all(transition.role is Role.PLAIN for transition in net.transitions.values())
-    if not written or not net.guards():
-        return frozenset()
     coverage = GuardCoverage(net)
-    coverage.check()
-    return frozenset(coverage.decided)
+    if all(transition.role is Role.PLAIN for transition in net.transitions.values()) and net.guards():
+        coverage.check()
+    return coverage
 
 
 class GuardCoverage:
@@ -75,14 +162,28 @@ class GuardCoverage:
 
     Attributes:
         decided: Transitions whose guards are proved to leave no value out, with the others at their places.
+        resources: Places whose tokens belong to nobody.
+        choices: Transitions of which exactly one guard holds for each value, but that do not need the same beside the
+            tokens of the command.
+        never: Transitions whose guards hold for no value that their tokens can have.
+        granted: Values that are taken to be there: arguments of a command that declares none, and fields of objects.
     """
 
     def __init__(self, net: Net) -> None:
         self._net = net
-        self._knowledge = Knowledge(net)
-        self._scope = NetScope(net, NoTypes())
-        self._stored = frozenset(name for t in net.transitions.values() for name in t.store)
+        read = (path[0] for guard in net.guards() for node in nodes(guard) for path in references(node))
+        typed = not {"answers", "data"}.isdisjoint(read)
+        self._scope = NetScope(net, installed_types() if typed else NoTypes())
+        common = {place.data_object for place in net.places.values() if place.object_scope is ObjectScope.GLOBAL}
+        stored = {name for t in net.transitions.values() for name in t.store}
+        self._stored = frozenset(stored - common)
+        self._knowledge = Knowledge(net, self._scope, self._stored)
+        self._bounds = {path: found for name in self._stored for path, found in _bounds(net, name).items()}
+        self.resources = self._knowledge.resources
+        self.choices: list[tuple[str, ...]] = []
+        self.never: set[str] = set()
         self.decided: set[str] = set()
+        self.granted: set[str] = set()
 
     def check(self) -> None:
         """Decide all places.
@@ -91,33 +192,92 @@ class GuardCoverage:
             NetError: For some value no guard of a place holds; names the value, the place, and the lines.
         """
         decided: dict[str, bool] = {}
+        found: dict[str, Ways] = {}
+        apart: dict[tuple[str, ...], bool] = {}
         for kind in (*self._net.begun_symbols(), *self._net.services):
             ways = self._knowledge.ways(kind)
+            found[kind] = ways
             for place in sorted(ways):
                 guarded = self._guarded(place, kind)
                 if guarded:
-                    proved = all(self._covers(place, kind, guarded, known) for known in self._at(guarded, ways))
+                    at = self._at(guarded, ways)
+                    proved = all(self._covers(place, kind, guarded, known) for known in at)
+                    if proved and self._differ(guarded):
+                        names = tuple(each.name for each in guarded)
+                        several = apart.get(names, True) and all(self._are_apart(kind, guarded, known) for known in at)
+                        proved = apart[names] = several and not self._looked_at(guarded[0])
                     for transition in guarded:
                         decided[transition.name] = decided.get(transition.name, True) and proved
         self.decided = {name for name, proved in decided.items() if proved}
+        self.choices = [names for names, several in apart.items() if several and self.decided.issuperset(names)]
+        for each in (self._net.transitions[name] for names in self.choices for name in names):
+            serving = [(kind, ways) for kind, ways in found.items() if self._knowledge.serves(each, kind)]
+            if all(self._is_never(kind, each, ways) for kind, ways in serving):
+                self.never.add(each.name)
 
     def _guarded(self, place: str, kind: str) -> list[Transition]:
         """Return the takers of a place if all have guards, and need the same tokens, and nothing else moves one."""
         net = self._net
+        if place in self._knowledge.resources:
+            return []
         takers = [t for t in net.transitions.values() if place in t.inputs and self._knowledge.serves(t, kind)]
         ends = any(place in (service.done, service.failed) for service in net.services.values())
-        if ends or net.places[place].on_invalid or len({self._knowledge.work_inputs(each) for each in takers}) != 1:
+        if ends or net.places[place].on_invalid or len({self._needs(each) for each in takers}) != 1:
             return []
         if any(each.guard is None or each.symbol is not None for each in takers):
             return []
         return takers
 
+    def _needs(self, transition: Transition) -> frozenset[tuple[str, int]]:
+        """Return the tokens of the command that a transition takes."""
+        return frozenset((place, transition.inputs[place]) for place in self._knowledge.work_inputs(transition))
+
     def _at(self, guarded: list[Transition], ways: Ways) -> frozenset[TokenKnowledge]:
         return self._knowledge.together(self._knowledge.work_inputs(guarded[0]), ways)
 
+    def _differ(self, guarded: list[Transition]) -> bool:
+        """Return whether transitions need different things beside the tokens of the command."""
+        rest = {place: each.inputs[place] for each in guarded for place in each.inputs if place in self.resources}
+        return any(
+            {place: each.inputs.get(place, 0) for place in rest} != rest or each.inhibitors != guarded[0].inhibitors
+            for each in guarded
+        )
+
+    def _looked_at(self, transition: Transition) -> bool:
+        """Return whether an inhibitor counts several tokens that wait for a transition."""
+        places = self._knowledge.work_inputs(transition)
+        others = self._net.transitions.values()
+        return any(weight > 1 and place in places for each in others for place, weight in each.inhibitors.items())
+
+    def _is_never(self, kind: str, transition: Transition, ways: Ways) -> bool:
+        """Return whether the guard of a transition is false for all values of a command's tokens at its places."""
+        import z3
+
+        work = self._knowledge.work_inputs(transition)
+        if not work or not work <= ways.keys() or transition.guard is None:
+            return False
+        at = self._knowledge.together(work, ways)
+        possible = False
+        for known in at:
+            given = replace(self._given(kind, [transition], known), rounded=True)
+            with _one_at_a_time:
+                formulas = Formulas(z3, given)
+                facts = [formulas.holds(guard) for guard in _relevant(known.facts, [transition])]
+                solver = z3.Solver()
+                solver.set("rlimit", _EFFORT)
+                held = formulas.holds(transition.guard)
+                solver.add(*formulas.limits(), *facts)
+                if solver.check() == z3.unsat:
+                    continue  # no token comes this way
+                possible = True
+                solver.add(held)
+                if formulas.granted or solver.check() != z3.unsat:
+                    return False
+        return possible
+
     def _covers(self, place: str, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
         with _one_at_a_time:
-            values = self._left_out(guarded, kind, known, whole=False)
+            values = self._left_out(guarded, known, self._given(kind, guarded, known))
         if values:
             lines = [str(each.line) for each in guarded if each.line]
             where = f" ({self._net.source}:{', :'.join(lines)})" if lines else ""
@@ -128,27 +288,95 @@ class GuardCoverage:
             raise NetError(text, net=self._net.name, place=place, values=values)
         return values == ""
 
-    def _left_out(self, guarded: list[Transition], kind: str, known: TokenKnowledge, *, whole: bool) -> str | None:
+    def _given(self, kind: str, guarded: list[Transition], known: TokenKnowledge) -> ValueKnowledge:
+        schema, symbol = self._net.arguments_of(kind), "" if kind in self._net.services else kind
+        meanings = self._scope.meanings(guarded[0])
+        return ValueKnowledge(schema, symbol, known.answered, self._stored, self._bounds, meanings)
+
+    def _are_apart(self, kind: str, guarded: list[Transition], known: TokenKnowledge) -> bool:
+        """Return whether no two guards hold for one value, now or later."""
+        import z3
+
+        with _one_at_a_time:
+            formulas = Formulas(z3, self._given(kind, guarded, known))
+            held = [formulas.holds(each.guard) for each in guarded if each.guard is not None]
+            facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
+            solver = z3.Solver()
+            solver.set("rlimit", _EFFORT)
+            solver.add(*formulas.limits(), *facts, z3.Or([z3.And(one, other) for one, other in combinations(held, 2)]))
+            return not formulas.changing and bool(solver.check() == z3.unsat)
+
+    def _left_out(self, guarded: list[Transition], known: TokenKnowledge, given: ValueKnowledge) -> str | None:
         """Return values that no guard lets pass for good, in words; empty: there are none; None: undecided."""
         import z3  # takes longer than most nets do
 
-        schema, meanings = self._net.arguments_of(kind), self._scope.meanings(guarded[0])
-        symbol = "" if kind in self._net.services else kind
-        formulas = Formulas(z3, schema, symbol, known.answered, self._stored, meanings, whole)
+        formulas = Formulas(z3, given)
         held = z3.Or([formulas.holds(each.guard) for each in guarded if each.guard is not None])
-        facts = [formulas.holds(guard) for guard in sorted(known.facts, key=str)]
+        facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
         solver = z3.Solver()
         solver.set("rlimit", _EFFORT)
         solver.add(*formulas.limits(), *facts)
+        self.granted |= formulas.granted
         values = _found(z3, solver, formulas, [z3.Not(held)])
         if values and formulas.changing:
             if len(formulas.changing) > MOST_CHANGING:
                 return None
             lasting = [z3.Not(z3.substitute(held, *chance)) for chance in _chances(z3, formulas)]
             values = _found(z3, solver, formulas, lasting) or None
-        if values and formulas.uncertain and not whole:
-            return self._left_out(guarded, kind, known, whole=True) or None
+        if given.rounded:
+            return values and None  # such values are none that a floating-point number need have
+        if values and formulas.uncertain and not given.whole:
+            return self._left_out(guarded, known, replace(given, whole=True)) or None
+        if values == "" and formulas.inexact:
+            return self._left_out(guarded, known, replace(given, rounded=True))
         return values
+
+
+def _relevant(facts: frozenset[Guard], guarded: list[Transition]) -> list[Guard]:
+    """Return facts in order; without failures, which all guards may know of, where no guard asks for one."""
+    others = [guard for guard in facts if guard != NO_FAILURE]
+    asking = [*others, *(each.guard for each in guarded if each.guard is not None)]
+    asked = any(path[0] == "failure" for guard in asking for path in named(guard))
+    return sorted(facts if asked else others, key=str)
+
+
+def _bounds(net: Net, name: str) -> Bounds:
+    """Return the bounds of the numbers in a data object of which a net says all values, such as those of a counter."""
+    stored = [dict(_numbers(t.store[name])) for t in net.transitions.values() if name in t.store]
+    found: dict[tuple[str, ...], tuple[float | None, float | None]] = {}
+    for way in {way for each in stored for way in each}:
+        path = (name, *way)
+        changes = [_change(each.get(way, 0), path) for each in stored]
+        values = [value for value, step in changes if value is not None and step is None]
+        steps = [step for value, step in changes if value is None]
+        if values and None not in steps:
+            low = min(values) if all(step is not None and step >= 0 for step in steps) else None
+            high = max(values) if all(step is not None and step <= 0 for step in steps) else None
+            found[path] = (low, high)
+    return found
+
+
+def _numbers(value: object, way: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
+    """Yield the fields of a stored message, with the ways to them."""
+    if isinstance(value, Mapping):
+        for name, each in value.items():
+            yield from _numbers(each, (*way, str(name)))
+    else:
+        yield way, value
+
+
+def _change(value: object, path: tuple[str, ...]) -> tuple[float | None, float | None]:
+    """Return the stored number, or the step added to the number before; None: not told."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value, None
+    match list(nodes(value)) if isinstance(value, str) and value.startswith(OPENS) and value.endswith("}") else []:
+        case [Literal(int() | float() as number)] if not isinstance(number, bool):
+            return number, None
+        case [Binary("+" | "-" as sign, of, Literal(int() | float() as step))] if list(references(of)) == [
+            ("data", *path)
+        ]:
+            return None, step if sign == "+" else -step
+    return None, None
 
 
 def _found(z3: Any, solver: Any, formulas: Formulas, wanted: list[Any]) -> str | None:

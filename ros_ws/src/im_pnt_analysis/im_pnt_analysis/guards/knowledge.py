@@ -1,14 +1,17 @@
 """Knowledge of values at the places of a net: guards passed on the way, and transitions answered."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 
 from im_pnt.expression.scope import NetScope
 from im_pnt.expression.template import OPENS, nodes, references
-from im_pnt.expression.types import NoTypes
-from im_pnt.model.net import Guard, Net, Transition
+from im_pnt.model.action import AwaitAction
+from im_pnt.model.net import Arcs, Guard, Net, Transition
 from im_pnt.model.resources import resource_places
+
+NO_FAILURE = Guard("${failure.code == '' and failure.message == ''}")
+"""Knowledge of a token without a failure behind it."""
 
 MOST_WAYS = 16
 """Ways to a place that are told apart; of more, only what is common to all counts."""
@@ -38,22 +41,29 @@ class TokenKnowledge:
 Ways = Mapping[str, frozenset[TokenKnowledge]]
 """Knowledge at each place that is reached, one for each way there."""
 
+Name = tuple[str, str]
+"""A value that a transition gives anew: the answer of an action, or a data object."""
+
 
 class Knowledge:
     """Ways to the places of a net, by command or service.
 
     Args:
         net: The net as written.
+        scope: Commands and services of its transitions.
+        stored: Data objects that the net alone stores.
+
+    Attributes:
+        resources: Places whose tokens belong to nobody.
     """
 
-    def __init__(self, net: Net) -> None:
-        self._net = net
-        self._scope = NetScope(net, NoTypes())
-        self._resources = resource_places(net)
+    def __init__(self, net: Net, scope: NetScope, stored: frozenset[str]) -> None:
+        self._net, self._scope, self._stored = net, scope, stored
+        self.resources = resource_places(net)
 
     def work_inputs(self, transition: Transition) -> frozenset[str]:
         """Return the input places of a transition that are no resources."""
-        return frozenset(transition.inputs) - self._resources
+        return frozenset(transition.inputs) - self.resources
 
     def serves(self, transition: Transition, kind: str) -> bool:
         """Return whether tokens of a command or service may come to a transition."""
@@ -63,15 +73,19 @@ class Knowledge:
         """Return the knowledge of a command or service at each reached place, way by way."""
         net, found = self._net, dict[str, frozenset[TokenKnowledge]]()
         if kind in net.services:
-            found[net.services[kind].entry] = frozenset({TokenKnowledge()})
+            found[net.services[kind].entry] = frozenset({TokenKnowledge(frozenset({NO_FAILURE}))})
         serving = [t for t in net.transitions.values() if self.serves(t, kind)]
+        beside = self._beside(serving, kind)
         changed = True
         while changed:
             changed = False
             for transition in serving:
                 for place, arriving in self._outcomes(transition, kind, found):
+                    if place in self.resources:
+                        continue  # the token is nobody's there
+                    lasting = frozenset(_known(each, beside.get(place, frozenset())) for each in arriving)
                     before = found.get(place, frozenset())
-                    after = _reduced(before | arriving)
+                    after = _reduced(before | lasting)
                     if after != before:
                         found[place] = after
                         changed = True
@@ -83,30 +97,109 @@ class Knowledge:
         joined = {TokenKnowledge()} if ways else set[TokenKnowledge]()
         for several in ways:
             joined = set(_reduced(frozenset(one.joined(other) for one, other in product(joined, several))))
+        if len(ways) > 1:  # the failure may be that of any of the tokens
+            return frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in joined)
         return frozenset(joined)
 
     def _outcomes(
         self, transition: Transition, kind: str, found: Ways
     ) -> Iterator[tuple[str, frozenset[TokenKnowledge]]]:
-        begins = transition.symbol == kind and transition.symbol_of is None
+        begins = self._begins(transition, kind)
         before = frozenset({TokenKnowledge()}) if begins else self.together(self.work_inputs(transition), found)
-        if transition.guard is not None and _is_fact(transition.guard):
-            before = frozenset(TokenKnowledge(each.facts | {transition.guard}, each.answered) for each in before)
+        if transition.guard is not None:
+            before = _learned(before, self._facts(transition.guard))
         if not before:
             return
         acts, name = transition.action is not None, transition.retry_of or transition.name
-        if acts:
-            before = frozenset(TokenKnowledge(_without(each.facts, "answers", name), each.answered) for each in before)
+        for given in self._given(transition):
+            before = frozenset(TokenKnowledge(_without(each.facts, *given), each.answered) for each in before)
         after = frozenset(TokenKnowledge(each.facts, each.answered | {name}) for each in before) if acts else before
+        if not transition.keeps_failure:
+            after = frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in after)
+            after = _learned(after, [NO_FAILURE])
+        if isinstance(transition.action, AwaitAction) and transition.action.until is not None:
+            after = _learned(after, self._facts(Guard(transition.action.until)))
         for place in transition.outputs:
             yield place, after
-        failing = transition.on_failure or ({} if self._net.escalate is None else {self._net.escalate: 1})
         failed = frozenset(TokenKnowledge(_without(each.facts, "failure"), each.answered) for each in before)
-        for place in (*(failing if acts else ()), *transition.on_doubt):
+        for place in chain(*self._failing(transition)):
             yield place, failed
         for place in transition.outputs:
             for other in self._net.places[place].on_invalid if place in self._net.places else ():
-                yield other, after
+                yield other, frozenset(TokenKnowledge(_without(e.facts, "failure"), e.answered) for e in after)
+
+    def _begins(self, transition: Transition, kind: str) -> bool:
+        return transition.symbol == kind and transition.symbol_of is None
+
+    def _failing(self, transition: Transition) -> list[Arcs]:
+        """Return the arcs of a failure, and of a doubt."""
+        failing = transition.on_failure or ({} if self._net.escalate is None else {self._net.escalate: 1})
+        return [arcs for arcs in (failing if transition.action is not None else {}, transition.on_doubt) if arcs]
+
+    def _given(self, transition: Transition) -> Iterator[Name]:
+        """Yield the values that a transition gives anew."""
+        if transition.action is not None:
+            yield "answers", transition.retry_of or transition.name
+        for name in transition.store:
+            yield "data", name
+
+    def _facts(self, guard: Guard) -> list[Guard]:
+        """Return a passed guard if it is over values that stay the same until a transition gives them anew."""
+        if guard.unless:
+            return [guard] if all(map(self._facts, guard.unless)) else []
+        stays = all(path[0] != "data" or path[1] in self._stored for path in named(guard))
+        return [guard] if OPENS in guard.name and stays else []
+
+    def _beside(self, serving: Iterable[Transition], kind: str) -> Mapping[str, frozenset[Name]]:
+        """Return for each place the values that other tokens of the command may give anew while one lies there.
+
+        Places are found that may be marked together, as far as pairs tell (A. Kovalyov, "Concurrency relations and the
+        safety problem for Petri nets", 1992); an action is a place between its two phases.
+        """
+        steps: list[tuple[Arcs, Arcs]] = []
+        for transition in serving:
+            needed = {} if self._begins(transition, kind) else self._work(transition.inputs)
+            if any(self._given(transition)):
+                steps.append((needed, {_active(transition): 1}))
+                needed = {_active(transition): 1}
+            steps.append((needed, self._work(transition.outputs)))
+            steps += [(needed, self._work(arcs)) for arcs in self._failing(transition)]
+        for place in self._net.places.values():
+            steps += [({place.name: 1}, self._work(dict.fromkeys(place.on_invalid, 1)))] if place.on_invalid else []
+        entry = {self._net.services[kind].entry} if kind in self._net.services else set[str]()
+        pairs = _marked_together(steps, entry)
+        found: dict[str, frozenset[Name]] = {}
+        for transition in serving:
+            for name in self._given(transition):
+                for one, other in pairs:
+                    if one == _active(transition):
+                        found[other] = found.get(other, frozenset()) | {name}
+        return found
+
+    def _work(self, arcs: Arcs) -> dict[str, int]:
+        return {place: weight for place, weight in arcs.items() if place not in self.resources}
+
+
+def _active(transition: Transition) -> str:
+    return f"{transition.name}.active"
+
+
+def _marked_together(steps: list[tuple[Arcs, Arcs]], entry: set[str]) -> set[tuple[str, str]]:
+    """Return the pairs of places, in both orders, that may hold a token each; of a place with itself: two."""
+    reached, pairs = set(entry), set[tuple[str, str]]()
+    while True:
+        before = len(reached) + len(pairs)
+        for needed, given in steps:
+            apart = all((one, other) in pairs for one in needed for other in needed if one < other)
+            if not needed.keys() <= reached or not apart:
+                continue
+            reached |= given.keys()
+            beside = {place for place in reached if all((place, each) in pairs for each in needed)} if needed else set()
+            new = {(one, other) for one in given for other in given if one != other or given[one] > 1}
+            new |= {(one, other) for one in given for other in beside}
+            pairs |= new | {(other, one) for one, other in new}
+        if before == len(reached) + len(pairs):
+            return pairs
 
 
 def named(guard: Guard) -> frozenset[tuple[str, ...]]:
@@ -114,10 +207,16 @@ def named(guard: Guard) -> frozenset[tuple[str, ...]]:
     return frozenset(path for each in (guard, *guard.unless) for node in nodes(each.name) for path in references(node))
 
 
-def _is_fact(guard: Guard) -> bool:
-    if guard.unless:
-        return all(map(_is_fact, guard.unless))
-    return OPENS in guard.name and all(path[0] != "data" for path in named(guard))
+def _learned(ways: frozenset[TokenKnowledge], facts: Iterable[Guard]) -> frozenset[TokenKnowledge]:
+    return frozenset(TokenKnowledge(way.facts.union(facts), way.answered) for way in ways)
+
+
+def _known(way: TokenKnowledge, changing: frozenset[Name]) -> TokenKnowledge:
+    """Return the knowledge that lasts while other tokens of the command give values anew."""
+    facts = way.facts
+    for name in changing:
+        facts = _without(facts, *name)
+    return TokenKnowledge(facts, way.answered)
 
 
 def _without(facts: frozenset[Guard], *path: str) -> frozenset[Guard]:

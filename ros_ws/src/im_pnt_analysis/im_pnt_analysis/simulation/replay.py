@@ -10,6 +10,7 @@ from im_pnt.errors import NetError
 from im_pnt.model.compiled import Compiled, compile_net
 from im_pnt.model.net import Net
 from im_pnt_analysis.composition.compose import compose
+from im_pnt_analysis.guards.coverage import settled_choices
 
 _LARGEST = 50 * MEBIBYTE
 _SHOWN = 12
@@ -115,7 +116,10 @@ def replay(nets: Sequence[Net], firings: FiringSequence) -> Iterator[ReplayedFir
     names = tuple(net.name for net in nets)
     if firings.nets and sorted(firings.nets) != sorted(names):
         raise NetError(f"the sequence is for the nets {', '.join(firings.nets)}; {', '.join(names)} were given")
-    compiled = compile_net(compose(nets).net)
+    flat = compose(nets).net
+    if any(name not in flat.transitions for name in firings.sequence + firings.repeat):
+        flat = compose([settled_choices(net) for net in nets]).net  # of a proof, which knows of choices
+    compiled = compile_net(flat)
     vector = compiled.marking_vector(compiled.net.initial_marking())
     yield ReplayedFiring(0, "", compiled.marking(vector), _enabled(compiled, vector))
     number_of = {name: index for index, name in enumerate(compiled.transitions)}

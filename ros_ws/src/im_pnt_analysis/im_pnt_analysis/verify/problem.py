@@ -14,6 +14,7 @@ from im_pnt.model.net import Net, Place, Transition
 from im_pnt.verification import Counterexample
 from im_pnt_analysis.composition.compose import Composition, compose
 from im_pnt_analysis.composition.precedence import with_precedence
+from im_pnt_analysis.guards.coverage import settled_choices
 
 DOES, WAITS = 1, 2
 """Kinds of transitions: what the nets do by themselves, and what they may wait for."""
@@ -80,7 +81,8 @@ def problem_of(nets: Sequence[Net]) -> Problem:
     Raises:
         NetError: The nets do not fit together.
     """
-    precedence = with_precedence(compose(nets), nets)
+    settled = [settled_choices(net) for net in nets]
+    precedence = with_precedence(compose(settled), settled)
     composition = precedence.composition
     compiled = compile_net(composition.net)
     waits = composition.external - composition.disturbances

@@ -21,6 +21,7 @@ from im_core.names import cache_dir
 from im_core.text.jsontext import load_json
 from im_pnt.model.net import Net
 from im_pnt.netfile import yaml_text
+from im_pnt_analysis.guards.coverage import types_read
 from im_pnt_analysis.verify.report import Report
 
 MOST = 1000
@@ -103,7 +104,7 @@ def fingerprint(nets: Sequence[Net]) -> str:
     Args:
         nets: Nets as written, in any order.
     """
-    texts = sorted(yaml_text(replace(net, description="")) for net in nets)
+    texts = sorted("\n".join((yaml_text(replace(net, description="")), *types_read(net))) for net in nets)
     return hashlib.sha256("\0".join((_prover(), *texts)).encode()).hexdigest()
 
 

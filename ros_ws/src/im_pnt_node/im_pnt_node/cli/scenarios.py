@@ -9,9 +9,9 @@ from im_core import plugins
 from im_core.clock import monotonic
 from im_core.errors import ConfigError
 from im_core.files import write_whole
-from im_pnt_node.scenario.file import SUFFIX, load_scenarios
+from im_pnt_node.scenario.file import SUFFIX, load_scenarios, message_types
 from im_pnt_node.scenario.report import Coverage
-from im_pnt_node.scenario.verdict import judge, message_types, unreached
+from im_pnt_node.scenario.verdict import judge, unreached
 
 PASSED, FAILED = 0, 1
 

@@ -47,9 +47,9 @@ OK, REFUSED, BAD_INPUT = 0, 1, 2
 VERIFIER = "im_pnt_analysis:verify_to_load"
 PAGE = "im_pnt_display"
 DOM_S = 5.0
-PATIENCE_S = 5.0
+PATIENCE_S = 3.0
+"""How long cancelled commands may go on without any action under way [s]: the process ends within 5 s."""
 _LOOK_S = 0.05
-"""How long cancelled commands may go on without any action under way [s]."""
 
 
 def main(arguments: Sequence[str] | None = None, program: str = "pnt_node") -> int:

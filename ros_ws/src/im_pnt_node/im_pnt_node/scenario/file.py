@@ -6,13 +6,19 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import pydantic
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
+from im_core import plugins
 from im_core.config import FieldError, Model, fault_in, load_model
-from im_core.errors import ImError, nearest
+from im_core.errors import ConfigError, ImError, nearest
 from im_core.files import read_text
 from im_core.text.yamltext import Location, find, read_yaml
-from im_pnt.model.action import AwaitAction
+from im_pnt.expression.errors import ExpressionError
+from im_pnt.expression.inference import Meanings
+from im_pnt.expression.scope import ANSWERED, SENT, NetScope, PlacedError, check_value
+from im_pnt.expression.template import has_expressions
+from im_pnt.expression.types import MessageTypes, NoTypes, ValueType, message_type
+from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
 
@@ -22,6 +28,7 @@ SUFFIX = ".test.yml"
 MARKS = "+!~?"
 """Marks behind a transition in ``order`` and ``never``: begun, failed, cancelled, in doubt; without one: ended well."""
 
+_TYPES = "im_pnt_node.ros.messages:RosTypes"
 _LARGEST = 4 * 1024 * 1024
 _KINDS = ("symbol", "request", "cancel", "guards", "objects", "messages")
 
@@ -34,9 +41,15 @@ def _as_times(value: object) -> object:
     return value if isinstance(value, list) else [value, value]
 
 
+def _in_order(times: tuple[float, float]) -> tuple[float, float]:
+    if times[0] > times[1]:
+        raise ValueError(f"the least time, {times[0]:g} s, is greater than the greatest, {times[1]:g} s")
+    return times
+
+
 Seconds = Annotated[float, Field(ge=0.0)]
 Fields = dict[str, object]
-Times = Annotated[tuple[Seconds, Seconds], BeforeValidator(_as_times)]
+Times = Annotated[tuple[Seconds, Seconds], BeforeValidator(_as_times), AfterValidator(_in_order)]
 Ends = Literal["done", "failed", "cancelled", "open", "waiting"]
 
 
@@ -65,6 +78,8 @@ class AnswerFile(Model):
     def _one_end(self) -> Self:
         if sum((bool(self.answer), self.failure is not None, self.doubt is not None, self.silent)) > 1:
             raise ValueError("an action ends in one way: answer, failure, doubt or silent")
+        if "code" in self.model_fields_set and self.failure is None and self.answer.get("success") is not False:
+            raise FieldError(("code",), "is of a failure; give `failure`, or an answer with `success: false`")
         return self
 
 
@@ -222,6 +237,15 @@ def load_scenarios(path: Path) -> ScenarioSet:
     return ScenarioSet(path, nets, tuple(scenarios))
 
 
+def message_types() -> MessageTypes:
+    """Return the types of the installed messages; without ROS none is known."""
+    try:
+        found: type[MessageTypes] = plugins.load(_TYPES, None, "message types")  # type: ignore[assignment]
+    except ConfigError:
+        return NoTypes()
+    return found()
+
+
 def awaits(nets: Iterable[Net]) -> Iterator[AwaitAction]:
     """Yield the awaits of nets."""
     for net in nets:
@@ -237,10 +261,11 @@ def split_name(name: str, nets: Sequence[Net]) -> tuple[str, str]:
 
 
 class _Names:
-    """Check of the names in a file."""
+    """Check of the names in a file, and of fields against the types of messages."""
 
     def __init__(self, path: Path, nets: Sequence[Net]) -> None:
         self._path, self._nets = path, nets
+        self._scopes = {net.name: NetScope(net, message_types()) for net in nets}
         self._acting: dict[str, Iterable[str]] = {
             net.name: {t.retry_of or t.name for t in net.transitions.values() if t.action is not None} for net in nets
         }
@@ -258,6 +283,7 @@ class _Names:
             at: Location = ("scenarios", name)
             self._answers(at, scenario.answers)
             self._guards((*at, "guards"), scenario.guards)
+            self._objects((*at, "objects"), scenario.objects)
             for rank, step in enumerate(scenario.steps):
                 self._step((*at, "steps", rank), step, partly=scenario.random is not None)
             expected = (*at, "expect")
@@ -267,9 +293,53 @@ class _Names:
             for place in scenario.expect.marking:
                 self._find((*expected, "marking", place), "place", place, self._places)
 
-    def _answers(self, at: Location, names: Iterable[str]) -> None:
-        for name in names:
-            self._find((*at, "answers", name), "transition with an action", name, self._acting)
+    def _answers(self, at: Location, answers: Answers) -> None:
+        for name, several in answers.items():
+            found, short = self._find((*at, "answers", name), "transition with an action", name, self._acting)
+            net = next(each for each in self._nets if each.name == found)
+            transition = net.transitions[short]
+            action, scope = transition.action, self._scopes[found].meanings(transition)
+            for rank, answer in enumerate(several):
+                where: Location = (*at, "answers", name, *((rank,) if len(several) > 1 else ()))
+                if isinstance(action, ServiceAction | GoalAction | AwaitAction):
+                    answered = message_type(f"{action.type}{ANSWERED[type(action)]}")
+                    self._fields((*where, "answer"), answer.answer, answered, scope)
+                if isinstance(action, ServiceAction | GoalAction):
+                    sent = message_type(f"{action.type}{SENT[type(action)]}")
+                    schemas = [net.arguments_of(kind) for kind in self._scopes[found].works_for(transition)]
+                    fields = {
+                        key: value
+                        for key, value in answer.when.items()
+                        if not any(schema is None or key in schema.arguments for schema in schemas)
+                    }
+                    self._fields((*where, "when"), fields, sent, scope)
+
+    def _objects(self, at: Location, objects: Objects) -> None:
+        scopes = [self._scopes[net.name].meanings(next(iter(net.transitions.values()))) for net in self._nets]
+        known = {
+            place.data_object: scope
+            for net, scope in zip(self._nets, scopes, strict=True)
+            for place in net.places.values()
+            if place.data_object
+        }
+        for name, fields in objects.items():
+            if name not in known:
+                if any(has_expressions(each) for each in known):
+                    continue  # such as path/${arguments.group}
+                raise self._unknown((*at, name), "data object", name, known)
+            try:
+                kind = known[name].data(name)
+            except ExpressionError:
+                continue  # no place says of what type it is
+            self._fields((*at, name), fields, kind, known[name])
+
+    def _fields(self, at: Location, fields: Fields, wanted: ValueType, scope: Meanings) -> None:
+        try:
+            check_value(fields, wanted, scope)
+        except PlacedError as error:
+            raise fault_in(self._path, (*at, *error.location), error.sentence) from error
+        except ConfigError:
+            return  # a type that is not installed here
 
     def _guards(self, at: Location, guards: Iterable[str]) -> None:
         known = {name for net in self._nets for name in net.guards()}
@@ -281,10 +351,13 @@ class _Names:
         if step.during is not None:
             acting = {net.name: [t.name for t in net.transitions.values() if t.action] for net in self._nets}
             self._find((*at, "while"), "transition with an action", step.during, acting)
-        topics = {each.name for each in awaits(self._nets)}
-        for topic in step.messages:
+        topics = {each.name: each.type for each in awaits(self._nets)}
+        for topic, fields in step.messages.items():
             if topic not in topics:
                 raise self._unknown((*at, "messages", topic), "awaited topic", topic, topics)
+            scope = self._scopes[self._nets[0].name].meanings(next(iter(self._nets[0].transitions.values())))
+            self._fields((*at, "messages", topic), fields, message_type(topics[topic]), scope)
+        self._objects((*at, "objects"), step.objects)
         symbols: dict[str, Iterable[str]] = {net.name: net.symbols() for net in self._nets}
         services: dict[str, Iterable[str]] = {net.name: net.services for net in self._nets}
         self._guards((*at, "guards"), step.guards)

@@ -55,7 +55,7 @@ class AwaitedMessage:
 
     def hear(self, message: Mapping[str, object]) -> None:
         """Take a message."""
-        fields = {**self._empty, **message}
+        fields = completed(self._empty, message)
         try:
             if self._action.until is not None and not self._context.holds(self._action.until, fields):
                 return
@@ -98,6 +98,16 @@ class MockedObjects:
     def run(self, work: Coroutine[object, object, None], done: Done) -> None:
         """Run a coroutine, which waits for nothing."""
         run_at_once(work, done)
+
+
+def completed(empty: Mapping[str, object], given: Mapping[str, object]) -> dict[str, object]:
+    """Return an answer with empty values for the fields that are left out, within its messages too."""
+    fields = {**empty, **given}
+    for name, value in given.items():
+        before = empty.get(name)
+        if isinstance(value, dict) and isinstance(before, dict):
+            fields[name] = completed(before, value)
+    return fields
 
 
 def _short(name: str) -> str:

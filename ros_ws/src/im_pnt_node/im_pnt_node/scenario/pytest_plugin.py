@@ -53,8 +53,9 @@ class _Test(pytest.Item):
 
     def runtest(self) -> None:
         """Run the scenario."""
+        from im_pnt_node.scenario.file import message_types
         from im_pnt_node.scenario.report import Coverage
-        from im_pnt_node.scenario.verdict import judge, message_types
+        from im_pnt_node.scenario.verdict import judge
 
         verdict = judge(self.scenarios, self.scenario, Coverage(), message_types())
         if verdict.complaints:

@@ -6,9 +6,7 @@ from random import Random
 
 import yaml
 
-from im_core import plugins
-from im_core.errors import ConfigError
-from im_pnt.expression.types import MessageTypes, NoTypes
+from im_pnt.expression.types import MessageTypes
 from im_pnt.model.net import Guard
 from im_pnt_node.scenario.draws import Draws, ValueDraw, shrink
 from im_pnt_node.scenario.file import Scenario, ScenarioSet, StepFile, split_name
@@ -17,7 +15,6 @@ from im_pnt_node.scenario.run import MOST_FIRINGS, ScenarioRunner
 
 _SHOWN = 30
 _NEAR_S = 1e-6
-_TYPES = "im_pnt_node.ros.messages:RosTypes"
 
 
 @dataclass(frozen=True)
@@ -58,15 +55,6 @@ def _fired_lines(outcome: ScenarioReport) -> list[str]:
     lines = [f"{time:12.3f}  {f'{net}.' if several else ''}{text}" for time, net, text in outcome.firings]
     more = len(lines) - _SHOWN
     return lines if more <= 0 else [f"{'':12}  {more} before", *lines[-_SHOWN:]]
-
-
-def message_types() -> MessageTypes:
-    """Return the types of the installed messages; without ROS none is known."""
-    try:
-        found: type[MessageTypes] = plugins.load(_TYPES, None, "message types")  # type: ignore[assignment]
-    except ConfigError:
-        return NoTypes()
-    return found()
 
 
 def judge(

@@ -19,10 +19,19 @@ _MANY = 10_000
 
 _LARGEST_PARAMETER = 10**9
 _RANGE = re.compile(r"(-?[0-9]{1,9})\.\.(-?[0-9]{1,9})")
-Parameter = int | float | str | list[object]
+Parameter = int | float | str | list[object] | dict[str, object]
 
 
-def _parameter(value: object) -> Parameter:
+def as_parameter(value: object) -> Parameter:
+    """Read the value of a parameter: a whole number, a text, :class:`Written`, or a list or mapping of these.
+
+    Raises:
+        ValueError: There is none.
+    """
+    if isinstance(value, list):
+        return [as_parameter(each) for each in value]
+    if isinstance(value, dict):
+        return {name: as_parameter(each) for name, each in value.items()}
     number = as_number(value)
     if isinstance(number, int) and not isinstance(number, bool) and abs(number) <= _LARGEST_PARAMETER:
         return number
@@ -35,7 +44,7 @@ def _range(value: object) -> Sequence[Parameter]:
         values: list[Parameter] = []
         for rank, element in enumerate(as_list(value)):
             try:
-                values.append(_parameter(element))
+                values.append(as_parameter(element))
             except ValueError as error:
                 raise FieldError((rank,), str(error)) from None
         return values
@@ -50,7 +59,11 @@ def _range(value: object) -> Sequence[Parameter]:
     return range(first, last + 1)
 
 
-_Parameter = Annotated[Parameter, pydantic.PlainValidator(_parameter), WithJsonSchema(ONE_TEXT)]
+_Parameter = Annotated[
+    Parameter,
+    pydantic.PlainValidator(as_parameter),
+    WithJsonSchema({"anyOf": [ONE_TEXT, {"type": ["array", "object"]}]}),
+]
 _Range = Annotated[
     Sequence[Parameter],
     pydantic.PlainValidator(_range),

@@ -221,11 +221,11 @@ class Surroundings:
         first = action.name.strip("/").partition("/")[0]
         return first if self.heartbeats.incarnation(first) is not None else None
 
-    def require_known_server(self, action: ServiceAction | GoalAction, check: Callable[[], object]) -> None:
+    def require_known_server(self, name: str, check: Callable[[], object]) -> None:
         """Name the servers where an action has failed, and a stranger may have answered; else nothing is raised.
 
         Args:
-            action: The action.
+            name: Full name of the service or action.
             check: Raises the failure that the answer tells of.
 
         Raises:
@@ -234,7 +234,7 @@ class Surroundings:
         try:
             check()
         except ImError as error:
-            if (told := doubted(self.node, error, action.name)) is not error:
+            if (told := doubted(self.node, error, name)) is not error:
                 raise told from error
 
     async def sent(
@@ -315,16 +315,16 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
         client = server.client
         request = await around.sent(activity, action, context, interface_class(action.type).Request())
         task = around.task(action)
-        what = f"transition {activity.transition}"
+        what, name = f"transition {activity.transition}", around.node.resolve_service_name(action.name)
 
         async def call() -> Any:
-            there = f"the service {action.name} ({what})"
-            await around.until_ready(server, action.name, task, there, lambda: activity.cancelled)
+            there = f"the service {name} ({what})"
+            await around.until_ready(server, name, task, there, lambda: activity.cancelled)
             require_wanted(activity, action)
             limit = time_left(activity, SERVICE_TIMEOUT_S)
-            waited = f"an answer of {action.name} ({what})"
+            waited = f"an answer of {name} ({what})"
             answer = await around.wait(client.call_async(request), task, limit, waited, server)
-            around.require_known_server(action, lambda: require_success(answer, str(action)))
+            around.require_known_server(name, lambda: require_success(answer, str(action)))
             return answer
 
         response = await around.log.read(answer_key(activity), call(), packed_message)
@@ -334,7 +334,7 @@ class ServiceActions(RosActions[WatchedServer[Client]]):
     def _make(self, name: str, type_name: str) -> WatchedServer[Client]:
         node = self._surroundings.node
         client = node.create_client(interface_class(type_name), name)
-        return WatchedServer(node, client, name, client.service_is_ready)
+        return WatchedServer(node, client, node.resolve_service_name(name), client.service_is_ready)
 
     def _destroy(self, endpoint: WatchedServer[Client]) -> None:
         endpoint.stop()

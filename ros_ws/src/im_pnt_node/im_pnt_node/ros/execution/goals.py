@@ -108,7 +108,7 @@ class GoalActions(RosActions[WatchedServer[ActionClient]]):
                     raise doubted(around.node, rejected, action.name)
                 forgot = "it was started again meanwhile, or nobody has asked for the result for too long"
                 raise LinkError(f"{owner} does not know {action} any more: {forgot}", task=task, action=action.name)
-            around.require_known_server(action, lambda: result_of(action, answer.status, answer.result))
+            around.require_known_server(action.name, lambda: result_of(action, answer.status, answer.result))
             return answer
 
         answer = await around.log.read(answer_key(activity), reach(), packed_result)
