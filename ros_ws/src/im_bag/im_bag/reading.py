@@ -183,11 +183,6 @@ def deserialized(store: Typestore, data: bytes | memoryview, name: str) -> Any:
 
     Jazzy's ``serialize_message`` takes 4 bytes too many for each empty list of 64-bit numbers.
 
-    Args:
-        store: Knows the type.
-        data: The message in CDR.
-        name: The type.
-
     Raises:
         SerdeError: It is no message of the type.
     """

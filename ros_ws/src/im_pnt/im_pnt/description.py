@@ -34,11 +34,6 @@ def read_content(name: str, text: str) -> NetContent:
 def read_net(name: str, text: str, node: str) -> Net:
     """Read a net.
 
-    Args:
-        name: Its name.
-        text: JSON of its description.
-        node: Who tells it, for complaints.
-
     Raises:
         DataError: It is no description, or that of another net.
         NetFileError: It is no net.

@@ -21,10 +21,6 @@ _SETTLE_S = 2.0
 class Plant:
     """Arms, carts and grippers; the same seed and commands give the same bits.
 
-    Args:
-        cell: Parameters.
-        seed: Of the sensors' noise.
-
     Attributes:
         q: True positions, shape (n,) [rad or m].
         v: True velocities, shape (n,) [rad/s or m/s].

@@ -178,10 +178,6 @@ def become_agent(arguments: argparse.Namespace) -> None:
 def check_programs(deployment: Deployment, path: Path) -> None:
     """Check a deployment for the local host, and the local host for the executables of all local tasks.
 
-    Args:
-        deployment: What is to be started.
-        path: The file it came from.
-
     Raises:
         ConfigError: It is not, or has not.
     """
@@ -217,10 +213,6 @@ def check_cell(deployment: Deployment, given: str | None, whole: Deployment | No
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
     """Read the calibrations for tasks of the local host, if there are any, and print a summary.
-
-    Args:
-        deployment: What is to be started.
-        path: The file it came from.
 
     Raises:
         ConfigError: They are missing or wrong, or no task takes them, or one of a host that knows the file only.

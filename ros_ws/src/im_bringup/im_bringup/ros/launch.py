@@ -73,9 +73,6 @@ def main() -> int:
 def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     """Start the processes of the local host.
 
-    Args:
-        deployment: Of which they are.
-
     Returns:
         What finds out whether the nets of the tasks may run together, and what leads the tasks.
 

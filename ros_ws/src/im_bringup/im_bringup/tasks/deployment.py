@@ -93,15 +93,7 @@ class PlacedTask:
 
 
 def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], nodes: Mapping[str, str]) -> str:
-    """Return the reason against a task at a place; empty if there is none.
-
-    Args:
-        name: Its name.
-        task: The task.
-        place: Where it is.
-        names: Where those before it are, by name.
-        nodes: The tasks before it, by node.
-    """
+    """Return the reason against a task at a place; empty if there is none."""
     if name in names:
         return f"task '{name}' is in {names[name]} and in {place}"
     if task.node == _OWN_NODE:

@@ -14,9 +14,6 @@ class ServoEnd(LinkEnd):
     def attach_servo(self, pid: int) -> None:
         """Attach a servo from the next tick on; a servo already attached still answers the present tick.
 
-        Args:
-            pid: Process that runs the servo loop.
-
         Raises:
             LinkError: Another living servo is attached, or ``pid`` does not run.
         """

@@ -101,10 +101,6 @@ class UrdfTree:
 def parse_description(text: str, name: str) -> UrdfTree:
     """Read a URDF.
 
-    Args:
-        text: Contents of the file.
-        name: Of the file, for messages.
-
     Raises:
         ConfigError: It is not XML or no URDF, a number is none, or links and joints are no tree.
     """
@@ -127,10 +123,6 @@ def parse_description(text: str, name: str) -> UrdfTree:
 
 def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
     """Return the pairs of links switched off by an SRDF (MoveIt's).
-
-    Args:
-        text: Contents of the file.
-        name: Of the file, for messages.
 
     Raises:
         ConfigError: It is not XML.

@@ -53,12 +53,7 @@ TOO_FAINT, FORGOTTEN = "spot_too_faint", "look_forgotten"
 
 
 class CalibrateCamera:
-    """The functions of the command.
-
-    Args:
-        host: The node that runs it.
-        times: Times of its steps.
-    """
+    """The functions of the command."""
 
     def __init__(self, host: Host, times: StepTimes) -> None:
         self._host, self._times = host, times

@@ -69,12 +69,7 @@ def moveit_files(cell: Cell, config: McsConfig) -> dict[str, str]:
 
 
 class _Robot:
-    """Tree of the robot description.
-
-    Args:
-        cell: The cell.
-        limits: Limits in force of each joint, by name.
-    """
+    """Tree of the robot description."""
 
     def __init__(self, cell: Cell, limits: Mapping[str, Limits]) -> None:
         self._cell, root = cell, ET.fromstring(robot_description(cell, limits))

@@ -89,12 +89,7 @@ def _short(text: str, length: int = 60) -> str:
 
 
 class PartModel:
-    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright.
-
-    Args:
-        part: Joints and frames.
-        cell: Parameters.
-    """
+    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright."""
 
     def __init__(self, part: Part, cell: Cell) -> None:
         self.part = part

@@ -279,9 +279,6 @@ class ServoKeeper:
     async def reset(self, request: Callable[[Event, dict[str, Any]], Awaitable[object]]) -> None:
         """End an emergency stop, if the cause is gone; nothing moves.
 
-        Args:
-            request: Asks the servo and awaits its answer.
-
         Raises:
             ImError: The cause is not gone, there is nothing to reset, or it was stopped again meanwhile.
         """

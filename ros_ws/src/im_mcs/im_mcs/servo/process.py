@@ -41,10 +41,6 @@ _CROWDED = 0.5
 class ServoProcess:
     """Runner of MCS, tick by tick, until the end is requested.
 
-    Args:
-        instance: Which machine on this host.
-        config: Configuration.
-
     Raises:
         ImError: Testbed or owner cannot be reached, or a module of the configuration cannot be loaded.
     """

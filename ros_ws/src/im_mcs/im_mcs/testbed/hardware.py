@@ -17,9 +17,6 @@ class GuardedTestbed:
         period_s: Time between ticks [s].
         wall_period_s: Wall time between ticks that the loop shall keep [s]; 0 if the clock sets the pace.
         several: Whether there are several drivers, of which some may listen when another has failed.
-
-    Args:
-        testbed: The slots and their drivers.
     """
 
     def __init__(self, testbed: TestbedInterface) -> None:

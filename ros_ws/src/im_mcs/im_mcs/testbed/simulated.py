@@ -108,11 +108,7 @@ class SimulatedDriver:
 
 
 class SimulatedStop:
-    """Emergency stop of the simulated testbed running at the use.
-
-    Args:
-        instance: Which machine on this host.
-    """
+    """Emergency stop of the simulated testbed running at the use."""
 
     def __init__(self, instance: str) -> None:
         self._instance = instance

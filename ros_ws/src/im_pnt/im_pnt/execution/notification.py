@@ -175,10 +175,6 @@ class Nowhere:
 class Notifier:
     """Numbering of the firings of a net, and the report in batches.
 
-    Args:
-        net: Name of the net.
-        observer: Whom.
-
     Attributes:
         sequence: Number of the last firing.
     """

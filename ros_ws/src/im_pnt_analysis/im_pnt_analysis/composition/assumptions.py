@@ -55,9 +55,6 @@ class _Debt:
 class Assumptions:
     """Additions to a composition for the assumptions of the nets.
 
-    Args:
-        flat: The net that grows.
-
     Attributes:
         promises: For places with a capacity that is a promise, what is said when it is broken; ``{tokens}`` in it.
         debts: For places that must always be able to become empty again, what is said when they cannot.

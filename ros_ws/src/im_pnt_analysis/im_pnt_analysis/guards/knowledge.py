@@ -40,11 +40,7 @@ Ways = Mapping[str, frozenset[TokenKnowledge]]
 
 
 class Knowledge:
-    """Ways to the places of a net, by command or service.
-
-    Args:
-        net: The net as written.
-    """
+    """Ways to the places of a net, by command or service."""
 
     def __init__(self, net: Net) -> None:
         self._net = net

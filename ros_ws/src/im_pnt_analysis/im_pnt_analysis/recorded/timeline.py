@@ -247,9 +247,6 @@ class NetRecording:
 class _Rule:
     """Effect of firings on the marking of a net.
 
-    Args:
-        net: The net, as written.
-
     Attributes:
         initial: Tokens of the marked places at the beginning.
     """

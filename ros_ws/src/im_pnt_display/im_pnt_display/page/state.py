@@ -108,13 +108,7 @@ class DisplayState:
         self._commands = {change["part"]: change for change in snapshot["commands"]}
 
     def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
-        """Return the change for a new net or a new structure; a former refusal of the name is over.
-
-        Args:
-            name: Name of the net.
-            node: Node that runs it.
-            content: Its description, with the drawing.
-        """
+        """Return the change for a new net or a new structure; a former refusal of the name is over."""
         return {"kind": "net", "net": name, "node": node, **content}
 
     def gone(self, name: str) -> Change:

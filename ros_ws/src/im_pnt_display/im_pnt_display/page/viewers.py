@@ -92,12 +92,7 @@ class Viewers:
         self._tell()
 
     def show(self, change: Change, text: str = "") -> None:
-        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead.
-
-        Args:
-            change: The change.
-            text: The same as JSON, where it is known.
-        """
+        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead."""
         if not self.state.enter(change):
             return
         of_cell = change["kind"] == "cell"

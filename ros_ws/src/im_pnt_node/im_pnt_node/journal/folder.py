@@ -102,9 +102,6 @@ class _File:
 class Folder:
     """Files of a real folder, made where missing.
 
-    Args:
-        path: The folder.
-
     Raises:
         JournalError: It cannot be made.
     """

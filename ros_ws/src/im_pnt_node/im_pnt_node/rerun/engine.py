@@ -57,9 +57,6 @@ class RerunExecutor(Executor):
 class NotDoneAgain:
     """Stand-in for actions named as ``module:function``: a repeat may move something, so recorded results are reused.
 
-    Args:
-        progress: The nets.
-
     Attributes:
         known: Their names.
     """

@@ -259,9 +259,6 @@ class RosActions(ABC, Generic[EndpointT]):
 
     The middleware takes no second type of a name in one process: what was made for a net that has gone makes room. It
     is gone when the executor has taken notice.
-
-    Args:
-        surroundings: Reaches other tasks.
     """
 
     def __init__(self, surroundings: Surroundings) -> None:
