@@ -11,12 +11,7 @@ from im_pnt.netfile import parse_net
 
 
 class NetContent(pydantic.BaseModel):
-    """Description of a net.
-
-    Attributes:
-        yaml: Text of its file.
-        journal: Whether its node keeps a journal.
-    """
+    """Description of a net."""
 
     yaml: str
     journal: bool = False

@@ -84,13 +84,7 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them.
-
-    Attributes:
-        root: Link that nothing carries.
-        joints: From the root on, depth first.
-        links: By name.
-    """
+    """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them."""
 
     root: str
     joints: tuple[UrdfJoint, ...]

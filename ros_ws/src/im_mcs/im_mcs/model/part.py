@@ -17,14 +17,7 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True)
 class Part:
-    """Some joints, and the frames of the kinematics.
-
-    Attributes:
-        name: Name of the group.
-        joints: Names of the joints.
-        base: Frame that poses are given in.
-        wrists: Frames whose poses the joints change.
-    """
+    """Some joints, and the frames of the kinematics."""
 
     name: str
     joints: tuple[str, ...]

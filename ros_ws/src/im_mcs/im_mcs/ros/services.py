@@ -234,7 +234,7 @@ class MotionServices:
 
 
 class SurroundingsServices:
-    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, and contacts allowed for a time."""
+    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, contacts allowed for a time."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
@@ -290,7 +290,7 @@ class SurroundingsServices:
 
 
 class KinematicsServices:
-    """``/mcs/get_group_state``, ``forward_kinematics``, ``inverse_kinematics``, ``check_path``, ``get_surroundings``."""
+    """``/mcs/get_group_state``, ``get_surroundings``, ``check_path``, and forward and inverse kinematics."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access

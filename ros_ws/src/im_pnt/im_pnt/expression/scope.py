@@ -124,11 +124,7 @@ def _object_type(net: Net, name: str) -> ValueType:
 
 
 class NetScope:
-    """Meanings of names in a net.
-
-    Attributes:
-        net: As given.
-    """
+    """Meanings of names in a net."""
 
     def __init__(self, net: Net, types: MessageTypes) -> None:
         self.net, self._types = net, types

@@ -53,12 +53,7 @@ _PHASES: Mapping[int, Sequence[str]] = {
 
 
 class Description(NamedTuple):
-    """Net as described by the node.
-
-    Attributes:
-        net: The net, as written.
-        node: Who runs it.
-    """
+    """Net as described by the node."""
 
     net: Net
     node: str
@@ -131,11 +126,6 @@ class NetRecording:
     Args:
         descriptions: All descriptions of nets.
         moments: What was told, in its order; a firing at least.
-        mission: What the firings tell.
-
-    Attributes:
-        descriptions: All descriptions of nets.
-        moments: From the first firing on.
         mission: What the firings tell.
     """
 

@@ -31,11 +31,7 @@ class Growing(Protocol):
 
 
 class Files(Protocol):
-    """File system of a journal.
-
-    Attributes:
-        name: Where it is, for messages.
-    """
+    """File system of a journal."""
 
     name: str
 

@@ -60,14 +60,7 @@ exit codes: 0 calibrated, and the same where nothing was changed; 1 it is not th
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code."""
     options = parsed(_parser(), arguments)
     try:
         return _recalibrate(options)
