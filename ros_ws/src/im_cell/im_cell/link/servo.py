@@ -1,7 +1,7 @@
 """The servo's end of the testbed link."""
 
 from im_cell.link.end import LinkEnd
-from im_cell.link.values import Faults, TickCommand, TickState
+from im_cell.link.values import Faults, Measured, TickCommand
 from im_core.errors import LinkError
 from im_core.processes.procfs import ProcessId
 
@@ -47,7 +47,7 @@ class ServoEnd(LinkEnd):
         self._require_attached()
         return False
 
-    def read_state(self) -> TickState:
+    def read_state(self) -> Measured:
         """The measured state of the newest tick; never torn, from any process.
 
         Raises:
@@ -62,7 +62,7 @@ class ServoEnd(LinkEnd):
             q, power, *others = self._shared.sensed.get()
             if before % 2 == 0 and int(sequence) == before:
                 self._require_attached()
-                return TickState(tick, tick * self._shared.period_ns, q, bool(power), *others)
+                return Measured(tick, tick * self._shared.period_ns, q, bool(power), *others)
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
     def faults(self) -> Faults:

@@ -33,12 +33,19 @@ class Sensors(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
-class TickState(NamedTuple):
-    """Readings of the :class:`Sensors` at the start of a tick.
+class Measured(NamedTuple):
+    """Readings of the channels at the start of a tick.
 
     Attributes:
         tick: Number of the tick.
-        stamp_ns: Testbed time, ``tick`` times the period [ns].
+        stamp_ns: Testbed time [ns].
+        q: Positions, shape (n,) [rad or m].
+        power: Whether the motors have power.
+        brakes: Which brakes are engaged, shape (n,).
+        gripper: Openings, shape (m,) [m].
+        age_s: How old each position is, testbed time, shape (n,) [s]; 0 where it is of this tick.
+        wrench: Wrist force-torque readings, force then torque, shape (w, 6) [N, Nm]; NaN where there is no sensor.
+        gripper_force: Force between the jaws, shape (m,) [N]; NaN where it is not measured.
     """
 
     tick: int

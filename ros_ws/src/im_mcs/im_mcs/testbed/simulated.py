@@ -65,7 +65,7 @@ class SimulatedDriver:
 
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
-        return Measured(*self._link.read_state())
+        return self._link.read_state()
 
     def write(self, drive: Drive) -> None:
         """Answer the tick.
