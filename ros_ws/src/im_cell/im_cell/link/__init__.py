@@ -57,6 +57,7 @@ from im_cell.link.panel import PanelEnd
 from im_cell.link.servo import ServoEnd
 from im_cell.link.values import (
     ControlState,
+    Drive,
     Exposure,
     ExposureRequest,
     Faults,
@@ -64,7 +65,6 @@ from im_cell.link.values import (
     LaserBeam,
     Measured,
     Sensors,
-    TickCommand,
     TrueState,
 )
 from im_cell.link.vision import CameraEnd, LaserEnd, RateEnd
@@ -73,6 +73,7 @@ __all__ = [
     "CameraEnd",
     "ClockEnd",
     "ControlState",
+    "Drive",
     "Exposure",
     "ExposureRequest",
     "Faults",
@@ -86,6 +87,5 @@ __all__ = [
     "Sensors",
     "ServoEnd",
     "StopEnd",
-    "TickCommand",
     "TrueState",
 ]

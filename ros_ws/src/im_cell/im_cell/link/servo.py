@@ -1,7 +1,7 @@
 """The servo's end of the testbed link."""
 
 from im_cell.link.end import LinkEnd
-from im_cell.link.values import Faults, Measured, TickCommand
+from im_cell.link.values import Drive, Faults, Measured
 from im_core.errors import LinkError
 from im_core.processes.procfs import ProcessId
 
@@ -69,7 +69,7 @@ class ServoEnd(LinkEnd):
         """Return the faults reported by the testbed, as by the drives of a robot."""
         return self._shared.faults()
 
-    def write_command(self, command: TickCommand) -> None:
+    def write_command(self, command: Drive) -> None:
         """Answer the current tick.
 
         Raises:

@@ -7,29 +7,9 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.link.values import Measured as Measured  # a part of the contract
+from im_cell.link.values import Drive as Drive  # parts of the contract
+from im_cell.link.values import Measured as Measured
 from im_mcs.limits.slots import OFFERED, Interface, check_settings, find_driver
-
-
-class Drive(NamedTuple):
-    """Commands to the channels until the next tick.
-
-    Attributes:
-        command: Torque, velocity or position of each joint, as its slot says, shape (n,)
-            [Nm or N, rad/s or m/s, rad or m].
-        power: Whether the motors shall have power.
-        brakes: Which brakes shall be engaged, shape (n,).
-        gripper: Wanted openings, shape (m,) [m].
-        wants_time: Whether MCS waits for something, so that simulated time must go on.
-        gripper_force: Largest force between the jaws, shape (m,) [N]; infinity stands for all the gripper can give.
-    """
-
-    command: NDArray[np.float64]
-    power: bool
-    brakes: NDArray[np.bool_]
-    gripper: NDArray[np.float64]
-    wants_time: bool
-    gripper_force: NDArray[np.float64]
 
 
 class PlannedCourse(NamedTuple):

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from im_cell.link import ServoEnd, StopEnd, TickCommand
+from im_cell.link import ServoEnd, StopEnd
 from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.testbed.driver import Drive, Measured, PowerReading, ReportedFault
@@ -73,7 +73,7 @@ class SimulatedDriver:
         Raises:
             LinkError: The testbed has declared this servo gone.
         """
-        self._link.write_command(TickCommand(*drive))
+        self._link.write_command(drive)
 
     def faults(self) -> list[ReportedFault]:
         """Return the injected faults."""
