@@ -84,7 +84,7 @@ def recording_lines(seconds: float, seed: int, port: int, folder: Path) -> list[
         ImError: The machine or the recorder does not start, or a command fails.
     """
     path, bag = deployments.default_path(), folder / "bag"
-    if start(deployments.load(path).with_values(1.0, seed, port), path, START_S) != 0:
+    if start(deployments.load(path).with_values(clock_factor=1.0, seed=seed, port=port), path, START_S) != 0:
         raise StateError("the machine did not start")
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

@@ -31,7 +31,7 @@ def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
         ImError: The machine does not start, or a command fails.
     """
     path = deployments.default_path()
-    if start(deployments.load(path).with_values(0.0, 1, port), path, START_S) != 0:
+    if start(deployments.load(path).with_values(clock_factor=0.0, seed=1, port=port), path, START_S) != 0:
         raise StateError("the machine did not start")
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

@@ -447,16 +447,7 @@ def spawn_bootstrap(
         *_SUPERVISOR,
         str(path_of("im_bringup", "bootstrap")),
         str(path),
-        *("--factor", repr(deployment.clock_factor)),
-        *("--period", repr(deployment.period)),
-        *("--seed", str(deployment.seed)),
-        *("--port", str(deployment.port)),
-        *("--foxglove", str(deployment.foxglove)),
-        *(("--perfect-arm",) if deployment.perfect_arm else ()),
-        *(("--control",) if deployment.control else ()),
-        *(("--unproved",) if deployment.unproved else ()),
-        *(("--calibration", deployment.calibration) if deployment.calibration else ()),
-        *(("--cell", deployment.cell) if deployment.cell else ()),
+        deployments.options_text(deployment, deployments.HERE),
     ]
     return ChildProcess(
         argv,
