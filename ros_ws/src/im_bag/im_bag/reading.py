@@ -230,10 +230,6 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
 def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
     """Return the types in a definition, as read by ``rosbags``.
 
-    Args:
-        name: The type that is defined, with all that it contains.
-        definition: Of it.
-
     Raises:
         TypesysError: It cannot be read.
     """

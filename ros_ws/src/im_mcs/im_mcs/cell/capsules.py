@@ -24,10 +24,6 @@ _TURN = 24
 def capsule_around(link: UrdfLink, urdf: Path) -> Capsule | None:
     """Return a capsule around all collision shapes of a link; None where it has none.
 
-    Args:
-        link: The link.
-        urdf: File that the link is from, for the paths of meshes.
-
     Raises:
         DataError: A mesh is not there, cannot be read, or is as large as one in millimetres.
     """

@@ -83,13 +83,7 @@ class Assumptions:
                     self._limit(net, net.places[name], assumption.at_most)
 
     def kept(self, net: Net, written: Transition, part: Transition) -> Iterator[Transition]:
-        """Return a transition with the counters of the promises, in all ways to keep or break promises.
-
-        Args:
-            net: Its net.
-            written: The transition as expanded.
-            part: The same, or a part of it, with qualified names.
-        """
+        """Return a transition with the counters of the promises, in all ways to keep or break promises."""
         inputs, outputs = dict(part.inputs), dict(part.outputs)
         for count in self._counts:
             _add(outputs, count.name, part.outputs.get(count.raised_by or "", 0))

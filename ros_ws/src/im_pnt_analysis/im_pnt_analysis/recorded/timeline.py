@@ -121,13 +121,7 @@ class NetState:
 
 
 class NetRecording:
-    """The nets of a bag, moment by moment.
-
-    Args:
-        descriptions: All descriptions of nets.
-        moments: What was told, in its order; a firing at least.
-        mission: What the firings tell.
-    """
+    """The nets of a bag, moment by moment."""
 
     def __init__(self, descriptions: Sequence[Description], moments: Sequence[Moment], mission: Mission) -> None:
         self.descriptions, self.mission = descriptions, mission

@@ -44,10 +44,6 @@ class Viewers:
 
     Changes that follow each other closely go in one piece, made once for all viewers: a line each, of a marking and of
     a part of the cell the newest alone.
-
-    Args:
-        state: What is shown to whoever comes.
-        audience: Takes each change of the numbers of viewers.
     """
 
     def __init__(self, state: DisplayState, audience: Audience = lambda viewers, of_cell: None) -> None:

@@ -46,12 +46,6 @@ ClientT = TypeVar("ClientT")
 class WatchedServer(Generic[ClientT]):
     """Server of a name, sought by a client: once found it may go away and come back.
 
-    Args:
-        node: The node of the client.
-        client: The client.
-        name: The name.
-        ready: Whether the client has discovered a server.
-
     Attributes:
         client: The client.
         made: When the search began (monotonic) [s].
