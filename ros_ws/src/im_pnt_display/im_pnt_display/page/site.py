@@ -241,7 +241,7 @@ async def _picture(request: web.Request) -> web.FileResponse:
 
 
 def _refused(net: str, reason: str) -> Change:
-    """Return the answer to a viewer whose request is not passed on."""
+    """Return the answer to a viewer with a refused request."""
     return {"kind": "answer", "net": net, "success": False, "message": reason}
 
 

@@ -109,7 +109,7 @@ class Viewers:
         self.send()
 
     def send(self) -> None:
-        """Send all viewers the changes that are not sent yet."""
+        """Send all viewers the unsent changes."""
         if self._due is not None:
             self._due.cancel()
             self._due = None
