@@ -25,13 +25,7 @@ def rings_text(rings: int, length: int) -> str:
 
 @contextmanager
 def shown_firing(rings: int, length: int, per_s: float) -> Iterator[DisplayServer]:
-    """A display as that of a machine, over a net that fires until the end of the context.
-
-    Args:
-        rings: How many there are.
-        length: Places of a ring.
-        per_s: Firings a second.
-    """
+    """A display as that of a machine, over a net that fires until the end of the context."""
     server = DisplayServer(port=0, apart=True)
     end = threading.Event()
     server.start()

@@ -22,11 +22,6 @@ from im_core.ros.run import Spinner
 def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
     """The command at clock factor 0: CPU time of the whole machine, and wall time.
 
-    Args:
-        sizes: Numbers of poses; the cell's own, again and again.
-        port: Of the display.
-        folder: For files of poses and the bag.
-
     Raises:
         ImError: The machine does not start, or a command fails.
     """
