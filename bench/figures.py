@@ -161,11 +161,6 @@ def read(path: Path) -> list[Line]:
 
 
 def write(path: Path, lines: Sequence[Line]) -> None:
-    """Writes the lines as a JSON list.
-
-    Args:
-        path: The file.
-        lines: The lines.
-    """
+    """Writes the lines as a JSON list."""
     content = [{**asdict(line), "measure": line.measure, "met": line.met} for line in lines]
     write_whole(path, json.dumps(content, indent=2) + "\n")

@@ -47,9 +47,9 @@ def machine():
         yield machine
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", autouse=True)
 def first_run(machine, few_poses):
-    """The answer to the first command of the machine, and the firings that led to it."""
+    """The answer to the first command of the machine, before any other test, and the firings that led to it."""
     from im_msgs.msg import Firing
 
     begin = len(machine.firings)

@@ -23,7 +23,7 @@ def test_the_machine_gives_its_processes_what_the_scripts_give_to_tools(tmp_path
     script = ["bash", "-c", "source scripts/lib.sh; im_defaults; env"]
     said = subprocess.run(script, cwd=ROOT, env=bare, capture_output=True, text=True, check=True)
     told = dict(line.split("=", 1) for line in said.stdout.splitlines())
-    given = environment({}, tmp_path, load(default_path()).with_values(0.0, None, None))
+    given = environment({}, tmp_path, load(default_path()).with_values(clock_factor=0.0))
     for name in GIVEN_BY_SCRIPTS:
         paths = [Path(value).resolve() if "/" in value else value for value in (given[name], told[name])]
         assert paths[0] == paths[1], name

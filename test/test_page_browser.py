@@ -348,7 +348,7 @@ def test_the_pictures_that_a_command_left_are_shown_and_open_whole(tab, tmp_path
         "results": {},
         "pictures": ["7/residuals.png"],
     }
-    server.state.enter(server.state.commands("ended", [ended]))
+    server.state.enter({"kind": "commands", "part": "ended", "content": [ended]})
     each = tab(server.url)
     each.until("document.querySelector('#ended img')?.naturalWidth === 640", "the picture")
     with each.page.expect_popup() as opened:
@@ -372,7 +372,7 @@ def test_a_new_tab_shows_the_net_of_the_newest_command_and_not_the_one_that_gave
     server.start()
     for text, node in ((LINE, "/dispatcher"), (STEPS, "/dispatcher")):
         net = parse_net(text)
-        server.state.enter(server.state.net(net.name, node, net_content(net)))
+        server.state.enter({"kind": "net", "net": net.name, "node": node, **net_content(net)})
     for net, transition, symbol in (("steps", "walk", ""), ("steps", "end", "go_done"), ("line", "end", "go_done")):
         firing = SimpleNamespace(
             net=net,
@@ -385,7 +385,7 @@ def test_a_new_tab_shows_the_net_of_the_newest_command_and_not_the_one_that_gave
             progress=0.5,
             message="",
         )
-        server.state.enter(server.state.firing(firing_content(1.0, firing)))
+        server.state.enter({"kind": "firing", **firing_content(1.0, firing)})
     each = tab(server.url)
     each.until("document.querySelector('[aria-label^=\"transition, walk\"]') !== null", "the net at work")
     assert each.page.query_selector("[aria-label^='transition, begin']") is None

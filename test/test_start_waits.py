@@ -90,7 +90,7 @@ def test_the_agent_of_another_host_does_what_the_bootstrap_has_signed_and_nothin
     orders = bootstrap.create_publisher(String, orders_topic("far"), qos.EVENTS)
     ros(node, bootstrap)
     wait_until(lambda: asked, "the question of the agent")
-    told = start.deployments.load(small_deployment).with_values(0.0, 7, None, unproved=True)
+    told = start.deployments.load(small_deployment).with_values(clock_factor=0.0, seed=7, unproved=True)
 
     def order(phase, options, by=link):
         content = json.dumps(asdict(HostOrder(AgentOrder(int(phase), {}), 240.0, options, "run")))

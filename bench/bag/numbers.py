@@ -19,11 +19,7 @@ class Numbers:
         self.count = 0
 
     def take(self, number: int) -> None:
-        """Takes the next message.
-
-        Args:
-            number: That of its publisher, from 1.
-        """
+        """Takes the next message."""
         self.count += 1
         if self._ends[number - 1]:
             self._ends[number - 1] -= 1

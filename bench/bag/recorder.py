@@ -15,9 +15,6 @@ _BAG_S = 60.0
 def recorder(bag: Path) -> Iterator[ChildProcess]:
     """All topics are recorded meanwhile.
 
-    Args:
-        bag: Folder of the bag.
-
     Yields:
         The recorder.
 

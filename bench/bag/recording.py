@@ -34,11 +34,7 @@ MOST = 0.05
 
 
 class Publishers:
-    """Who publishes on each topic, at the beginning and since.
-
-    Args:
-        node: A node that sees the graph.
-    """
+    """Who publishes on each topic, at the beginning and since."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -84,7 +80,7 @@ def recording_lines(seconds: float, seed: int, port: int, folder: Path) -> list[
         ImError: The machine or the recorder does not start, or a command fails.
     """
     path, bag = deployments.default_path(), folder / "bag"
-    if start(deployments.load(path).with_values(1.0, seed, port), path, START_S) != 0:
+    if start(deployments.load(path).with_values(clock_factor=1.0, seed=seed, port=port), path, START_S) != 0:
         raise StateError("the machine did not start")
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
@@ -111,13 +107,7 @@ def recording_lines(seconds: float, seed: int, port: int, folder: Path) -> list[
 
 
 def gap_line(whose: str, topics: Mapping[str, Numbers], publishers: Publishers) -> Line:
-    """How many gaps there are in the numbers of some topics.
-
-    Args:
-        whose: What they have in common.
-        topics: The numbers of each.
-        publishers: Who has published on them.
-    """
+    """How many gaps there are in the numbers of some topics."""
     gaps = {topic: n.gaps(publishers.before(topic), publishers.known(topic)) for topic, n in topics.items()}
     worst = [f"{topic} {count}" for topic, count in sorted(gaps.items()) if count]
     messages = sum(numbers.count for numbers in topics.values())

@@ -32,12 +32,7 @@ class Achieved:
 
 
 def further_poses(seeds: Iterable[int], count: int = 6) -> Achieved:
-    """Calibrate from 12 poses, add some of 150 others, calibrate again.
-
-    Args:
-        seeds: One a trial.
-        count: Number of poses to add.
-    """
+    """Calibrate from 12 poses, add some of 150 others, calibrate again."""
     found: list[tuple[float, float, float, float]] = []
     for seed in seeds:
         scene = make_scene(Design(poses=_FIRST + _POOL), seed)

@@ -75,12 +75,7 @@ class LensDesign:
 
 
 def make_lens_scene(design: LensDesign, seed: int) -> SyntheticScene:
-    """Simulate the observations of a design.
-
-    Args:
-        design: What to simulate.
-        seed: Seed of every draw.
-    """
+    """Simulate the observations of a design."""
     rng = np.random.default_rng(seed)
     width, height = design.image_size
     half = _DISTANCE_M * np.tan(np.deg2rad(design.view_deg) / 2.0)

@@ -39,11 +39,7 @@ def true_unknowns(scene: SyntheticScene) -> Unknowns:
 
 
 def cramer_rao(scene: SyntheticScene) -> CalibrationError:
-    """Bound of both errors over the workspace, from the inliers at the truth, with the priors the data set states.
-
-    Args:
-        scene: A problem with its truth.
-    """
+    """Bound of both errors over the workspace, from the inliers at the truth, with the priors the data set states."""
     problem, layout, truth = scene.problem, ParameterLayout.of(scene.problem), true_unknowns(scene)
     line = linearise(truth, problem, layout, problem.detected & ~scene.outliers)
     information = np.einsum("nia,nij,njb->ab", line.jacobians, np.linalg.inv(line.covariances), line.jacobians)
@@ -71,10 +67,6 @@ class Score:
 
 def score(design: Design, seeds: Iterable[int]) -> Score:
     """Simulate and calibrate.
-
-    Args:
-        design: What to simulate.
-        seeds: One a trial.
 
     Raises:
         DataError: A trial has no answer at all.

@@ -131,10 +131,6 @@ BAD = {
 def wrong_verdicts(seed: int, count: int = 60) -> Iterator[tuple[str, int, list[str]]]:
     """Bad sets, kind by kind in turn, that do not get exactly the verdict they should.
 
-    Args:
-        seed: Of the first set.
-        count: Number of sets.
-
     Yields:
         Kind, seed, and the verdicts given.
     """

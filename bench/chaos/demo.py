@@ -99,11 +99,6 @@ class DemoEnd:
 def carry_out(trial: DemoTrial, poses: Path, port: int) -> DemoEnd:
     """Run a demo in this ROS domain, and do to it what a trial says; what it leaves behind is ended.
 
-    Args:
-        trial: The trial.
-        poses: File of few poses.
-        port: Of the display.
-
     Raises:
         WaitTimeoutError: The demo has not come to the stage.
     """
@@ -128,13 +123,7 @@ def carry_out(trial: DemoTrial, poses: Path, port: int) -> DemoEnd:
 
 
 class _Demo:
-    """A demo in a session of its own, with a terminal that it or its shell owns.
-
-    Args:
-        kind: What will happen to it.
-        folder: Folder of the trial.
-        arguments: Of the script.
-    """
+    """A demo in a session of its own, with a terminal that it or its shell owns."""
 
     def __init__(self, kind: str, folder: Path, arguments: list[str]) -> None:
         self.said = ""

@@ -29,11 +29,7 @@ _SIOCETHTOOL, _SET_TX_CHECKSUM = 0x8946, 0x17
 
 
 class Host:
-    """A computer that stands for one, with a run folder of its own.
-
-    Args:
-        address: In the network that joins the hosts.
-    """
+    """A computer that stands for one, with a run folder of its own."""
 
     def __init__(self, address: str) -> None:
         self.address = address

@@ -53,7 +53,7 @@ def begin(factor: float, seed: int, port: int, fresh: bool, file: Path | None = 
         StateError: It does not start.
     """
     path = file or deployments.default_path()
-    deployment = deployments.load(path).with_values(factor, seed, port)
+    deployment = deployments.load(path).with_values(clock_factor=factor, seed=seed, port=port)
     try:
         code = start(deployment, path, START_S, fresh, resume=not fresh)
     except KeyboardInterrupt:

@@ -25,15 +25,9 @@ def rings_text(rings: int, length: int) -> str:
 
 @contextmanager
 def shown_firing(rings: int, length: int, per_s: float) -> Iterator[DisplayServer]:
-    """A display as that of a machine, over a net that fires until the end of the context.
-
-    Args:
-        rings: How many there are.
-        length: Places of a ring.
-        per_s: Firings a second.
-    """
+    """A display as that of a machine, over a net that fires until the end of the context."""
     server = DisplayServer(port=0, apart=True)
-    state, end = server.state, threading.Event()
+    end = threading.Event()
     server.start()
 
     def fire() -> None:
@@ -42,14 +36,14 @@ def shown_firing(rings: int, length: int, per_s: float) -> Iterator[DisplayServe
             while sequence < (clock.monotonic() - began) * per_s:
                 ring = chance.randrange(rings)
                 sequence += 1
-                server.show(state.firing(_firing(f"t{ring}_{at[ring]}", sequence, clock.monotonic() - began)))
+                server.show({"kind": "firing", **_firing(f"t{ring}_{at[ring]}", sequence, clock.monotonic() - began)})
                 at[ring] = (at[ring] + 1) % length
             tokens = {f"p{ring}_{place}": 1 for ring, place in enumerate(at)}
-            server.show(state.marking(NAME, {"tokens": tokens, "sequence": sequence, **_AUTOMATIC}))
+            server.show({"kind": "marking", "net": NAME, "tokens": tokens, "sequence": sequence, **_AUTOMATIC})
 
     firing = threading.Thread(target=fire, name="rings", daemon=True)
     try:
-        server.show(state.net(NAME, "/rings", net_content(parse_net(rings_text(rings, length)))))
+        server.show({"kind": "net", "net": NAME, "node": "/rings", **net_content(parse_net(rings_text(rings, length)))})
         firing.start()
         try:
             yield server

@@ -21,10 +21,6 @@ AT_ONCE = 20
 class Attack:
     """Throws values at interfaces of a machine, from a node that spins elsewhere.
 
-    Args:
-        node: The node.
-        values: Makes what is thrown.
-
     Attributes:
         sent: How many messages, requests and goals were sent, by kind.
         unanswered: Names of services and actions that did not answer.

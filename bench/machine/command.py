@@ -108,7 +108,7 @@ def machine_lines(factor: float, seed: int, port: int, runs: int) -> list[Line]:
         ImError: It does not start, or a command fails.
     """
     path = deployments.default_path()
-    deployment = deployments.load(path).with_values(factor, seed, port)
+    deployment = deployments.load(path).with_values(clock_factor=factor, seed=seed, port=port)
     tasks = len(list(deployment.tasks()))
     node_s = bare_node_s()
     began = clock.monotonic()
@@ -158,7 +158,7 @@ def accuracy_lines(seeds: int, port: int) -> list[Line]:
     ratios: dict[str, list[float]] = {"triangulation_mm": [], "reprojection_px": []}
     chi2 = []
     for seed in range(1, seeds + 1):
-        if start(deployments.load(path).with_values(0.0, seed, port), path, START_S) != 0:
+        if start(deployments.load(path).with_values(clock_factor=0.0, seed=seed, port=port), path, START_S) != 0:
             raise StateError(f"the machine did not start with seed {seed}")
         try:
             rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

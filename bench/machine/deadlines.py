@@ -169,7 +169,9 @@ def smaller(
         factor: Of the clock.
         vss: Parameters of the node of the cameras.
     """
-    whole = deployments.load(deployments.default_path()).with_values(factor, seed, port, period)
+    whole = deployments.load(deployments.default_path()).with_values(
+        clock_factor=factor, seed=seed, port=port, period=period
+    )
     data = json.loads(whole.model_dump_json())
     for host, processes in data["hosts"].items():
         data["hosts"][host] = {name: tasks for name, tasks in processes.items() if name in TASKS}

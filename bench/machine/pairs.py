@@ -85,7 +85,7 @@ def pair_lines(seeds: int, factor: float, port: int) -> list[Line]:
         ImError: It does not start, or a move fails.
     """
     path = deployments.default_path()
-    if start(deployments.load(path).with_values(factor, 1, port), path, START_S) != 0:
+    if start(deployments.load(path).with_values(clock_factor=factor, seed=1, port=port), path, START_S) != 0:
         raise StateError("the machine did not start")
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

@@ -37,12 +37,7 @@ def main() -> int:
 
 
 def work(options: argparse.Namespace, folder: Path) -> Work:
-    """What measures each group.
-
-    Args:
-        options: Of the command line.
-        folder: For what is written meanwhile.
-    """
+    """What measures each group."""
     shipped = sorted(SOURCES.glob("*/*/nets/*.yaml"))
     share = 10 if options.quick else 1
     rounds = 1 if options.quick else ROUNDS

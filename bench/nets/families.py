@@ -15,12 +15,7 @@ ACTION = "count"
 
 
 def ring(places: int, action: bool = False) -> Net:
-    """Make a ring: one token goes round.
-
-    Args:
-        places: Number of places and of transitions.
-        action: Whether each transition calls :data:`ACTION`.
-    """
+    """Make a ring: one token goes round."""
     _check_size("places of a ring", places, 2)
     arcs = {f"t{i}": ((f"p{i}",), (f"p{(i + 1) % places}",)) for i in range(places)}
     return _net(f"ring_{places}", {f"p{i}": int(i == 0) for i in range(places)}, arcs, action)
@@ -48,9 +43,6 @@ def catching_philosophers(seats: int) -> Net:
     """Make philosophers taking one fork after the other, in either order: 3^n markings, including two deadlocks.
 
     The model "Philosophers" of the Model Checking Contest.
-
-    Args:
-        seats: Number of philosophers.
     """
     _check_size("philosophers", seats, 2)
     tokens: dict[str, int] = {}
@@ -71,9 +63,6 @@ def kanban(cards: int) -> Net:
 
     Ciardo and Tilgner, "On the use of Kronecker operators for the solution of generalized stochastic Petri nets"
     (ICASE report 96-35, 1996).
-
-    Args:
-        cards: Kanban cards of each cell.
     """
     _check_size("cards of a Kanban system", cards, 1)
     tokens: dict[str, int] = {}

@@ -23,12 +23,7 @@ _OF_PEERS = {"libpetri": 5.0, "snakes": 0.05, "pm4py": 0.05}
 
 
 class Rates:
-    """Processes that fire, each a net, in turns.
-
-    Args:
-        stack: Ends them.
-        firings: Firings of a turn.
-    """
+    """Processes that fire, each a net, in turns."""
 
     def __init__(self, stack: ExitStack, firings: int) -> None:
         self._stack = stack
@@ -64,9 +59,6 @@ class Rates:
     def run(self, rounds: int) -> None:
         """Has each of them fire in turn.
 
-        Args:
-            rounds: How often.
-
         Raises:
             LinkError: One of the processes has died.
         """
@@ -85,12 +77,6 @@ def lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
 
     SNAKES and pm4py move tokens alone. libpetri calls a Python function for each firing and has its in-memory event
     store on; its nets know no commands, and have neither guard nor journal.
-
-    Args:
-        peers: The peers.
-        firings: Firings of a turn.
-        rounds: Turns.
-        folder: Where the journals go.
 
     Raises:
         ImError: Our own processes fail.
@@ -129,11 +115,6 @@ def lines(peers: Peers, firings: int, rounds: int, folder: Path) -> list[Line]:
 
 def node_lines(firings: int, rounds: int, folder: Path) -> list[Line]:
     """Firings of a node with guard, action and journal, while another process has subscribed to them.
-
-    Args:
-        firings: Firings of a turn.
-        rounds: Turns.
-        folder: Where net and journal go.
 
     Raises:
         ImError: The processes fail.

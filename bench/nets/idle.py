@@ -26,11 +26,7 @@ _SETTLE_S = 1.0
 
 
 def waiting_net(orders: int) -> Net:
-    """A net with one transition whose action waits; it begins as often as there are orders.
-
-    Args:
-        orders: Tokens of its input place.
-    """
+    """A net with one transition whose action waits; it begins as often as there are orders."""
     places = {"order": Place("order", orders), "done": Place("done")}
     work = Transition(
         "work",
@@ -45,11 +41,7 @@ def waiting_net(orders: int) -> Net:
 
 
 class Loop:
-    """An executor in an event loop of its own, in a thread, without ROS.
-
-    Args:
-        net: The net; its actions are called ``wait``.
-    """
+    """An executor in an event loop of its own, in a thread, without ROS."""
 
     def __init__(self, net: Net) -> None:
         self._loop = asyncio.new_event_loop()

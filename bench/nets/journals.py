@@ -17,10 +17,6 @@ _DISK_COMMITS = 300
 def lines(entries: int, folder: Path) -> list[Line]:
     """Write a journal for each firing of a ring, and for each hundred, and come back from it.
 
-    Args:
-        entries: How many, of each journal.
-        folder: Where the journals go.
-
     Raises:
         StateError: What came back is not what was written.
     """

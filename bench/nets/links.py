@@ -51,11 +51,6 @@ class Trips:
 def lines(trips: int, rounds: int, folder: Path) -> list[Line]:
     """Round trips of a token and of a bare message with two executors, in turns, without and with idle subscriptions.
 
-    Args:
-        trips: Round trips of a turn.
-        rounds: Turns.
-        folder: For net files and journals.
-
     Raises:
         LinkError: A node does not start, or a token does not come back.
     """

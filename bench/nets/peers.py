@@ -32,10 +32,6 @@ class Peers:
     def start(self, peer: str, *options: str) -> Worker:
         """Starts the program of a peer.
 
-        Args:
-            peer: Its name.
-            options: Options of the program.
-
         Raises:
             LinkError: There is no environment, or it cannot be started.
         """
@@ -46,11 +42,7 @@ class Peers:
 
 @cache
 def installed_peers(root: Path = _ROOT) -> Peers:
-    """The peers, installed from ``bench/peers/requirements.txt`` into ``.venv-peers`` unless they are there.
-
-    Args:
-        root: Of the workspace.
-    """
+    """The peers, installed from ``bench/peers/requirements.txt`` into ``.venv-peers`` unless they are there."""
     folder, environment = root / "bench" / "peers", root / ".venv-peers"
     requirements, python, stamp = folder / "requirements.txt", environment / "bin" / "python", environment / "installed"
     wanted = f"{hashlib.sha256(requirements.read_bytes()).hexdigest()} {environment}\n"  # it is of no use elsewhere

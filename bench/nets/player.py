@@ -121,10 +121,6 @@ class Player:
     def fire(self, firings: int, turn: int = TURN) -> int:
         """Fire so many times, or a few more, in turns as a node does, and write the journal after each.
 
-        Args:
-            firings: How often.
-            turn: Most firings of a turn.
-
         Returns:
             How often it fired.
 

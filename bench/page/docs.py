@@ -13,11 +13,6 @@ PAGE, HISTORY, DRAWING = "performance.md", "performance.json", "images/performan
 def document(made: Run, past: history.History, docs: Path) -> None:
     """Shows a run in ``performance.md`` between its marks, and adds it to history and drawing.
 
-    Args:
-        made: The run.
-        past: The history so far.
-        docs: Folder of the documentation.
-
     Raises:
         FileError: The page is not there, or lacks its marks.
     """

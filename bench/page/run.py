@@ -115,12 +115,7 @@ class Run(Model):
 
 
 def write(run: Run, folder: Path) -> list[Path]:
-    """Writes ``<stamp>.json`` and ``<stamp>.md``.
-
-    Args:
-        run: The run.
-        folder: Where; made if missing.
-    """
+    """Writes ``<stamp>.json`` and ``<stamp>.md``."""
     folder.mkdir(parents=True, exist_ok=True)
     stamp = folder / time.strftime("%Y%m%d-%H%M%S", time.localtime(run.when))
     content = json.dumps(run.model_dump(), indent=1, allow_nan=False) + "\n"

@@ -22,16 +22,11 @@ from im_core.ros.run import Spinner
 def lines(sizes: Sequence[int], port: int, folder: Path) -> list[Line]:
     """The command at clock factor 0: CPU time of the whole machine, and wall time.
 
-    Args:
-        sizes: Numbers of poses; the cell's own, again and again.
-        port: Of the display.
-        folder: For files of poses and the bag.
-
     Raises:
         ImError: The machine does not start, or a command fails.
     """
     path = deployments.default_path()
-    if start(deployments.load(path).with_values(0.0, 1, port), path, START_S) != 0:
+    if start(deployments.load(path).with_values(clock_factor=0.0, seed=1, port=port), path, START_S) != 0:
         raise StateError("the machine did not start")
     try:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)

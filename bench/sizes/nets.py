@@ -15,10 +15,6 @@ from im_pnt_analysis.verify.verdict import verify
 def lines(sizes: Sequence[int], firings: int) -> list[Line]:
     """CPU time of an observed firing, and of all answers of ``verify``, of rings.
 
-    Args:
-        sizes: Numbers of places.
-        firings: How many are measured.
-
     Raises:
         LinkError: A process fails.
     """

@@ -11,12 +11,7 @@ from im_calibration import calibrate
 
 
 def lines(sizes: Sequence[int], rounds: int) -> list[Line]:
-    """CPU time of one calibration of two cameras, the least of some rounds.
-
-    Args:
-        sizes: Numbers of poses.
-        rounds: How often each.
-    """
+    """CPU time of one calibration of two cameras, the least of some rounds."""
     problems = {poses: make_scene(Design(poses=poses), seed=1).problem for poses in sizes}
     calibrate(problems[min(sizes)])  # what is loaded with the first is not counted
     used = {

@@ -16,11 +16,6 @@ _START_S = 600.0
 def lines(sizes: Sequence[int], firings: int, folder: Path) -> list[Line]:
     """CPU time of a firing with guard, action and journal; each subscriber is a process, as a display is.
 
-    Args:
-        sizes: Numbers of subscribers.
-        firings: How many are measured.
-        folder: Where nets and journals go.
-
     Raises:
         LinkError: A process fails.
     """

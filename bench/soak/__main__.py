@@ -50,7 +50,8 @@ def soak(runs: int, minutes: float, seed: int, port: int) -> tuple[list[Sample],
         ImError: The machine does not start, or does not answer.
     """
     path = deployments.default_path()
-    if start(deployments.load(path).with_values(0.0 if runs else 1.0, seed, port), path, START_S) != 0:
+    deployment = deployments.load(path).with_values(clock_factor=0.0 if runs else 1.0, seed=seed, port=port)
+    if start(deployment, path, START_S) != 0:
         raise StateError("the machine did not start")
     kept = results_dir() / f"soak-samples-{stamp_name()}.json"
     print(f"soak: samples in {kept}", flush=True)

@@ -43,11 +43,7 @@ class Outcome:
 
 
 class Commander(InterruptibleNode):
-    """Commands the dispatcher, through its action.
-
-    Args:
-        seed: Of the random choices.
-    """
+    """Commands the dispatcher, through its action."""
 
     def __init__(self, seed: int) -> None:
         super().__init__("soak")

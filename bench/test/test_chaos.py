@@ -12,7 +12,7 @@ from bench.chaos.faults import KINDS, ROLES, kill, stop
 from bench.chaos.records import BEGIN, END, Result, Verdict, append, document, read, table
 from bench.chaos.safety import Braking, Rest, Uncontrolled
 from bench.chaos.trial import judge
-from im_cell.link import ControlState, TickCommand
+from im_cell.link import ControlState, Drive
 from im_cell.robot import load_cell
 from im_core.files import FileError
 from im_sim.actuators import Actuators
@@ -154,7 +154,7 @@ def stopped(share, delay_s=CELL.brakes.delay):
     plant._actuators = Actuators(WeakBrakes(share), plant._dynamics, plant._dt)
     plant._brakes = HoldingBrakes(18, round(delay_s / CELL.period))
     for _ in range(60):  # the brakes let go
-        plant.run_tick(TickCommand(np.zeros(18), True, np.zeros(18, dtype=bool), np.zeros(2), True, np.zeros(2)))
+        plant.run_tick(Drive(np.zeros(18), True, np.zeros(18, dtype=bool), np.zeros(2), True, np.zeros(2)))
     plant._world.reset(CELL.home, 0.5 * CELL.per_joint("limits.velocity"))
     plant.q, plant.v = plant._world.state()
     findings = []

@@ -1,7 +1,6 @@
 """A process without ROS that keeps a journal: a test kills it, and brings it back from its files."""
 
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
 from im_core.errors import StateError
 from im_core.store_mark import SeenStore
@@ -16,6 +15,7 @@ from im_pnt_node.distributed.packets import Message
 from im_pnt_node.journal.folder import Files
 from im_pnt_node.journal.journal import COMPACT_BYTES, Journal
 from im_pnt_node.journal.log import Sync
+from support.process import drive
 
 
 class JournalledProcess:
@@ -78,7 +78,7 @@ class JournalledProcess:
             name, self.journal.epoch, self, observer, return_timeout_s=return_timeout_s, clock=clock
         )
         functions = Functions(actions, guards)
-        runner = self.journal.guard(FunctionRunner(functions, self.exchange, _drive, others))
+        runner = self.journal.guard(FunctionRunner(functions, self.exchange, drive, others))
         for net in nets:
             record = self.journal.recorder(net.name)
             self.exchange.add(Executor(net, functions, runner, self.exchange, observer, clock=clock, record=record))
@@ -121,13 +121,3 @@ class JournalledProcess:
         self.exchange.tidy()
         self.turn()
         self.link.tick()
-
-
-def _drive(work: Coroutine[Any, Any, None]) -> None:
-    """Runs a coroutine that does not wait for anything."""
-    try:
-        work.send(None)
-    except StopIteration:
-        return
-    work.close()
-    raise StateError("an action waits for something, and without ROS nothing comes")

@@ -133,7 +133,7 @@ class Process:
         self.held: list[tuple[ActionOwner, Activity, ActionContext]] = []
         self.results: list[CommandResult] = []
         self.answers: dict[str, Answer] = {}
-        self._runner = FunctionRunner(self.functions, self.exchange, spawn or _drive, others, clock=clock)
+        self._runner = FunctionRunner(self.functions, self.exchange, spawn or drive, others, clock=clock)
         self._name, self._commands = name, 0
         for net in nets:
             self.exchange.add(
@@ -235,7 +235,7 @@ class Process:
         return self.exchange.nets[net].marking()
 
 
-def _drive(work: Coroutine[object, object, None]) -> None:
+def drive(work: Coroutine[object, object, None]) -> None:
     """Runs a coroutine that does not wait for anything."""
     try:
         work.send(None)

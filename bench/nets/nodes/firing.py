@@ -28,11 +28,7 @@ TOPIC = "/pnt/firings"
 
 
 class Firer(PntNode):
-    """Fires while it is told to.
-
-    Args:
-        folder: Where the net file and the journal go.
-    """
+    """Fires while it is told to."""
 
     def __init__(self, folder: Path) -> None:
         self._net = working("ring", PLACES, Work.ALL)

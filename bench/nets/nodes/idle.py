@@ -28,12 +28,7 @@ transitions:
 
 
 class Waiting(PntNode):
-    """Takes any number of orders, and waits in each.
-
-    Args:
-        name: Name of the node.
-        folder: Where the net file goes.
-    """
+    """Takes any number of orders, and waits in each."""
 
     def __init__(self, name: str, folder: Path) -> None:
         file = folder / f"{name}.yaml"

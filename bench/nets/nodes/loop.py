@@ -20,11 +20,7 @@ POLL_S = 0.01
 
 
 class RclpySpin:
-    """Spins nodes as ``rclpy.spin`` does: with the executor that a program has that asks for none.
-
-    Args:
-        nodes: Nodes.
-    """
+    """Spins nodes as ``rclpy.spin`` does: with the executor that a program has that asks for none."""
 
     def __init__(self, nodes: Sequence[Node]) -> None:
         self._executor = SingleThreadedExecutor()

@@ -28,12 +28,7 @@ _RENEWALS = 6
 
 
 class Group:
-    """Group of joints of the preset in force.
-
-    Args:
-        connection: Connection to the machine.
-        name: Name of the group.
-    """
+    """Group of joints of the preset in force."""
 
     def __init__(self, connection: Connection, name: str) -> None:
         self.name = name

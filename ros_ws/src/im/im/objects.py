@@ -14,11 +14,7 @@ from im_msgs.srv import AppendObject, GetObject, InvalidateObject, ListObjects, 
 
 
 class DataObjects:
-    """Data objects by name, as ROS messages.
-
-    Args:
-        connection: Connection to the machine.
-    """
+    """Data objects by name, as ROS messages."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

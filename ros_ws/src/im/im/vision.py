@@ -77,12 +77,7 @@ class Position:
 
 
 class Camera:
-    """Camera of the machine.
-
-    Args:
-        connection: Connection to the machine.
-        name: Name of the camera.
-    """
+    """Camera of the machine."""
 
     def __init__(self, connection: Connection, name: str) -> None:
         self.name = name

@@ -29,11 +29,7 @@ class _File(Protocol):
 
 
 class ChunkWriter:
-    """Writer of an MCAP file (https://mcap.dev/spec) with messages in compressed chunks, indexes and a summary.
-
-    Args:
-        file: Where to.
-    """
+    """Writer of an MCAP file (https://mcap.dev/spec) with messages in compressed chunks, indexes and a summary."""
 
     def __init__(self, file: _File) -> None:
         self._file = file

@@ -139,9 +139,6 @@ def is_recorded(path: Path) -> bool:
 def complete_file(path: Path) -> None:
     """Cut a file after the last whole record, and append the missing summary and end.
 
-    Args:
-        path: An MCAP file.
-
     Raises:
         DataError: It is no MCAP file, or it is being recorded, as far as can be told.
         StoreError: It cannot be written.

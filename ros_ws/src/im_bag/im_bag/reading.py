@@ -183,11 +183,6 @@ def deserialized(store: Typestore, data: bytes | memoryview, name: str) -> Any:
 
     Jazzy's ``serialize_message`` takes 4 bytes too many for each empty list of 64-bit numbers.
 
-    Args:
-        store: Knows the type.
-        data: The message in CDR.
-        name: The type.
-
     Raises:
         SerdeError: It is no message of the type.
     """
@@ -234,10 +229,6 @@ def _types(bag: Path, connections: Sequence[Connection]) -> Typestore:
 
 def defined_types(name: str, definition: MessageDefinition) -> Typesdict:
     """Return the types in a definition, as read by ``rosbags``.
-
-    Args:
-        name: The type that is defined, with all that it contains.
-        definition: Of it.
 
     Raises:
         TypesysError: It cannot be read.

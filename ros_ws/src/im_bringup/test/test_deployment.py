@@ -172,7 +172,7 @@ def test_with_a_configuration_of_other_hardware_it_may_be_on_any_host(far, own):
 def test_a_port_for_foxglove_adds_the_bridge_to_the_first_host():
     plain = parsed(machine({"far": {"a": {"one": "{}"}}, "localhost": {"b": {"two": "{}"}}}))
     assert [placed.name for placed in plain.tasks()] == ["one", "two"]
-    bridged = plain.with_values(None, None, None, foxglove=9000)
+    bridged = plain.with_values(foxglove=9000)
     bridge = list(bridged.tasks())[-1]
     assert (bridge.id, bridge.name, bridge.host, bridge.process) == (3, "foxglove_bridge", "far", "foxglove_bridge")
     assert (bridge.task.package, bridge.task.node) == ("im_bag", "/foxglove_bridge")
@@ -184,7 +184,7 @@ def test_a_port_for_foxglove_adds_the_bridge_to_the_first_host():
 
 def test_references_become_values_and_keep_their_type():
     text = machine({"localhost": {"a": {"one": '{factor: "${clock_factor}", seed: "${seed}", name: "run ${seed}"}'}}})
-    changed = parsed(text).with_values(0.0, None, None)
+    changed = parsed(text).with_values(clock_factor=0.0)
     (placed,) = changed.tasks()
     given = {"factor": 0.0, "seed": 3, "name": "run 3"}
     assert changed.parameters_of(placed.task) == {"use_sim_time": True, "introspection": "contents", **given}
@@ -269,7 +269,7 @@ def test_a_node_must_be_named_as_its_task():
 def test_values_out_of_range_are_refused():
     value = parsed(machine({"localhost": {"a": {"one": "{}"}}}))
     with pytest.raises(ConfigError, match="clock_factor: -1"):
-        value.with_values(-1.0, None, None)
+        value.with_values(clock_factor=-1.0)
 
 
 def test_commands_are_names_and_files_relative_to_the_deployment(tmp_path):
@@ -302,7 +302,7 @@ def test_every_command_that_is_shipped_is_in_the_default_deployment():
 def test_what_a_start_was_given_reaches_other_hosts_as_it_is():
     parameters = '{seed: "${seed}", f: "${clock_factor}"}'
     text = machine({"localhost": {"a": {"one": "{}"}}, "far": {"b": {"two": parameters}}})
-    given = parsed(text).with_values(0.5, 11, 9090, 0.002, control=True, unproved=True)
+    given = parsed(text).with_values(clock_factor=0.5, seed=11, port=9090, period=0.002, control=True, unproved=True)
     told = deployment.with_options_text(parsed(text), deployment.options_text(given))
     assert told == given
     (two,) = told.on_host("far")["b"]
@@ -345,7 +345,7 @@ def test_a_wrong_cell_is_refused_before_anything_starts(tmp_path):
     (tmp_path / "my_cell.yaml").write_text("period: 0.0045\n", encoding="utf-8")
     one = parsed(machine({"localhost": {"a": {"vss": "{}"}}}))
     with pytest.raises(ConfigError, match=r"my_cell.yaml:1: urdf: Field required"):
-        start.check_cell(one.with_values(None, None, None, cell=str(tmp_path / "my_cell.yaml")), None)
+        start.check_cell(one.with_values(cell=str(tmp_path / "my_cell.yaml")), None)
     two = parsed(machine({"near": {"a": {"vss": "{}"}}, "far": {"b": {"mcs": "{}"}}}))
     with pytest.raises(ConfigError, match="--cell is for one host"):
         start.check_cell(two, "/a/cell.yaml")

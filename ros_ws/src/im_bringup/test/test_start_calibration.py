@@ -97,7 +97,7 @@ def test_a_calibration_that_nobody_takes_is_refused(calibrated, deployment_file)
 
 def test_other_hosts_know_the_file_only(calibrated, deployment_file):
     path = deployment_file("", "far")
-    given = deployments.load(path).with_values(None, None, None, None, str(calibrated))
+    given = deployments.load(path).with_values(calibration=str(calibrated))
     with pytest.raises(ConfigError, match=r"vss is on host far, which reads .*d\.yaml; write the folder there"):
         start.check_calibration(given, path)
     path = deployment_file("../only_there", "far")

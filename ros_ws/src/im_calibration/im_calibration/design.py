@@ -80,12 +80,6 @@ def next_best_poses(
     Best is what lowers the expected triangulation error most; reprojection error where no two cameras see a common part
     of the workspace. No candidate comes twice.
 
-    Args:
-        calibration: What is known so far.
-        problem: What it was made from.
-        candidates: Poses that can be measured.
-        count: How many to choose.
-
     Raises:
         DataError: There are fewer candidates that a camera sees, or their arrays do not fit the problem.
 

@@ -48,9 +48,6 @@ def calibrate(problem: CalibrationProblem) -> Calibration:
     result does not depend on the order of the poses, nor on how far the origin of the world is, and the same problem
     gives the same bits.
 
-    Args:
-        problem: The observations.
-
     Returns:
         The estimate with everything known about it; look at ``success`` and ``verdicts`` before using it.
 

@@ -15,9 +15,6 @@ def calibrate_possible(problem: CalibrationProblem) -> Calibration:
     A camera with too few spots, or with spots that fit no camera, says little about the others: leave it out, and say
     why in `Calibration.left_out`. Where the others cannot be used either, none is left out.
 
-    Args:
-        problem: The observations.
-
     Returns:
         The estimate of the remaining cameras; arrays are those of ``problem.of_cameras`` with their names.
 

@@ -47,9 +47,6 @@ class CameraCovariance:
     def of(self, cameras: Iterable[str]) -> Array:
         """Return the covariance of all parameters of c cameras, one after the other; 0 for unknown cameras.
 
-        Args:
-            cameras: Names of the cameras.
-
         Returns:
             Covariance, shape (18 c, 18 c).
         """

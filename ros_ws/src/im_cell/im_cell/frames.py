@@ -105,11 +105,7 @@ class FrameSourceSetup:
 
 
 class FrameSource(ABC):
-    """Source of the images of all cameras, one order at a time; ``vss.yaml`` names the class.
-
-    Args:
-        setup: Cameras and settings.
-    """
+    """Source of the images of all cameras, one order at a time; ``vss.yaml`` names the class."""
 
     @classmethod  # noqa: B027  # most have no processes
     def prepare(cls) -> None:

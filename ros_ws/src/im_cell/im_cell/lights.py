@@ -8,10 +8,6 @@ from im_core.text.bounded_json import read_json
 def lights_told(text: str, cell: Cell) -> dict[str, bool]:
     """Return the state of each light, from the text received on ``/testbed/lights``.
 
-    Args:
-        text: JSON object, on or off by the name of the light.
-        cell: Has the lights.
-
     Raises:
         DataError: It is no such object, or not of the lights of this cell: the testbed has not said it.
     """

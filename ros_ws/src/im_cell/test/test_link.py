@@ -10,6 +10,7 @@ import pytest
 from im_cell.link import (
     CameraEnd,
     ClockEnd,
+    Drive,
     HostEnd,
     LaserBeam,
     LaserEnd,
@@ -17,7 +18,6 @@ from im_cell.link import (
     RateEnd,
     Sensors,
     ServoEnd,
-    TickCommand,
 )
 from im_cell.link import host as host_module
 from im_core import clock
@@ -116,10 +116,10 @@ def test_each_tick_gets_its_own_command(host, servo, time):
             assert state.tick == tick
             assert state.stamp_ns == tick * 10_000_000
             assert (state.q == tick).all()
-            servo.write_command(TickCommand(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
+            servo.write_command(Drive(np.full(N, 10.0 * tick), True, NO_BRAKES, OPEN, tick < 4, OPEN))
         time.wait_tick(5, timeout_s=60.0)
         assert not servo.wait_state(0.05), "nobody wants time"
-    assert [command.tau[0] for command in commands] == [0.0, 10.0, 20.0, 30.0, 40.0]
+    assert [command.command[0] for command in commands] == [0.0, 10.0, 20.0, 30.0, 40.0]
     assert all(command.power and not command.brakes.any() for command in commands)
 
 
@@ -142,13 +142,13 @@ def test_silent_servo_is_declared_gone_told_so_and_may_come_back(host, servo, pa
         assert commands == [None, None]
         assert panel.servo_losses == 1
         with pytest.raises(LinkError, match="declared the servo gone"):
-            servo.write_command(TickCommand(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
+            servo.write_command(Drive(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
         servo.attach_servo(os.getpid())
         panel.request_time(1)
         assert servo.wait_state(60.0)
-        servo.write_command(TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
+        servo.write_command(Drive(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
         panel.wait_tick(3, timeout_s=60.0)
-    assert commands[2].tau.tolist() == [1.0, 1.0, 1.0]
+    assert commands[2].command.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_a_servo_that_waits_hears_that_it_was_declared_gone(host, servo, panel):
@@ -171,10 +171,10 @@ def test_a_servo_that_attaches_again_answers_the_tick_that_came_meanwhile(host, 
         servo._shared.state.post()  # as if it had not looked yet
         servo.attach_servo(os.getpid())
         assert servo.wait_state(60.0)
-        servo.write_command(TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
+        servo.write_command(Drive(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN))
         panel.wait_tick(1, timeout_s=60.0)
     assert panel.servo_losses == 0
-    assert commands[0].tau.tolist() == [1.0, 1.0, 1.0]
+    assert commands[0].command.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_a_servo_that_was_declared_gone_commands_nothing_once_another_has_come(host, servo, panel):
@@ -186,15 +186,15 @@ def test_a_servo_that_was_declared_gone_commands_nothing_once_another_has_come(h
         other.attach_servo(os.getppid())
         panel.request_time(1)
         assert other.wait_state(60.0)
-        own = TickCommand(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN)
+        own = Drive(np.ones(N), True, NO_BRAKES, OPEN, False, OPEN)
         for _ in range(2):
             with pytest.raises(LinkError, match=f"gone before tick 1; process {os.getppid()} is its servo now"):
-                servo.write_command(TickCommand(np.full(N, 99.0), True, NO_BRAKES, OPEN, True, OPEN))
+                servo.write_command(Drive(np.full(N, 99.0), True, NO_BRAKES, OPEN, True, OPEN))
         servo.detach_servo()
         other.write_command(own)
         panel.wait_tick(2, timeout_s=60.0)
     assert commands[0] is None
-    assert commands[1].tau.tolist() == [1.0, 1.0, 1.0]
+    assert commands[1].command.tolist() == [1.0, 1.0, 1.0]
 
 
 def test_detaching_ends_the_demand(host, servo, time):
@@ -202,7 +202,7 @@ def test_detaching_ends_the_demand(host, servo, time):
         servo.attach_servo(os.getpid())
         time.request_time(1)
         assert servo.wait_state(60.0)
-        servo.write_command(TickCommand(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
+        servo.write_command(Drive(np.zeros(N), True, NO_BRAKES, OPEN, True, OPEN))
         assert servo.wait_state(60.0)
         servo.detach_servo()
         time.wait_tick(2, timeout_s=60.0)

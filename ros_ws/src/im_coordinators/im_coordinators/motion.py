@@ -28,10 +28,6 @@ class ToldGroup(Protocol):
 def check_told(state: str, groups: Iterable[ToldGroup]) -> None:
     """Check a message from ``/mcs/state`` for states possible in MCS; refuse any other message.
 
-    Args:
-        state: Of MCS.
-        groups: What is told of each group.
-
     Raises:
         DataError: It is no state, or one of a group is none.
     """
@@ -42,13 +38,7 @@ def check_told(state: str, groups: Iterable[ToldGroup]) -> None:
 
 
 def state_for(groups: Iterable[ToldGroup], group: str, owner: str) -> str:
-    """Return the state of a group for an owner: cold unless reserved for the owner, or for anyone.
-
-    Args:
-        groups: As MCS told them last.
-        group: Name of the group.
-        owner: Who wants to move it.
-    """
+    """Return the state of a group for an owner: cold unless reserved for the owner, or for anyone."""
     held = (told.state for told in groups if told.group == group and told.reserved and told.owner in ("", owner))
     return next(held, "cold")
 
@@ -82,20 +72,12 @@ def planned_beforehand(arguments: Mapping[str, object], memory: Mapping[str, obj
 
 
 def take_path(memory: MutableMapping[str, object]) -> None:
-    """Take the path planned beforehand, once.
-
-    Args:
-        memory: Of the request.
-    """
+    """Take the path planned beforehand, once."""
     memory["path_taken"] = True
 
 
 def depends_on_here(arguments: Mapping[str, object]) -> bool:
-    """Return whether the destination of a move depends on the tool's place at planning time.
-
-    Args:
-        arguments: Of the request.
-    """
+    """Return whether the destination of a move depends on the tool's place at planning time."""
     return bool(arguments["position"]) and (arguments["frame"] == "tool" or not arguments["orientation"])
 
 
@@ -120,11 +102,6 @@ def end_noted(memory: Mapping[str, object]) -> Any:
 
 def require_working(state: str, reason: str, what: str) -> None:
     """Check for a state of MCS in which parts move.
-
-    Args:
-        state: As MCS told it last.
-        reason: Of that state, as MCS told it.
-        what: Name of the part that is to move.
 
     Raises:
         StateError: Nothing moves.

@@ -14,11 +14,6 @@ TOO_FAINT, NOT_FOUND = "spot_too_faint", "spot_not_found"
 def require_spot(missed: Mapping[str, str], cameras: int, what: str = "the light") -> None:
     """Check for a spot: one camera with the light in view is enough.
 
-    Args:
-        missed: Why a camera does not, by camera.
-        cameras: How many looked.
-        what: At what.
-
     Raises:
         DataError: None does, code :data:`TOO_FAINT` or :data:`NOT_FOUND`; its facts say why.
     """

@@ -148,12 +148,7 @@ def fault_in(path: Path, location: Location, sentence: str) -> ConfigError:
 
 
 def faults(error: pydantic.ValidationError, model: type[pydantic.BaseModel]) -> list[Fault]:
-    """Return the faults found by a model; of very many faults only the first, because each takes time to place.
-
-    Args:
-        error: The complaint.
-        model: The model that complains.
-    """
+    """Return the faults found by a model; of very many faults only the first, because each takes time to place."""
     told: list[Fault] = []
     for each in error.errors(include_url=False)[:_MOST_FAULTS]:
         context = each.get("ctx", {})

@@ -182,10 +182,6 @@ def require_text(text: str, what: str) -> str:
 
     Such texts come from JSON, and as names of files and arguments that are no UTF-8.
 
-    Args:
-        text: The text.
-        what: What it is, for the message.
-
     Raises:
         DataError: It has half a character.
     """
@@ -209,10 +205,6 @@ def as_exception(error: BaseException) -> Exception:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a hint at the intended name: `` (did you mean 'x'?)``, or the known names without a near one.
-
-    Args:
-        name: The name that was not found.
-        known: The names that exist.
 
     Returns:
         Text to append to a message, empty where nothing is known.

@@ -23,11 +23,6 @@ class FileError(DataError):
         sentence: What is wrong with it.
         line: Where, from 1; None: all of it.
         column: Where in the line, from 1.
-
-    Attributes:
-        sentence: As given.
-        line: As given.
-        column: As given.
     """
 
     def __init__(self, file: str | Path, sentence: str, line: int | None = None, column: int | None = None) -> None:

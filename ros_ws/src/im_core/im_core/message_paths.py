@@ -52,9 +52,6 @@ def resolve_below(path: str, folders: Sequence[Path], what: str) -> Path:
 def hand_over(path: Path) -> Path:
     """Copy a file of a client to a folder readable by the machine.
 
-    Args:
-        path: The file, wherever it is.
-
     Returns:
         The copy, for a message to the machine of this run folder; the same content has one copy.
 

@@ -133,12 +133,7 @@ def require_current(reference: str, what: str) -> None:
 
 
 def import_at_use(package: str, names: Mapping[str, Sequence[str]]) -> Callable[[str], object]:
-    """Make the ``__getattr__`` of a package: import a public name at the first use, without the modules of the others.
-
-    Args:
-        package: Name of the package.
-        names: Public names, by module below the package.
-    """
+    """Make the ``__getattr__`` of a package: import a public name at the first use, without the other modules."""
     modules = {name: module for module, given in names.items() for name in given}
 
     def find(name: str) -> object:

@@ -170,9 +170,6 @@ def load_named_poses(path: str, target: str = "light") -> PosesFile:
 def load_poses(path: str | Path) -> PosesFile:
     """Read a poses file of the computer's user.
 
-    Args:
-        path: The file.
-
     Raises:
         ConfigError: It is missing, empty, or malformed; names file and line.
     """

@@ -364,9 +364,6 @@ class ObjectStore:
     def cached(self, name: str) -> Version | None:
         """Return the newest version of an object, from memory; from any thread, without a wait.
 
-        Args:
-            name: Its name.
-
         Returns:
             As of :meth:`get`, and on the disk; None if it is not in memory, not valid, or not there.
         """

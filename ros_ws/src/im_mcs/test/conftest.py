@@ -7,7 +7,6 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from im_cell.link import TickCommand
 from im_cell.robot import Cell, load_cell, urdf
 from im_mcs.limits.configuration import McsConfig, load_config
 from im_mcs.model import CellModel
@@ -243,9 +242,7 @@ class PlantDriver:
         return Measured(tick, tick * 4_500_000, s.q, s.power, s.brakes, s.gripper, s.age_s, s.wrench, s.gripper_force)
 
     def write(self, drive: Drive) -> None:
-        self.plant.run_tick(
-            TickCommand(drive.command, drive.power, drive.brakes, drive.gripper, drive.wants_time, drive.gripper_force)
-        )
+        self.plant.run_tick(drive)
         self._tick += 1
 
     def close(self) -> None:

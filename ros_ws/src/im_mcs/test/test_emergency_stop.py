@@ -39,7 +39,7 @@ class Circuits:
 @pytest.fixture
 def latch(monkeypatch, tmp_path):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
-    return StopLatch(StopMark(), Circuits())
+    return StopLatch(Circuits())
 
 
 class Told(list):

@@ -11,12 +11,7 @@ from im_pnt.netfile import parse_net
 
 
 class NetContent(pydantic.BaseModel):
-    """Description of a net.
-
-    Attributes:
-        yaml: Text of its file.
-        journal: Whether its node keeps a journal.
-    """
+    """Description of a net."""
 
     yaml: str
     journal: bool = False
@@ -33,11 +28,6 @@ def read_content(name: str, text: str) -> NetContent:
 
 def read_net(name: str, text: str, node: str) -> Net:
     """Read a net.
-
-    Args:
-        name: Its name.
-        text: JSON of its description.
-        node: Who tells it, for complaints.
 
     Raises:
         DataError: It is no description, or that of another net.

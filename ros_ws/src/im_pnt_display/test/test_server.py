@@ -203,7 +203,6 @@ def test_without_the_token_a_page_only_looks(serve):
 def test_the_cell_is_for_who_looks_at_it_and_its_viewers_are_counted(serve, wait_until, apart):
     counted = []
     server = serve(audience=lambda *numbers: counted.append(numbers), apart=apart)
-    state = server.state
 
     async def talk():
         async with (
@@ -213,18 +212,18 @@ def test_the_cell_is_for_who_looks_at_it_and_its_viewers_are_counted(serve, wait
         ):
             for each in (other, viewer):
                 await next_change(each)
-            server.show(state.cell("robot", "<robot/>"))
-            server.show(state.cell("marker/a/1", None))
+            server.show({"kind": "cell", "part": "robot", "content": "<robot/>"})
+            server.show({"kind": "cell", "part": "marker/a/1", "content": None})
             server.show({"kind": "done"})
             assert (await next_change(viewer))["kind"] == "done"
             await viewer.send_json({"net": "", "request": "look", "argument": "cell"})
             parts = [await next_change(viewer)]
-            server.show(state.cell("joints", {"j": 1.0}))
+            server.show({"kind": "cell", "part": "joints", "content": {"j": 1.0}})
             parts.append(await next_change(viewer))
             await viewer.send_json({"net": "", "request": "look", "argument": ""})
             while counted[-1] != (2, 0):
                 await asyncio.sleep(0.01)
-            server.show(state.cell("joints", {"j": 2.0}))
+            server.show({"kind": "cell", "part": "joints", "content": {"j": 2.0}})
             server.show({"kind": "done"})
             assert (await next_change(viewer))["kind"] == "done"
             assert [(await next_change(other))["kind"] for _ in range(2)] == ["done", "done"]
@@ -241,23 +240,26 @@ def test_changes_wake_the_server_once_for_all_until_it_looks(serve, wait_until):
     wake(busy.wait)
     server._loop.call_soon_threadsafe = lambda *call: (wakes.append(call), wake(*call))
     for number in range(200):
-        server.show(server.state.cell(f"part {number % 3}", number))
+        server.show({"kind": "cell", "part": f"part {number % 3}", "content": number})
     assert len(wakes) == 1
     busy.set()
     last = {f"part {k}": max(n for n in range(200) if n % 3 == k) for k in range(3)}
     wait_until(
         lambda: {part["part"]: part["content"] for part in server.state.cell_parts()} == last, "the newest of each part"
     )
-    server.show(server.state.cell("part 0", "later"))
+    server.show({"kind": "cell", "part": "part 0", "content": "later"})
     wait_until(lambda: "later" in [part["content"] for part in server.state.cell_parts()], "the later change")
     assert len(wakes) == 2
 
 
 def test_of_the_cell_no_more_is_kept_than_a_cell_has():
     state = DisplayState()
-    entered = [state.enter(state.cell(f"marker/m/{number}", {})) for number in range(MOST_CELL_PARTS + 5)]
+    entered = [
+        state.enter({"kind": "cell", "part": f"marker/m/{number}", "content": {}})
+        for number in range(MOST_CELL_PARTS + 5)
+    ]
     assert entered == [True] * MOST_CELL_PARTS + [False] * 5
-    assert state.enter(state.cell("marker/m/0", None))
+    assert state.enter({"kind": "cell", "part": "marker/m/0", "content": None})
     assert len(state.cell_parts()) == MOST_CELL_PARTS - 1
 
 
@@ -442,7 +444,7 @@ def test_what_one_viewer_may_not_do_is_told_to_that_viewer_alone(serve):
 def test_a_process_of_its_own_shows_what_the_display_shows(serve, wait_until):
     heard = []
     server = serve(operate=lambda wanted: (heard.append(wanted), server.show({"kind": "done"})), apart=True)
-    server.state.enter(server.state.net("a", "/node", {"description": "the first"}))
+    server.state.enter({"kind": "net", "net": "a", "node": "/node", "description": "the first"})
 
     def shown():
         return json.loads(asked(server, "state.json")[2])
@@ -450,7 +452,7 @@ def test_a_process_of_its_own_shows_what_the_display_shows(serve, wait_until):
     assert shown()["nets"] == [{"net": "a", "node": "/node", "description": "the first"}]
     snapshot, done = told(server, json.dumps(ASKED), kinds=("done",))
     assert (snapshot["operable"], done, heard) == (True, {"kind": "done"}, [ASKED])
-    server.show(server.state.net("b", "/node", {}))
+    server.show({"kind": "net", "net": "b", "node": "/node"})
 
     wait_until(lambda: [net["net"] for net in shown()["nets"]] == ["a", "b"], "the second net")
 
@@ -573,12 +575,12 @@ def test_who_comes_while_nets_fire_is_told_each_firing_once():
     async def fire():
         viewers = Viewers(state)
         other = viewers.enter()
-        viewers.show(state.firing({"net": "n", "sequence": 1}))
+        viewers.show({"kind": "firing", "net": "n", "sequence": 1})
         viewer = viewers.enter()
-        viewers.show(state.firing({"net": "n", "sequence": 2}))
+        viewers.show({"kind": "firing", "net": "n", "sequence": 2})
         condition = {"state": "motion", "stale": False}
         for _ in range(2):
-            viewers.show(state.motion_control(condition))
+            viewers.show({"kind": "mcs", **condition})
         viewers.send()
         return taken(viewer), taken(other)
 
@@ -598,9 +600,9 @@ def test_changes_that_follow_each_other_go_in_one_piece_with_the_newest_marking_
         for each in both:
             await each.unsent.get()
         for number in range(3):
-            viewers.show(state.firing({"net": "n", "sequence": number}))
-            viewers.show(state.marking("n", {"sequence": number}))
-            viewers.show(state.cell("joints", number))
+            viewers.show({"kind": "firing", "net": "n", "sequence": number})
+            viewers.show({"kind": "marking", "net": "n", "sequence": number})
+            viewers.show({"kind": "cell", "part": "joints", "content": number})
         return [[json.loads(line) for line in (await each.unsent.get()).decode().split("\n")] for each in both]
 
     viewer, at_cell = asyncio.run(fire())
@@ -616,14 +618,14 @@ def test_a_viewer_that_takes_nothing_misses_changes_and_gets_the_state_later():
         viewers = Viewers(state)
         viewer = viewers.enter(at_cell=True)
         for number in range(MOST_UNSENT + 9):
-            viewers.show(state.firing({"net": "n", "sequence": number}))
+            viewers.show({"kind": "firing", "net": "n", "sequence": number})
             viewers.send()
         other = viewers.enter(at_cell=True)
-        viewers.show(state.cell("joints", 1))
+        viewers.show({"kind": "cell", "part": "joints", "content": 1})
         viewers.send()
         assert len(taken(viewer)) == MOST_UNSENT
         state_again = (await viewer.unsent.get()).decode().split("\n")
-        viewers.show(state.firing({"net": "n", "sequence": -1}))
+        viewers.show({"kind": "firing", "net": "n", "sequence": -1})
         viewers.send()
         return [json.loads(line) for line in state_again], taken(viewer), taken(other)
 
@@ -639,10 +641,10 @@ def test_a_viewer_that_takes_nothing_sees_the_cell_once_it_takes_something():
 
     async def look():
         viewers = Viewers(state)
-        viewers.show(state.cell("joints", 1))
+        viewers.show({"kind": "cell", "part": "joints", "content": 1})
         viewer = viewers.enter()
         while not viewer.unsent.full():
-            viewers.show(state.firing({"net": "n", "sequence": 1}))
+            viewers.show({"kind": "firing", "net": "n", "sequence": 1})
             viewers.send()
         viewers.look(viewer, at_cell=True)
         taken(viewer)
@@ -671,11 +673,11 @@ def test_a_refusal_goes_with_the_next_net_of_its_name_and_the_last_ones_are_kept
         return [each["net"] for each in state.snapshot()["refusals"]]
 
     for number in range(2 * REFUSALS_KEPT):
-        state.enter(state.refusal(f"n{number}", {"message": "it can stand still", "counterexample": {}}))
+        state.enter({"kind": "refusal", "net": f"n{number}", "message": "it can stand still", "counterexample": {}})
     assert refused() == [f"n{number}" for number in range(REFUSALS_KEPT, 2 * REFUSALS_KEPT)]
-    state.enter(state.net("n25", "/node", {}))
-    state.enter(state.gone("n26"))
-    state.enter(state.refusal("n21", {"message": "again", "counterexample": {}}))
+    state.enter({"kind": "net", "net": "n25", "node": "/node"})
+    state.enter({"kind": "gone", "net": "n26"})
+    state.enter({"kind": "refusal", "net": "n21", "message": "again", "counterexample": {}})
     assert not {"n25", "n26"} & set(refused())
     assert refused()[-1] == "n21"
 

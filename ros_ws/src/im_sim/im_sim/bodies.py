@@ -15,12 +15,7 @@ _NO_BODIES = np.empty((0, 7))
 
 
 class FreeBodies:
-    """Free bodies of a cell in a pybullet client.
-
-    Args:
-        bodies: Shapes, masses, and where they start.
-        client: Pybullet's physics client.
-    """
+    """Free bodies of a cell in a pybullet client."""
 
     def __init__(self, bodies: Sequence[FreeBody], client: int) -> None:
         self._options = {"physicsClientId": client}

@@ -8,11 +8,7 @@ from im_sim.laser import Laser
 
 
 class Exposures:
-    """Server of one exposure request after the other; a new request replaces a request without a client.
-
-    Args:
-        link: Where requests come from and results go to.
-    """
+    """Server of one exposure request after the other; a new request replaces a request without a client."""
 
     def __init__(self, link: HostEnd) -> None:
         self._link = link

@@ -11,13 +11,7 @@ _THERE_M, _DIGITS = 1e-4, 4
 
 
 class FingerJaws(GripperJaws):
-    """The jaws of all grippers in pybullet; they travel and press as :class:`GripperJaws` do.
-
-    Args:
-        gripper: Stroke, rate and force.
-        count: How many there are.
-        world: With grippers.
-    """
+    """The jaws of all grippers in pybullet; they travel and press as :class:`GripperJaws` do."""
 
     def __init__(self, gripper: Gripper, count: int, world: World) -> None:
         super().__init__(gripper, count)

@@ -12,13 +12,7 @@ _LATE_PERIODS = 10
 
 
 class TickLoop:
-    """Joins plant and link, tick by tick, at the pace of the link's protocol.
-
-    Args:
-        plant: What is simulated.
-        laser: The laser scanner.
-        link: Created, not yet published; the first state opens it.
-    """
+    """Joins plant and link, tick by tick, at the pace of the link's protocol."""
 
     def __init__(self, plant: Plant, laser: Laser, link: HostEnd) -> None:
         self._plant = plant

@@ -19,12 +19,7 @@ FAULTS = (*_OF_JOINTS, "power_loss", "stall")
 
 
 class FaultPanel:
-    """Panel of faults: breaks and mends a testbed; physics obeys from the next tick on.
-
-    Args:
-        cell: Names of joints and grippers.
-        link: The testbed's panel.
-    """
+    """Panel of faults: breaks and mends a testbed; physics obeys from the next tick on."""
 
     def __init__(self, cell: Cell, link: PanelEnd) -> None:
         self._joints = cell.joint_names
@@ -134,11 +129,7 @@ class FaultPanel:
 
 
 class Lights:
-    """Switches the lights of a testbed.
-
-    Args:
-        link: The testbed's panel.
-    """
+    """Switches the lights of a testbed."""
 
     def __init__(self, link: PanelEnd) -> None:
         self._link = link

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from im_cell.link import Faults, JawObject, Sensors, TickCommand
+from im_cell.link import Drive, Faults, JawObject, Sensors
 from im_cell.robot import Cell
 from im_sim.actuators import Actuators
 from im_sim.brakes import HoldingBrakes
@@ -20,10 +20,6 @@ _SETTLE_S = 2.0
 
 class Plant:
     """Arms, carts and grippers; the same seed and commands give the same bits.
-
-    Args:
-        cell: Parameters.
-        seed: Of the sensors' noise.
 
     Attributes:
         q: True positions, shape (n,) [rad or m].
@@ -116,7 +112,7 @@ class Plant:
         if not self._stands:
             self._actuators.prepare(self.q, self.v)
 
-    def run_tick(self, command: TickCommand | None) -> None:
+    def run_tick(self, command: Drive | None) -> None:
         """One tick under a command; without one, power is off. Without power every brake is told to hold.
 
         What stands still after a step, with every joint stuck, is not stepped again before the next tick, nor, without
@@ -126,7 +122,7 @@ class Plant:
         self.power = command is not None and command.power and not self._faults.power_loss
         self._brakes.tick(command.brakes if command is not None and self.power else self._held_brakes)
         held = self._brakes.engaged | self._faults.brake_stuck
-        tau = np.zeros(self._n) if command is None else command.tau
+        tau = np.zeros(self._n) if command is None else command.command
         self._actuators.command(tau, self.power, held & self._may_hold)
         if command is not None:
             self._grippers.command(command.gripper, command.gripper_force)

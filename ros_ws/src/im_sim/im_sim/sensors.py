@@ -97,11 +97,7 @@ class Signals:
 
 
 class Encoders:
-    """Faults of encoder readings on the way to the servo: some are stuck, some are lost.
-
-    Args:
-        cell: Joints and period.
-    """
+    """Faults of encoder readings on the way to the servo: some are stuck, some are lost."""
 
     def __init__(self, cell: Cell) -> None:
         n = len(cell.joints)
@@ -137,9 +133,6 @@ class WristWrenches:
     and its load, its spatial velocity v and acceleration a, and the wrench w of what it touches, the arm exerts ``I
     (a - g) + v x* I v - w``: the recursive Newton-Euler algorithm gives the first two terms from the motion that
     physics has found, contacts included.
-
-    Args:
-        dynamics: Of the arms with their loads.
 
     Attributes:
         true: What really acts, force then torque of each side, shape (wrists, 6) [N, Nm].

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.link import TickCommand
+from im_cell.link import Drive
 from im_cell.robot import Cell, FreeBody, load_cell, urdf
 from im_core.config import package_file
 from im_core.errors import ConfigError
@@ -30,7 +30,7 @@ def plant(cell):
 
 def run(plant, ticks, opening=0.08, force=60.0):
     for _ in range(ticks):
-        plant.run_tick(TickCommand(np.zeros(N), True, np.ones(N, bool), np.full(2, opening), True, np.full(2, force)))
+        plant.run_tick(Drive(np.zeros(N), True, np.ones(N, bool), np.full(2, opening), True, np.full(2, force)))
         plant.sensors(0)  # of whatever the jaws touch
 
 
@@ -120,7 +120,7 @@ def test_one_arm_without_a_wrist_sensor_holds_a_body_until_its_jaws_open():
     def stand(ticks, opening):
         for _ in range(ticks):
             told = np.full(1, opening), True, np.full(1, cell.gripper.force)
-            plant.run_tick(TickCommand(np.zeros(n), True, np.ones(n, bool), *told))
+            plant.run_tick(Drive(np.zeros(n), True, np.ones(n, bool), *told))
 
     stand(150, block.size[0] + 0.006)
     plant.place(0, np.array([*held.translation, *pin.Quaternion(held.rotation).coeffs()]))

@@ -7,7 +7,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from im_cell.link import Faults, HostEnd, JawObject, PanelEnd, ServoEnd, StopEnd, TickCommand
+from im_cell.link import Drive, Faults, HostEnd, JawObject, PanelEnd, ServoEnd, StopEnd
 from im_cell.robot import load_cell
 from im_core.errors import DataError, NotFoundError
 from im_core.shm_names import remove_all
@@ -39,7 +39,7 @@ def run(plant, ticks, first=0):
     seen = []
     for tick in range(first, first + ticks):
         seen.append(plant.sensors(tick))
-        plant.run_tick(TickCommand(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
+        plant.run_tick(Drive(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
     return seen
 
 
@@ -91,7 +91,7 @@ def test_an_open_brake_lets_its_joint_fall_and_says_so(plant, power):
     before = plant.q
     for tick in range(30):
         seen = plant.sensors(tick)
-        plant.run_tick(TickCommand(np.zeros(N), power, ~FREE, np.zeros(2), True, np.full(2, np.inf)))
+        plant.run_tick(Drive(np.zeros(N), power, ~FREE, np.zeros(2), True, np.full(2, np.inf)))
     assert np.flatnonzero(~seen.brakes).tolist() == [5]
     assert abs(plant.q - before)[5] > 1e-3
     assert np.delete(np.abs(plant.q - before), 5).max() < 1e-6
@@ -163,7 +163,7 @@ def test_the_stop_circuit_takes_the_power_whatever_the_servo_wants(plant):
 
 def insist(servo):
     """A servo that wants power and free joints, always."""
-    servo.write_command(TickCommand(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
+    servo.write_command(Drive(np.zeros(N), True, FREE, np.zeros(2), True, np.full(2, np.inf)))
 
 
 def test_faults_that_cannot_be_are_refused_and_change_nothing(plant):

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from im_cell.link import CameraEnd, HostEnd, PanelEnd, ServoEnd, TickCommand
+from im_cell.link import CameraEnd, Drive, HostEnd, PanelEnd, ServoEnd
 from im_core import clock
 from im_core.errors import LinkError
 from im_core.shm_names import remove_all
@@ -52,7 +52,7 @@ def drive(servo, time, ticks, tau):
         assert servo.wait_state(60.0)
         state = servo.read_state()
         seen.append((state.tick, state.q.tobytes(), state.gripper.tobytes()))
-        servo.write_command(TickCommand(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
+        servo.write_command(Drive(tau * np.sin(0.1 * count), True, FREE, CLOSED, count < ticks - 1, CLOSED))
     time.wait_tick(ticks, timeout_s=60.0)
     return seen
 
@@ -108,7 +108,7 @@ def test_real_time_keeps_pace_alone_and_outlives_its_servo():
 
         servo.attach_servo(os.getpid())
         assert servo.wait_state(60.0)
-        servo.write_command(TickCommand(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
+        servo.write_command(Drive(np.zeros(N), True, HELD, CLOSED, True, CLOSED))
         assert servo.wait_state(60.0)
         assert servo.read_state().power
         panel.wait_tick(panel.tick + 10, timeout_s=60.0)  # no further command: declared gone after 0.5 s

@@ -2,7 +2,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.link import JawObject, TickCommand
+from im_cell.link import Drive, JawObject
 from im_cell.robot import load_cell, urdf
 from im_sim.plant import Plant
 
@@ -23,7 +23,7 @@ def plant():
 
 
 def command(tau=None, brakes=FREE, power=True, gripper=CLOSED, force=ALL_FORCE):
-    return TickCommand(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
+    return Drive(np.zeros(N) if tau is None else tau, power, brakes, gripper, True, force)
 
 
 def place(plant, q, v=None):

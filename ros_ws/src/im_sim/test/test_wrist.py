@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from im_cell.link import JawObject, TickCommand
+from im_cell.link import Drive, JawObject
 from im_cell.robot import load_cell, urdf
 from im_sim.plant import Plant
 
@@ -33,7 +33,7 @@ def place(plant, q, v=None):
 
 
 def command(tau, brakes=FREE, gripper=(0.08, 0.08)):
-    return TickCommand(tau, True, brakes, np.array(gripper), True, FULL)
+    return Drive(tau, True, brakes, np.array(gripper), True, FULL)
 
 
 def wrist_frames(q):

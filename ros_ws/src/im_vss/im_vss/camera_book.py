@@ -215,9 +215,6 @@ class CameraBook:
     def adopt(self, files: CalibrationFiles) -> tuple[str, ...]:
         """Use calibrations of an earlier run, and write the calibrations in use now.
 
-        Args:
-            files: As they were read.
-
         Returns:
             A sentence for each camera that is not in use.
 

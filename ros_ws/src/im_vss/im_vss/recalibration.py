@@ -37,13 +37,6 @@ def find_again(
 ) -> tuple[CalibrateRequest, str]:
     """Find the spots of a request in the recorded images, in the looks of the observations.
 
-    Args:
-        bag: The bag.
-        call: As it was recorded.
-        request: Its request, with the cameras of interest.
-        settings: Noise of the sensors, and what a spot must be like.
-        progress: Is told how far it is.
-
     Returns:
         The request with the spots found, and how they differ from the recorded ones, as a sentence.
 

@@ -24,10 +24,6 @@ LOOK_S = 1.0
 class FoxgloveChannel:
     """Topic as Foxglove sees it, and its subscription while a viewer has it open.
 
-    Args:
-        topic: Its name.
-        type_name: Its type.
-
     Raises:
         ImError: No sourced workspace defines the type.
     """

@@ -50,12 +50,6 @@ class RecordedTopic:
     comes that offers less; until the new one is connected both get the same messages, of which one is passed on.
 
     All are of one node, whose participant gives a message to all of them at once.
-
-    Args:
-        node: Subscribes to it.
-        topic: Its name.
-        type_name: Its type.
-        delivery: How its publishers deliver.
     """
 
     def __init__(self, node: Node, topic: str, type_name: str, delivery: Delivery) -> None:

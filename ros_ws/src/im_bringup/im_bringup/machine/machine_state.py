@@ -134,9 +134,6 @@ def runs_here() -> bool:
 def neighbour(run_dir: Path) -> str:
     """Return the instance of another ROS domain with a machine running in a folder; empty string if there is none.
 
-    Args:
-        run_dir: The folder.
-
     Whoever may write into ``/dev/shm`` may leave a file there that is no record: it is nobody's.
     """
     for path in sorted(SHM.glob(f"im*{_RECORD_SUFFIX}")):

@@ -27,10 +27,6 @@ def is_member(process: ProcessId) -> bool:
 def signal_member(process: ProcessId, number: signal.Signals) -> bool:
     """Signal a process, but only a member.
 
-    Args:
-        process: The process.
-        number: What to send.
-
     Returns:
         Whether it was sent.
     """

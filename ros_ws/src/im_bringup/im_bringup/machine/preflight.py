@@ -69,7 +69,7 @@ class Check:
 
 
 def host_checks() -> list[Check]:
-    """Return the checks that depend on no deployment."""
+    """Return the checks independent of a deployment."""
     folders = {"IM_RUN_DIR": names.run_dir, "IM_RESULTS_DIR": names.results_dir, "ROS_LOG_DIR": _ros_logs}
     rooms = [
         Check(f"folder {variable}", partial(_check_folder, find), f"make room, or set {variable} to another folder")

@@ -178,10 +178,6 @@ def become_agent(arguments: argparse.Namespace) -> None:
 def check_programs(deployment: Deployment, path: Path) -> None:
     """Check a deployment for the local host, and the local host for the executables of all local tasks.
 
-    Args:
-        deployment: What is to be started.
-        path: The file it came from.
-
     Raises:
         ConfigError: It is not, or has not.
     """
@@ -217,10 +213,6 @@ def check_cell(deployment: Deployment, given: str | None, whole: Deployment | No
 
 def check_calibration(deployment: Deployment, path: Path) -> None:
     """Read the calibrations for tasks of the local host, if there are any, and print a summary.
-
-    Args:
-        deployment: What is to be started.
-        path: The file it came from.
 
     Raises:
         ConfigError: They are missing or wrong, or no task takes them, or one of a host that knows the file only.
@@ -455,16 +447,7 @@ def spawn_bootstrap(
         *_SUPERVISOR,
         str(path_of("im_bringup", "bootstrap")),
         str(path),
-        *("--factor", repr(deployment.clock_factor)),
-        *("--period", repr(deployment.period)),
-        *("--seed", str(deployment.seed)),
-        *("--port", str(deployment.port)),
-        *("--foxglove", str(deployment.foxglove)),
-        *(("--perfect-arm",) if deployment.perfect_arm else ()),
-        *(("--control",) if deployment.control else ()),
-        *(("--unproved",) if deployment.unproved else ()),
-        *(("--calibration", deployment.calibration) if deployment.calibration else ()),
-        *(("--cell", deployment.cell) if deployment.cell else ()),
+        deployments.options_text(deployment, deployments.HERE),
     ]
     return ChildProcess(
         argv,

@@ -25,11 +25,7 @@ _MOST_ASKING = 64
 
 
 class StartMark:
-    """Mark of a running start, held by the present process.
-
-    Args:
-        listening: The socket.
-    """
+    """Mark of a running start, held by the present process."""
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening

@@ -37,9 +37,6 @@ def main() -> int:
 def stop(say: Callable[[str], None]) -> int:
     """Stop the machine.
 
-    Args:
-        say: Takes one sentence at a time.
-
     Returns:
         0 if nothing is left, else 1.
     """

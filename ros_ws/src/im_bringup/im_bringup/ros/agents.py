@@ -25,13 +25,6 @@ class RemoteAgents:
     """Sender of orders to the agents of other hosts, and receiver of the agents' reports.
 
     An agent asks by reporting; the answer names the incarnation of the agent that asked.
-
-    Args:
-        node: The bootstrap's.
-        bootstrap: Decides what is to be done.
-        hosts: The other hosts.
-        options: What the start was given.
-        secret: What the hosts share.
     """
 
     def __init__(

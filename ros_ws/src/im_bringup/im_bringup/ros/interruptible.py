@@ -107,11 +107,7 @@ NodeT = TypeVar("NodeT", bound=InterruptibleNode)
 
 @contextlib.contextmanager
 def spun(make: Callable[[], NodeT]) -> Iterator[NodeT]:
-    """Initialise ROS for the block, and spin a node; end signals interrupt the block.
-
-    Args:
-        make: Makes the node.
-    """
+    """Initialise ROS for the block, and spin a node; end signals interrupt the block."""
     with own_output():
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:

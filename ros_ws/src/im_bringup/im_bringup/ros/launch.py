@@ -4,6 +4,7 @@ The processes begin as copies of this one, which has loaded what all of them nee
 along, and with them no process may be copied.
 """
 
+import argparse
 import os
 import sys
 from contextlib import suppress
@@ -23,7 +24,6 @@ from im_bringup.tasks.signed_link import read_secret
 from im_cell.robot import load_cell
 from im_core import clock, names
 from im_core.errors import ConfigError, ImError
-from im_core.options import NumberParser
 from im_core.processes import scheduling
 from im_core.processes.process import prepare
 from im_core.processes.procfs import ProcessId
@@ -39,18 +39,9 @@ COMMON = (
 
 def main() -> int:
     """Run ``/bootstrap`` until SIGINT or SIGTERM."""
-    parser = NumberParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
-    parser.add_argument("deployment", nargs="?", default=str(deployments.default_path()))
-    parser.add_argument("--factor", type=float)
-    parser.add_argument("--period", type=float)
-    parser.add_argument("--seed", type=int)
-    parser.add_argument("--perfect-arm", action="store_true", default=None)
-    parser.add_argument("--port", type=int)
-    parser.add_argument("--foxglove", type=int)
-    parser.add_argument("--control", action="store_true", default=None)
-    parser.add_argument("--unproved", action="store_true", default=None)
-    parser.add_argument("--calibration")
-    parser.add_argument("--cell")
+    parser = argparse.ArgumentParser(prog="bootstrap", description="Start the tasks of a deployment; see start.")
+    parser.add_argument("deployment")
+    parser.add_argument("options", help="as JSON")
     arguments = parser.parse_args()
     if not is_member(ProcessId.current()):  # started by hand; the mark must be there from the start of a process
         os.execve(sys.executable, sys.orig_argv, {**os.environ, MARKER: names.instance()})
@@ -59,7 +50,7 @@ def main() -> int:
         deployment = deployments.load(arguments.deployment)
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
-        deployment = deployments.with_options(deployment, arguments)
+        deployment = deployments.with_options_text(deployment, arguments.options, deployments.HERE)
         secret = read_secret(os.environ) if len(deployment.hosts) > 1 else b""
         nets, bootstrap = begin(deployment)
     except ImError as error:
@@ -72,9 +63,6 @@ def main() -> int:
 
 def begin(deployment: Deployment) -> tuple[MachineNets, Bootstrap]:
     """Start the processes of the local host.
-
-    Args:
-        deployment: Of which they are.
 
     Returns:
         What finds out whether the nets of the tasks may run together, and what leads the tasks.

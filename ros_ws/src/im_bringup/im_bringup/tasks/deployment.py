@@ -5,7 +5,7 @@ import json
 import os
 import re
 import socket
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -93,15 +93,7 @@ class PlacedTask:
 
 
 def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], nodes: Mapping[str, str]) -> str:
-    """Return the reason against a task at a place; empty if there is none.
-
-    Args:
-        name: Its name.
-        task: The task.
-        place: Where it is.
-        names: Where those before it are, by name.
-        nodes: The tasks before it, by node.
-    """
+    """Return the reason against a task at a place; empty if there is none."""
     if name in names:
         return f"task '{name}' is in {names[name]} and in {place}"
     if task.node == _OWN_NODE:
@@ -269,33 +261,12 @@ class Deployment(Model):
             return variables[whole.group(1)]
         return _REFERENCE.sub(lambda match: str(variables[match.group(1)]), value)
 
-    def with_values(
-        self,
-        factor: float | None,
-        seed: int | None,
-        port: int | None,
-        period: float | None = None,
-        calibration: str | None = None,
-        control: bool | None = None,
-        unproved: bool | None = None,
-        foxglove: int | None = None,
-        cell: str | None = None,
-        perfect_arm: bool | None = None,
-    ) -> "Deployment":
-        """Return the same deployment with some values replaced; None leaves a value unchanged.
+    def with_values(self, **given: object) -> "Deployment":
+        """Return the same deployment with some fields replaced; None leaves a field unchanged.
 
         Raises:
             ConfigError: A value is out of range.
         """
-        given: dict[str, object] = {"clock_factor": factor, "seed": seed, "port": port, "period": period}
-        given |= {
-            "calibration": calibration,
-            "control": control,
-            "unproved": unproved,
-            "foxglove": foxglove,
-            "cell": cell,
-            "perfect_arm": perfect_arm,
-        }
         changed = {name: value for name, value in given.items() if value is not None}
         try:
             return Deployment.model_validate({**self.model_dump(), **changed})
@@ -305,27 +276,20 @@ class Deployment(Model):
             raise ConfigError(f"{fault.field}: {shown}: {fault.words}", field=fault.field) from error
 
 
-_EVERYWHERE = {
-    "factor": "clock_factor",
-    "seed": "seed",
-    "perfect_arm": "perfect_arm",
-    "port": "port",
-    "period": "period",
-    "control": "control",
-    "unproved": "unproved",
-    "foxglove": "foxglove",
-}
-"""Options of ``start`` that mean the same on every host, with the field that each gives."""
+EVERYWHERE = ("clock_factor", "seed", "perfect_arm", "port", "period", "control", "unproved", "foxglove")
+"""Fields that options of ``start`` give, and that mean the same on every host."""
+HERE = (*EVERYWHERE, "calibration", "cell")
+"""All fields that options of ``start`` give."""
 
 
 def with_options(deployment: Deployment, options: argparse.Namespace) -> Deployment:
-    """Return the deployment with values of a command line, for its cell; arguments and errors as of ``with_values``.
+    """Return the deployment with values of a command line, for its cell; errors as of ``with_values``.
 
     Raises:
         ConfigError: Also: its cell is missing or wrong, or no task is left.
     """
-    given = {name: getattr(options, name) for name in (*_EVERYWHERE, "calibration", "cell")}
-    return _for_its_cell(deployment.with_values(**given))
+    given = {name: getattr(options, name) for name in HERE if name != "clock_factor"}
+    return _for_its_cell(deployment.with_values(clock_factor=options.factor, **given))
 
 
 def _for_its_cell(deployment: Deployment) -> Deployment:
@@ -370,21 +334,21 @@ def for_cell(deployment: Deployment, parts: Collection[str]) -> Deployment:
     return deployment.model_copy(update={"hosts": hosts})
 
 
-def options_text(deployment: Deployment) -> str:
-    """Return the possible options of ``start`` as JSON, for the bootstrap's message to the agents of other hosts."""
-    return json.dumps({name: getattr(deployment, field) for name, field in _EVERYWHERE.items()})
+def options_text(deployment: Deployment, fields: Sequence[str] = EVERYWHERE) -> str:
+    """Return the options of ``start`` as JSON, for the bootstrap, or for its message to the agents of other hosts."""
+    return json.dumps({name: getattr(deployment, name) for name in fields})
 
 
-def with_options_text(deployment: Deployment, text: str) -> Deployment:
-    """Return the deployment of another host with the options sent by the bootstrap.
+def with_options_text(deployment: Deployment, text: str, fields: Sequence[str] = EVERYWHERE) -> Deployment:
+    """Return the deployment with the options told by ``start``, or by the bootstrap.
 
     Raises:
         DataError: It is no JSON with these options.
         ConfigError: A value is out of range.
     """
     told = read_json(dict[str, Any], text, "the options of the start")
-    if told.keys() != _EVERYWHERE.keys():
-        raise DataError(f"the options of the start are {text[:200]}; needed are {', '.join(_EVERYWHERE)}")
+    if told.keys() != set(fields):
+        raise DataError(f"the options of the start are {text[:200]}; needed are {', '.join(fields)}")
     return _for_its_cell(deployment.with_values(**told))  # it checks them
 
 

@@ -17,9 +17,6 @@ class Receivers:
     need the same reader, do nothing else any more, but the loop may turn on. A thread that takes packets waits for the
     next one, or for a lock, again and again; the kernel counts that. Neither a stopped process nor a busy computer
     makes a thread compute.
-
-    Args:
-        pid: The process.
     """
 
     def __init__(self, pid: int) -> None:

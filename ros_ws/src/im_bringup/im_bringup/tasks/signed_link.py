@@ -115,10 +115,6 @@ def read_secret(environ: Mapping[str, str]) -> bytes:
 class SignedLink:
     """One end of a link between bootstrap and agent.
 
-    Args:
-        secret: What both ends share.
-        host: Host of the agent.
-
     Attributes:
         peer: The present incarnation of the other end; empty before it is known.
     """
@@ -145,10 +141,6 @@ class SignedLink:
 
     def open(self, topic: str, signed: str) -> Opened:
         """Read a message.
-
-        Args:
-            topic: On which it came.
-            signed: The message.
 
         Raises:
             DataError: It is not signed with the secret, for this topic and host.

@@ -13,10 +13,6 @@ class Standstill:
     Two things make a hang, and neither is time that has merely passed: the thread beside the loop has counted that it
     stood still for longer than it may; or that thread has not come to its turn while the process computed for twice
     as long, for something holds the interpreter. A process that is stopped, or waits for a processor, does neither.
-
-    Args:
-        pid: The process.
-        pulse: What it tells.
     """
 
     def __init__(self, pid: int, pulse: Pulse) -> None:

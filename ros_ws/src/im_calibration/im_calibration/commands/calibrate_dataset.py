@@ -68,14 +68,7 @@ examples: scripts/im calibrate data.json cameras.json
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code."""
     parser = command.parser(
         "calibrate_dataset", "Calibrate the cameras of each trial of a data set of wrist-LED observations.", _EPILOG
     )

@@ -20,10 +20,6 @@ def parser(name: str, description: str, epilog: str) -> argparse.ArgumentParser:
 def run(name: str, work: Callable[[], None]) -> int:
     """Run a command; report a failure in one sentence.
 
-    Args:
-        name: Of the command.
-        work: What it does.
-
     Returns:
         The exit code.
     """

@@ -104,9 +104,6 @@ def check_images(options: argparse.Namespace) -> str:
 def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, "SeenTarget"]:
     """Find the target in the images, and write the observations.
 
-    Args:
-        options: Of the command line.
-
     Returns:
         The problem, and the target in the images.
 

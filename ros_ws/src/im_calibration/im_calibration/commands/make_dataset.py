@@ -59,14 +59,7 @@ Image size and lens model come from sensor_msgs/CameraInfo beside the spots, /NA
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code."""
     parser = command.parser("make_dataset", "Make a data set of what cameras saw of points at known places.", _EPILOG)
     formats = parser.add_subparsers(dest="format", required=True, metavar="{text,opencv,bag}")
     for name in _READERS:

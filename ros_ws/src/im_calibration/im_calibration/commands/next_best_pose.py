@@ -30,14 +30,7 @@ example:  scripts/run.sh im_mcs poses --count 200 --seed 7 --output poses.yaml
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code."""
     parser = command.parser(
         "next_best_pose",
         "Say which further poses would lower the expected errors of a calibration most, and how far.",

@@ -126,11 +126,6 @@ def fit_with_gates(first: Unknowns, problem: CalibrationProblem, layout: Paramet
     Where gates at the stated noise would leave out more than outliers explain, the noise is larger than stated (or the
     model is wrong): the gates then widen with the scatter of the typical pose, so that the misfit is seen and not
     sorted away.
-
-    Args:
-        first: What a robust fit found.
-        problem: The observations.
-        layout: Places of the unknowns.
     """
     gated = _iterate(first, problem, layout, widen=False)
     if gated.used.sum() >= TRUSTED_SHARE * problem.detected.sum():

@@ -36,13 +36,7 @@ class Checks:
 
 
 def check(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout) -> Checks:
-    """Check an estimate.
-
-    Args:
-        gated: The estimate.
-        problem: What it was made from.
-        layout: Places of the unknowns.
-    """
+    """Check an estimate."""
     prediction = predict_from_others(gated.fit, problem, layout, gated.used)
     rows = np.repeat(gated.used.T, 2, axis=1)
     variances = np.diagonal(prediction.covariances, axis1=1, axis2=2)[rows]

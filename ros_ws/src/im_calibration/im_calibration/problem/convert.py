@@ -54,9 +54,6 @@ class BoardSighting:
 def read_lines(path: Path) -> Sighting:
     """Lines ``u v x y z``, separated by blanks, tabs, commas or semicolons; a # begins a comment.
 
-    Args:
-        path: The file.
-
     Raises:
         DataError: It cannot be read, or a line is none of these; file and line are named.
     """
@@ -152,9 +149,6 @@ def read_opencv(path: Path) -> Sighting | BoardSighting:
 
     In place of ``object_points`` may be ``board_width``, ``board_height`` and ``square_size``, as OpenCV's own sample
     of a calibration writes.
-
-    Args:
-        path: The file.
 
     Raises:
         ConfigError: It is no such file; file and line are named.

@@ -282,9 +282,6 @@ class TargetDataSet(_Section):
 def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
     """The problems of a file.
 
-    Args:
-        path: The file.
-
     Raises:
         DataError: It cannot be read, is no JSON, or not of this format; file, line or field are named.
     """
@@ -297,9 +294,6 @@ def load_problems(path: Path) -> tuple[CalibrationProblem, ...]:
 
 def problems(content: object) -> tuple[CalibrationProblem, ...]:
     """The problem of each trial of a data set.
-
-    Args:
-        content: Contents of the file.
 
     Raises:
         DataError: A field is missing, or has the wrong shape or an impossible value; field, trial and pose are named.
@@ -347,9 +341,6 @@ def dataset_of_views(views: TargetViews, noise_to_estimate: Sequence[str]) -> di
 
 def dataset_of(problem: CalibrationProblem) -> dict[str, Any]:
     """Return a data set of one trial, without truth; the inverse of :func:`problems`.
-
-    Args:
-        problem: The observations.
 
     >>> list(dataset_of(problem))[:4]
     ['schema', 'camera_names', 'pose_names', 'image_size']

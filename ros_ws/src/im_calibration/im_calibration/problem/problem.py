@@ -306,11 +306,7 @@ class CalibrationProblem:
         return replace(self, positions=moved, workspace=self.workspace.moved(by), placements=placements)
 
     def taking(self, poses: NDArray[np.intp]) -> "CalibrationProblem":
-        """The problem of some poses, in the order given.
-
-        Args:
-            poses: Their indices.
-        """
+        """The problem of some poses, in the order given."""
         return replace(
             self,
             positions=self.positions[poses],
@@ -327,11 +323,7 @@ class CalibrationProblem:
         )
 
     def of_cameras(self, names: Sequence[str]) -> "CalibrationProblem":
-        """Return the problem of some cameras, in the order given.
-
-        Args:
-            names: Some of `camera_names`.
-        """
+        """Return the problem of some cameras, in the order given."""
         chosen = [self.camera_names.index(name) for name in names]
         lengths = self.lengths and replace(
             self.lengths,

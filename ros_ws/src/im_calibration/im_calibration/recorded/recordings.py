@@ -83,9 +83,6 @@ class BagImages(ImageRecording):
 class VideoFile(ImageRecording):
     """Images of a video file; stamps begin near 0.
 
-    Args:
-        path: The file.
-
     Raises:
         DataError: It cannot be read, or has no images.
     """

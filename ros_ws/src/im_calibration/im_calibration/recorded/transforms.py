@@ -144,10 +144,6 @@ def tree_of_bag(bag: Path, topic: str = TF) -> TransformTree:
 def tree_of_joints(bag: Path, urdf: Path) -> TransformTree:
     """Return the links of a robot by its joint states in a bag; a message may hold some of the joints.
 
-    Args:
-        bag: The bag.
-        urdf: Description of the robot.
-
     Raises:
         DataError: The bag cannot be read, or has no such topic.
         ConfigError: The description cannot be read.

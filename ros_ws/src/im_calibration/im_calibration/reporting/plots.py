@@ -34,13 +34,7 @@ _ARROW_SHARE, _NAMED = 0.05, 10
 
 
 def plot_residuals(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Plot residuals of each camera as arrows in the image and with the noise, poses left out, and chi-square.
-
-    Args:
-        calibration: The result.
-        problem: What it was made from.
-        target: Where the PNG goes.
-    """
+    """Plot residuals of each camera as arrows in the image and with the noise, poses left out, and chi-square."""
     count = len(calibration.cameras)
     figure = _figure(4.2 * (count + 1), 8.2)
     _keep_room(figure, wspace=0.25, hspace=0.3)
@@ -145,13 +139,7 @@ def _headline(figure: Figure, calibration: Calibration) -> None:
 
 
 def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Where the spots lie in the images, and where the LED was in the workspace.
-
-    Args:
-        calibration: The result.
-        problem: What it was made from.
-        target: Where the PNG goes.
-    """
+    """Where the spots lie in the images, and where the LED was in the workspace."""
     count = len(calibration.cameras)
     columns = max(count, 2)
     figure = _figure(4.6 * columns, 6.7)
@@ -201,13 +189,7 @@ def plot_coverage(calibration: Calibration, problem: CalibrationProblem, target:
 
 
 def plot_geometry(calibration: Calibration, problem: CalibrationProblem, target: io.BytesIO) -> None:
-    """Cameras, LED positions and wrist directions in space, and maps of the errors to expect.
-
-    Args:
-        calibration: The result.
-        problem: What it was made from.
-        target: Where the PNG goes.
-    """
+    """Cameras, LED positions and wrist directions in space, and maps of the errors to expect."""
     figure = _figure(15.0, 7.0)
     grid = figure.add_gridspec(1, 2, left=0.0, right=1.0, bottom=0.0, top=1.0, wspace=0.0, width_ratios=(1.0, 1.35))
     scene, maps = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
@@ -316,13 +298,7 @@ def _draw_map(figure: FigureBase, axes: Axes, points: Array, values: Array, thir
 
 
 def draw_scene(axes: Axes3D, calibration: Calibration, problem: CalibrationProblem) -> None:
-    """Draw cameras as frusta, LED positions with the wrist's z axis, and the workspace.
-
-    Args:
-        axes: Three-dimensional axes.
-        calibration: The result.
-        problem: What it was made from.
-    """
+    """Draw cameras as frusta, LED positions with the wrist's z axis, and the workspace."""
     used = calibration.used.any(axis=0)
     points = calibration.led_positions
     axes.scatter(*points[used].T, s=12, color="#1f6fb4", depthshade=False, label="pose used")

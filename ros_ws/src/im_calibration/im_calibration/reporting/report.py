@@ -19,12 +19,7 @@ from im_calibration.problem.problem import CalibrationProblem
 
 
 def report_of(calibration: Calibration, problem: CalibrationProblem) -> dict[str, Any]:
-    """Return everything a user of the cameras needs to know; undefined numbers are null.
-
-    Args:
-        calibration: The result.
-        problem: What it was made from.
-    """
+    """Return everything a user of the cameras needs to know; undefined numbers are null."""
     problem = problem.of_cameras([camera.name for camera in calibration.cameras])
     nominal = np.array(problem.led_offset_nominal)
     undetected = [
@@ -154,9 +149,6 @@ def numbers(values: ArrayLike) -> list[float | None]:
 
 def answer(problem: CalibrationProblem) -> dict[str, Any]:
     """Calibrate; where no estimate is possible there are no cameras, and the flag says why.
-
-    Args:
-        problem: The trial.
 
     Returns:
         Cameras, offsets and flags of the format, and what is known about them: message, verdicts with advice,

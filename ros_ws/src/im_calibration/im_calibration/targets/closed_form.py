@@ -45,9 +45,6 @@ class PlacedTarget:
 def place_target(views: TargetViews) -> PlacedTarget:
     """Return places of the target, from nothing but the views.
 
-    Args:
-        views: The views.
-
     Raises:
         DegenerateDataError: There are too few views, cameras have no view in common, or the robot does not turn.
         InconsistentDataError: No camera explains a camera's views; or the robot's poses do not belong to them as they

@@ -51,9 +51,6 @@ class SeenTarget:
 def read_image(path: Path) -> Image:
     """Return a grey image of 8 or 16 bits from a file of any usual kind.
 
-    Args:
-        path: The file.
-
     Raises:
         DataError: It cannot be read, or is no image.
     """

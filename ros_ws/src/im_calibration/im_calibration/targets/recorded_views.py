@@ -64,11 +64,6 @@ class ChosenViews:
 def views_at_rest(recordings: Mapping[str, ImageRecording], target: CalibrationTarget, motion: Motion) -> ChosenViews:
     """Choose one view of each rest of a robot.
 
-    Args:
-        recordings: Of each camera.
-        target: The target.
-        motion: Where the robot's link was.
-
     Raises:
         DataError: An image cannot be read, no pose is of the time of an image, or the robot never rests.
     """
@@ -109,10 +104,6 @@ def views_at_rest(recordings: Mapping[str, ImageRecording], target: CalibrationT
 
 def views_in_motion(recordings: Mapping[str, ImageRecording], target: CalibrationTarget) -> ChosenViews:
     """Choose the stillest of successive images that show the target at about one place.
-
-    Args:
-        recordings: Of each camera.
-        target: The target.
 
     Raises:
         DataError: An image cannot be read.

@@ -180,10 +180,6 @@ def target_of(text: str) -> CalibrationTarget:
 def chessboard_of(cell: Cell, name: str) -> CalibrationTarget:
     """Return a chessboard of the cell.
 
-    Args:
-        cell: The cell.
-        name: Of the board.
-
     Raises:
         NotFoundError: The cell has no chessboard of that name.
     """

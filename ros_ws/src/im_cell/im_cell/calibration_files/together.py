@@ -34,10 +34,6 @@ def camera_files(folder: Path) -> list[Path]:
 def read_between_changes(folder: Path, read: Callable[[], FoundT]) -> FoundT:
     """Read a folder with no file changed meanwhile; read again after a change.
 
-    Args:
-        folder: Their folder.
-        read: Reads it.
-
     Raises:
         ConfigError: As ``read`` raises; or it changes again and again.
         OSError: It cannot be read.

@@ -30,7 +30,7 @@ that comes back late gets a :class:`~im_core.errors.LinkError` from ``wait_state
 one attaches anew.
 
 *Brakes.* ``brakes[i]`` true: the joint is held, a stated delay later. Without power all torques are zero and all
-brakes are told to hold, against any command; ``TickState.power`` and ``TickState.brakes`` have the true state.
+brakes are told to hold, against any command; ``Measured.power`` and ``Measured.brakes`` have the true state.
 
 *Emergency stop.* ``cut`` at the :class:`StopEnd` is as if the servo commanded no power, until ``restore``; it needs no
 servo.
@@ -57,14 +57,14 @@ from im_cell.link.panel import PanelEnd
 from im_cell.link.servo import ServoEnd
 from im_cell.link.values import (
     ControlState,
+    Drive,
     Exposure,
     ExposureRequest,
     Faults,
     JawObject,
     LaserBeam,
+    Measured,
     Sensors,
-    TickCommand,
-    TickState,
     TrueState,
 )
 from im_cell.link.vision import CameraEnd, LaserEnd, RateEnd
@@ -73,6 +73,7 @@ __all__ = [
     "CameraEnd",
     "ClockEnd",
     "ControlState",
+    "Drive",
     "Exposure",
     "ExposureRequest",
     "Faults",
@@ -80,12 +81,11 @@ __all__ = [
     "JawObject",
     "LaserBeam",
     "LaserEnd",
+    "Measured",
     "PanelEnd",
     "RateEnd",
     "Sensors",
     "ServoEnd",
     "StopEnd",
-    "TickCommand",
-    "TickState",
     "TrueState",
 ]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_cell.link.fields import Fields
-from im_cell.link.values import Faults, JawObject, Sensors, TickCommand
+from im_cell.link.values import Drive, Faults, JawObject, Sensors
 from im_cell.robot.objects import MAX_BODIES
 from im_core.shm import Semaphore, SharedBlock
 
@@ -49,7 +49,7 @@ def layout(n_joints: int, n_grippers: int, n_wrenches: int) -> np.dtype[np.void]
             ("servo_pid", "<i8"),
             ("servo_start", "<i8"),
             ("command_tick", "<i8"),
-            ("command_tau", "<f8", (n_joints,)),
+            ("command_command", "<f8", (n_joints,)),
             ("command_power", "<i8"),
             ("command_brakes", "?", (n_joints,)),
             ("command_gripper", "<f8", (n_grippers,)),
@@ -113,7 +113,7 @@ class LinkBlock:
         self.view: dict[str, NDArray[Any]] = {name: record[name] for name in dtype.names or ()}
         self.sensed = self._fields(Sensors._fields)
         self.true = self._fields(("q_true", "v_true"))
-        self.commanded = self._fields(tuple(f"command_{name}" for name in TickCommand._fields))
+        self.commanded = self._fields(tuple(f"command_{name}" for name in Drive._fields))
 
     @classmethod
     def create(

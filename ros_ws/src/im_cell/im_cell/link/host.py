@@ -9,12 +9,12 @@ from im_cell.link.block import MAX_LIGHTS, LinkBlock, objects_of
 from im_cell.link.end import LinkEnd, TimeSlot
 from im_cell.link.values import (
     ControlState,
+    Drive,
     ExposureRequest,
     Faults,
     JawObject,
     LaserBeam,
     Sensors,
-    TickCommand,
     TrueState,
 )
 from im_core import clock
@@ -112,7 +112,7 @@ class HostEnd(LinkEnd):
             shared.command.drain()
             shared.state.post()
 
-    def await_command(self, timeout_s: float) -> TickCommand | None:
+    def await_command(self, timeout_s: float) -> Drive | None:
         """Wait for the servo's command to the state posted last.
 
         Args:
@@ -139,7 +139,7 @@ class HostEnd(LinkEnd):
         if int(view["servo_pid"]) != pid:
             return None
         tau, power, brakes, gripper, wants_time, force = shared.commanded.get()
-        return TickCommand(tau, bool(power) and not bool(view["stop"]), brakes, gripper, bool(wants_time), force)
+        return Drive(tau, bool(power) and not bool(view["stop"]), brakes, gripper, bool(wants_time), force)
 
     def disturbances(self) -> tuple[Faults, tuple[JawObject | None, ...]] | None:
         """Return faults and objects between the jaws of each gripper, if changed since the last return.

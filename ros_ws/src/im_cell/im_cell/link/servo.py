@@ -1,7 +1,7 @@
 """The servo's end of the testbed link."""
 
 from im_cell.link.end import LinkEnd
-from im_cell.link.values import Faults, TickCommand, TickState
+from im_cell.link.values import Drive, Faults, Measured
 from im_core.errors import LinkError
 from im_core.processes.procfs import ProcessId
 
@@ -13,9 +13,6 @@ class ServoEnd(LinkEnd):
 
     def attach_servo(self, pid: int) -> None:
         """Attach a servo from the next tick on; a servo already attached still answers the present tick.
-
-        Args:
-            pid: Process that runs the servo loop.
 
         Raises:
             LinkError: Another living servo is attached, or ``pid`` does not run.
@@ -50,7 +47,7 @@ class ServoEnd(LinkEnd):
         self._require_attached()
         return False
 
-    def read_state(self) -> TickState:
+    def read_state(self) -> Measured:
         """The measured state of the newest tick; never torn, from any process.
 
         Raises:
@@ -65,14 +62,14 @@ class ServoEnd(LinkEnd):
             q, power, *others = self._shared.sensed.get()
             if before % 2 == 0 and int(sequence) == before:
                 self._require_attached()
-                return TickState(tick, tick * self._shared.period_ns, q, bool(power), *others)
+                return Measured(tick, tick * self._shared.period_ns, q, bool(power), *others)
         raise LinkError("the testbed's physics process stopped in the middle of writing the state")
 
     def faults(self) -> Faults:
         """Return the faults reported by the testbed, as by the drives of a robot."""
         return self._shared.faults()
 
-    def write_command(self, command: TickCommand) -> None:
+    def write_command(self, command: Drive) -> None:
         """Answer the current tick.
 
         Raises:

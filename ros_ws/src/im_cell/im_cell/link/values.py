@@ -33,12 +33,19 @@ class Sensors(NamedTuple):
     gripper_force: NDArray[np.float64]
 
 
-class TickState(NamedTuple):
-    """Readings of the :class:`Sensors` at the start of a tick.
+class Measured(NamedTuple):
+    """Readings of the channels at the start of a tick.
 
     Attributes:
         tick: Number of the tick.
-        stamp_ns: Testbed time, ``tick`` times the period [ns].
+        stamp_ns: Testbed time [ns].
+        q: Positions, shape (n,) [rad or m].
+        power: Whether the motors have power.
+        brakes: Which brakes are engaged, shape (n,).
+        gripper: Openings, shape (m,) [m].
+        age_s: How old each position is, testbed time, shape (n,) [s]; 0 where it is of this tick.
+        wrench: Wrist force-torque readings, force then torque, shape (w, 6) [N, Nm]; NaN where there is no sensor.
+        gripper_force: Force between the jaws, shape (m,) [N]; NaN where it is not measured.
     """
 
     tick: int
@@ -70,19 +77,20 @@ class ControlState(NamedTuple):
     braked: bool
 
 
-class TickCommand(NamedTuple):
-    """Servo command for one tick.
+class Drive(NamedTuple):
+    """Commands to the channels until the next tick.
 
     Attributes:
-        tau: Motor torques at the joints, shape (n,) [Nm or N].
+        command: Torque, velocity or position of each joint, as its slot says, shape (n,)
+            [Nm or N, rad/s or m/s, rad or m].
         power: Whether the motors shall have power.
         brakes: Which brakes shall be engaged, shape (n,).
-        gripper: Wanted openings, shape (2,) [m].
-        wants_time: Whether, at clock factor 0, another tick shall follow.
-        gripper_force: Largest force between the jaws, shape (2,) [N]; NaN changes nothing.
+        gripper: Wanted openings, shape (m,) [m].
+        wants_time: Whether MCS waits for something, so that simulated time must go on.
+        gripper_force: Largest force between the jaws, shape (m,) [N]; infinity stands for all the gripper can give.
     """
 
-    tau: NDArray[np.float64]
+    command: NDArray[np.float64]
     power: bool
     brakes: NDArray[np.bool_]
     gripper: NDArray[np.float64]

@@ -84,13 +84,7 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them.
-
-    Attributes:
-        root: Link that nothing carries.
-        joints: From the root on, depth first.
-        links: By name.
-    """
+    """A tree of links, root first; children of a link by the names of their joints, as pinocchio has them."""
 
     root: str
     joints: tuple[UrdfJoint, ...]
@@ -100,10 +94,6 @@ class UrdfTree:
 @lru_cache(maxsize=8)
 def parse_description(text: str, name: str) -> UrdfTree:
     """Read a URDF.
-
-    Args:
-        text: Contents of the file.
-        name: Of the file, for messages.
 
     Raises:
         ConfigError: It is not XML or no URDF, a number is none, or links and joints are no tree.
@@ -127,10 +117,6 @@ def parse_description(text: str, name: str) -> UrdfTree:
 
 def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
     """Return the pairs of links switched off by an SRDF (MoveIt's).
-
-    Args:
-        text: Contents of the file.
-        name: Of the file, for messages.
 
     Raises:
         ConfigError: It is not XML.

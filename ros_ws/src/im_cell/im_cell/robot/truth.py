@@ -112,11 +112,6 @@ class JointTruth(Model):
 def errors_of(cell: Cell, frame: str, joints: Mapping[str, JointTruth]) -> Array:
     """Return the errors of the joints below a frame, in the order of :func:`im_cell.robot.kinematic_derivatives`.
 
-    Args:
-        cell: The cell as drawn.
-        frame: The frame.
-        joints: Joints off their drawing, by name.
-
     Returns:
         In units of their usual sizes, shape (k,) [-].
     """

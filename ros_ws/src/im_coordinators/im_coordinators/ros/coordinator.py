@@ -13,10 +13,6 @@ from im_pnt_node.ros.node_host import NodeHost
 class Coordinator(PntNode):
     """Runs ``nets/<name>.yaml``.
 
-    Args:
-        name: Name of node and net.
-        make: Makes the functions of the net, for a node or its stand-in.
-
     Attributes:
         host: The node, as its functions see it.
     """

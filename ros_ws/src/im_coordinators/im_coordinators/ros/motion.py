@@ -75,11 +75,7 @@ def motion_functions(host: Host) -> Functions:
 
 
 class MotionFunctions:
-    """Functions of ``nets/motion_coordinator.yaml``; the net decides the order.
-
-    Args:
-        host: The node.
-    """
+    """Functions of ``nets/motion_coordinator.yaml``; the net decides the order."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

@@ -72,11 +72,7 @@ def planning_functions(host: Host) -> Functions:
 
 
 class PathPlanningFunctions:
-    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides the order.
-
-    Args:
-        host: The node.
-    """
+    """Functions of ``nets/path_planning_coordinator.yaml``; the net decides the order."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

@@ -80,11 +80,7 @@ def vision_functions(host: Host) -> Functions:
 
 
 class VisionFunctions:
-    """Functions of ``nets/vision_coordinator.yaml``; the net decides the order.
-
-    Args:
-        host: The node.
-    """
+    """Functions of ``nets/vision_coordinator.yaml``; the net decides the order."""
 
     def __init__(self, host: Host) -> None:
         self._host, self._cell = host, load_cell()

@@ -79,11 +79,7 @@ class TaskReport:
 
 
 class AgentSocket:
-    """One end of the socket between an agent and a process.
-
-    Args:
-        end: The end.
-    """
+    """One end of the socket between an agent and a process."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end

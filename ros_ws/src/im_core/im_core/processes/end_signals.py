@@ -16,9 +16,6 @@ def heed_end_signals(act: Callable[[signal.Signals], object]) -> None:
     A handler of Python runs between two instructions of the main thread, which may hold the lock that the handler
     wants, and does not run while the main thread waits in C. A function in another thread may set events and complete
     futures.
-
-    Args:
-        act: Takes the signal.
     """
 
     def act_on_end(number: int) -> None:
@@ -33,9 +30,6 @@ def signal_pipe(act: Callable[[int], object]) -> int:
     """Return a file descriptor for ``signal.set_wakeup_fd``; a thread calls a function for each signal written there.
 
     The thread ends when the descriptor is closed.
-
-    Args:
-        act: Takes the signal's number.
     """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)

@@ -32,9 +32,6 @@ class Pulse:
 
     Args:
         descriptor: Of a file in memory.
-
-    Attributes:
-        descriptor: As given, until :meth:`keep`.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -46,10 +46,6 @@ class ChildProcess:
         inherit: File descriptors of this process that it gets, with the same numbers.
         copied: Whether it begins as a copy of this process, which :func:`may_copy` permits: what is loaded here need
             not be loaded there, and takes its memory once.
-
-    Attributes:
-        name: As given.
-        pid: Process id.
     """
 
     def __init__(

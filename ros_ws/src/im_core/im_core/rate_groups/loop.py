@@ -16,10 +16,6 @@ class RateLoop:
     Args:
         groups: The functions.
         wall_period_s: Wall time of a base period [s]; 0: no deadlines, as fast as the functions return.
-
-    Attributes:
-        groups: The functions.
-        pacer: Keeper of the deadlines.
     """
 
     def __init__(self, groups: RateGroups, wall_period_s: float) -> None:

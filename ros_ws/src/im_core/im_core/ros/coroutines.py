@@ -38,9 +38,6 @@ class Promise(Future):
     """Future completable from any thread; the awaiting coroutine in the node's executor goes on.
 
     The events executor resumes suspended coroutines only after an event of the middleware. A promise makes one.
-
-    Args:
-        wake: Makes an event, soon.
     """
 
     def __init__(self, wake: Callable[[], None]) -> None:
@@ -65,11 +62,7 @@ class Promise(Future):
 
 
 class OneAtATime:
-    """Mutual exclusion of coroutines of a node: one at a time, the others wait in order of arrival.
-
-    Args:
-        promise: Makes a promise of the node.
-    """
+    """Mutual exclusion of coroutines of a node: one at a time, the others wait in order of arrival."""
 
     def __init__(self, promise: Callable[[], Promise]) -> None:
         self._promise, self._taken = promise, False
@@ -186,11 +179,7 @@ class Alarm:
 
 
 class Alarms:
-    """Call functions in a node's loop at wall times: any number of functions, with one timer of the middleware.
-
-    Args:
-        node: The node.
-    """
+    """Call functions in a node's loop at wall times: any number of functions, with one timer of the middleware."""
 
     def __init__(self, node: TimedNode) -> None:
         self._heap: list[tuple[float, int, Alarm]] = []

@@ -231,13 +231,6 @@ class GuardedActionServer(ActionServer):
 
     What a goal asked is forgotten with its end, and its result a minute later, so that goals by the thousand, or of
     thousands of points each, do not add up. A cancellation is taken before other callbacks that wait.
-
-    Args:
-        node: Its node.
-        action_type: Type of the action.
-        action_name: Its name.
-        execute_callback: Carries a goal out.
-        **options: As in rclpy.
     """
 
     def __init__(
@@ -401,11 +394,6 @@ class GuardedActionClient(ActionClient):
     rclpy notes what was asked only after it was sent: an answer that comes before that is dropped. A result is asked
     for again and again: the answer of a server to a process that was silent for longer than the lease of discovery,
     as one that was stopped, is lost.
-
-    Args:
-        node: Its node.
-        action_type: Type of the action.
-        action_name: Its name.
     """
 
     def __init__(self, node: GuardedNode, action_type: Any, action_name: str) -> None:

@@ -73,9 +73,6 @@ class Heartbeats:
     A task of this host that the agent vouches for is missing as soon as its process has ended. Of silence, neither the
     time counts in which this node came to hear nobody, for its loop was busy, nor that in which a task of this host
     waited for a processor.
-
-    Args:
-        node: The node that listens.
     """
 
     def __init__(self, node: ManagedNode) -> None:

@@ -19,9 +19,6 @@ class DeclaredParameters:
     A wrong value that is given at the start does not keep the node from being made: its default stands in, and
     :attr:`fault` says what is wrong, for the node to fail with when it is configured.
 
-    Args:
-        node: The node.
-
     Attributes:
         fault: What is wrong with the first wrong value; None if all are right.
     """

@@ -14,11 +14,7 @@ PERIOD_S = 1.0
 
 
 class Reminders:
-    """Warnings of a node, the last of each subject on ``/diagnostics`` as ``NODE: SUBJECT``.
-
-    Args:
-        node: The node.
-    """
+    """Warnings of a node, the last of each subject on ``/diagnostics`` as ``NODE: SUBJECT``."""
 
     def __init__(self, node: GuardedNode) -> None:
         self._node = node

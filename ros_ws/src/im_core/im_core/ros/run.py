@@ -54,10 +54,6 @@ class GuardedExecutor(rclpy_implementation.EventsExecutor):  # type: ignore[misc
 
     A task that raised would end its process by a segmentation fault; for the rest see
     :mod:`im_core.ros.rclpy_fixes.backlog`.
-
-    Args:
-        context: The context of its nodes.
-        note: Is given what a task has raised.
     """
 
     def __init__(self, context: rclpy.Context, note: Callable[[Exception], None]) -> None:

@@ -168,9 +168,6 @@ def _open(name: str) -> tuple[mmap.mmap | None, str]:
 def dead_owner(name: str) -> int:
     """Find the dead creator of a block left behind; return 0 if there is none.
 
-    Args:
-        name: Name given by the creator.
-
     Raises:
         LinkError: The block is another user's.
     """

@@ -242,10 +242,6 @@ class _Open:
 def read_yaml(text: str, file: str) -> Value:
     """Parse one YAML document.
 
-    Args:
-        text: The document.
-        file: Its name in messages.
-
     Raises:
         YamlError: Not YAML, empty, more than one document, tags, aliases that contain themselves, or more values or
             deeper nesting than a file can need.

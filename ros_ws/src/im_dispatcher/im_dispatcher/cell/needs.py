@@ -66,10 +66,6 @@ class Needs:
         nets: The nets; a command that declares no needs is not among these.
         resources: What there is.
 
-    Attributes:
-        resources: As given.
-        variants: By name.
-
     Raises:
         NetError: Two nets have the same command, an argument that decides has no choices, or a transition does not say
             what it acts on: beside commands that hold things, one that needs nothing must say that it moves nothing.

@@ -24,6 +24,7 @@ from im_dispatcher.expectation import beside, expectation
 from im_dispatcher.job import PoseLoop, dataset_of_command, order_of
 from im_dispatcher.poses_file import PosesFile, load_named_poses
 from im_dispatcher.report import StepTimes, failed, make_directory, succeeded, write_report
+from im_dispatcher.visits import Visits
 from im_pnt.execution.functions import ActionContext, Functions, idempotent, woken_by
 from im_pnt.execution.jobs import Job
 from im_pnt_analysis import CommandDuration
@@ -39,9 +40,6 @@ TEXT, POSE, REJECTION = "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped", 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 REPORT, OBSERVATION = "im_msgs/msg/CalibrationReport", "im_msgs/msg/Observation"
 
-#: Transition whose answer is the order of poses in free order.
-ORDER = "order_poses"
-
 #: Arguments of the command that name its poses, and their defaults.
 _NAMED_POSES = {"poses_file": "", "target": "light"}
 
@@ -53,12 +51,7 @@ TOO_FAINT, FORGOTTEN = "spot_too_faint", "look_forgotten"
 
 
 class CalibrateCamera:
-    """The functions of the command.
-
-    Args:
-        host: The node that runs it.
-        times: Times of its steps.
-    """
+    """The functions of the command."""
 
     def __init__(self, host: Host, times: StepTimes) -> None:
         self._host, self._times = host, times
@@ -131,12 +124,11 @@ class CalibrateCamera:
         ctx.memory["light"], ctx.memory["target"] = order.light, order.target
         ctx.memory["free"] = order.file.order == "free" and order.accuracy_m == 0.0
         ctx.memory["other"] = "" if order.file.other_joints is None else order.file.other
-        ctx.memory["loop"] = PoseLoop(poses).to_json()
+        Visits(ctx).keep(PoseLoop(poses))
         await self._host.values.put(ctx.object(POSES), TEXT, {"data": order.file.model_dump_json()})
         self._file = ctx.command.id, order.file
         if order.accuracy_m > 0.0:
-            ctx.memory["accuracy"] = {"asked_m": order.accuracy_m, "visits": [], "barred": []}
-            ctx.memory["loop"] = PoseLoop(0).to_json()
+            Visits(ctx).begin(order.accuracy_m)
             await self._plan_visits(ctx)
             ctx.progress(f"{1e3 * order.accuracy_m:g} mm of {', '.join(order.cameras)}", 0.0)
             return
@@ -165,10 +157,12 @@ class CalibrateCamera:
 
     async def read_next_pos(self, ctx: ActionContext) -> None:
         """Count the loop variable down and store the next destination."""
-        loop = _loop(ctx)
+        visits, file = Visits(ctx), await self._poses(ctx)
+        loop = visits.loop
         done, number = loop.progress, loop.next_pose()
-        pose = (await self._poses(ctx)).poses[_pose_of(ctx, number) - 1]
-        ctx.memory["loop"], ctx.memory["pose"] = loop.to_json(), _name_of(ctx, number, pose.name)
+        pose = file.poses[visits.pose_of(number) - 1]
+        visits.keep(loop)
+        ctx.memory["pose"] = visits.name_of(number, file)
         ctx.memory["planned"] = False
         ctx.memory["times"] = self._host.noted("times", lambda: self._times_of(ctx).to_dict())
         self._elapsed(ctx)
@@ -188,32 +182,36 @@ class CalibrateCamera:
         Each further configuration is near to the one before: so they are the same wherever the arm was at first, and
         the light is as free in all of them as when the poses were chosen.
         """
-        loop = _loop(ctx)
+        visits = Visits(ctx)
+        loop = visits.loop
         known = {"planned": ctx.memory["planned"], "near": "home" if loop.taken == 1 else "here"}
-        if not _as_listed(ctx) and loop.present is not None:
+        if not visits.as_listed and loop.present is not None:
             file = await self._poses(ctx)
             known |= {
                 "destination": "",
-                "joints": list(file.poses[_pose_of(ctx, loop.present.number) - 1].joints or ()),
+                "joints": list(file.poses[visits.pose_of(loop.present.number) - 1].joints or ()),
             }
         return known
 
     async def next_destination(self, ctx: ActionContext) -> dict[str, object]:
         """Where the arm goes from here, and where the path to there is to lie."""
-        pose = (await self._poses(ctx)).poses[_pose_of(ctx, _loop(ctx).following) - 1]
+        visits = Visits(ctx)
+        pose = (await self._poses(ctx)).poses[visits.pose_of(visits.loop.following) - 1]
         leaves = f"path/{ctx.request_arguments['group']}"
-        if not _as_listed(ctx):
+        if not visits.as_listed:
             return {"joints": list(pose.joints or ()), "leaves": leaves}
         await self._host.values.put(ctx.object("next_destination"), POSE, pose.stamped)
         return {"destination": "next_destination", "leaves": leaves}
 
     def present_look(self, ctx: ActionContext) -> dict[str, object]:
         """Return cameras, light and exposure of the present look, at the arm's present pose."""
-        loop = _loop(ctx)
+        visits = Visits(ctx)
+        loop = visits.loop
         visit = loop.look()
-        ctx.memory["loop"], ctx.memory["looked"] = loop.to_json(), ctx.memory["pose"]
-        if "accuracy" in ctx.memory:
-            ctx.memory["there"] = _pose_of(ctx, visit.number)
+        visits.keep(loop)
+        ctx.memory["looked"] = ctx.memory["pose"]
+        if visits.for_accuracy:
+            ctx.memory["there"] = visits.pose_of(visit.number)
         return {**self.watchers(ctx), "longer": visit.longer}
 
     def watchers(self, ctx: ActionContext) -> dict[str, object]:
@@ -222,16 +220,18 @@ class CalibrateCamera:
 
     def looked_pose(self, ctx: ActionContext) -> dict[str, object]:
         """Return the pose of the spots and the position to keep."""
-        loop, pose = _loop(ctx), ctx.memory["looked"]
+        visits, pose = Visits(ctx), ctx.memory["looked"]
+        loop = visits.loop
         ctx.memory.pop("taken_up", None)
         ctx.progress(f"pose {pose} observed", loop.looked_progress)
-        return {"number": _observation_number(ctx, loop.looked_number), "pose": pose}
+        return {"number": visits.observation_of(loop.looked_number), "pose": pose}
 
     async def visit_again(self, ctx: ActionContext) -> None:
         """Visit the last seen pose again, with more light after a faint spot."""
-        loop = _loop(ctx)
+        visits = Visits(ctx)
+        loop = visits.loop
         loop.give_back_looked(longer=ctx.failure is not None and ctx.failure.code == TOO_FAINT)
-        ctx.memory["loop"] = loop.to_json()
+        visits.keep(loop)
         ctx.progress(f"pose {ctx.memory['looked']} is visited again: {_reason(ctx)}", loop.looked_progress)
 
     async def assess(self, ctx: ActionContext) -> None:
@@ -241,33 +241,37 @@ class CalibrateCamera:
     async def skip_pose(self, ctx: ActionContext) -> None:
         """Leave out the arm's present or coming pose, with the reason."""
         ctx.memory.pop("there", None)
-        if (present := _loop(ctx).present) is not None:
-            _bar(ctx, present.number)
-        await self._skip(ctx, str(ctx.memory["pose"]), _loop(ctx).progress)
+        visits = Visits(ctx)
+        if (present := visits.loop.present) is not None:
+            visits.bar(present.number)
+        await self._skip(ctx, str(ctx.memory["pose"]), visits.loop.progress)
 
     async def skip_look(self, ctx: ActionContext) -> None:
         """Leave out the last seen pose, with the reason."""
-        _bar(ctx, _loop(ctx).looked_number)
-        await self._skip(ctx, str(ctx.memory["looked"]), _loop(ctx).looked_progress)
+        visits = Visits(ctx)
+        visits.bar(visits.loop.looked_number)
+        await self._skip(ctx, str(ctx.memory["looked"]), visits.loop.looked_progress)
 
     async def take_up(self, ctx: ActionContext) -> None:
         """Give the present pose back, if there is one: the pose is visited again."""
         ctx.memory.pop("there", None)
-        loop = _loop(ctx)
+        visits = Visits(ctx)
+        loop = visits.loop
         loop.give_back()
-        ctx.memory["loop"] = loop.to_json()
+        visits.keep(loop)
         ctx.memory["taken_up"] = _take_ups(ctx) + 1
 
     async def collected(self, ctx: ActionContext) -> dict[str, object]:
         """Return the input of the calibration: numbers of the observed poses, and reasons for the others."""
         skipped = await self._skipped(ctx)
         left_out = {skip["pose"] for skip in skipped}
-        names = _visits_of(ctx, await self._poses(ctx))
+        visits = Visits(ctx)
+        names = visits.names(await self._poses(ctx))
         return {
             "cameras": ctx.memory["cameras"],
             "target": ctx.memory["target"],
             "observations": sorted(
-                _observation_number(ctx, visit) for visit, name in enumerate(names, 1) if name not in left_out
+                visits.observation_of(number) for number, name in enumerate(names, 1) if name not in left_out
             ),
             "rejected": {str(skip["pose"]): skip["reason"] for skip in skipped},
             "directory": ctx.memory["directory"],
@@ -277,10 +281,11 @@ class CalibrateCamera:
         """Write the report of a successful calibration."""
         told = await self._host.values.read(ctx.object("calibration"), REPORT, [("json",)])
         solver = read_json(dict[str, object], str(told["json"]), "the report of the calibration")
-        poses = _loop(ctx).poses
+        visits = Visits(ctx)
+        poses = visits.loop.poses
         report = succeeded(solver, await self._skipped(ctx), poses)
-        if "accuracy" in ctx.memory:
-            report["accuracy"] = reached = accuracy_reached(solver, _asked_m(ctx), _visits(ctx))
+        if visits.for_accuracy:
+            report["accuracy"] = reached = accuracy_reached(solver, visits.asked_m, visits.planned)
             if not reached["reached"]:
                 ctx.result["message"] = reached["message"]
         await self._expect(poses)
@@ -300,9 +305,10 @@ class CalibrateCamera:
 
     async def note_unkept(self, ctx: ActionContext) -> None:
         """Keep the reason, and note the lost look: after a resume the pose is visited again."""
-        loop = _loop(ctx)
+        visits = Visits(ctx)
+        loop = visits.loop
         loop.give_back_looked()
-        ctx.memory["loop"] = loop.to_json()
+        visits.keep(loop)
         await self.note_failure(ctx)
 
     async def report_failure(self, ctx: ActionContext) -> None:
@@ -323,33 +329,32 @@ class CalibrateCamera:
     # What they share.
 
     async def _skip(self, ctx: ActionContext, pose: str, progress: float) -> None:
-        loop, reason = _loop(ctx), _reason(ctx)
+        visits, reason = Visits(ctx), _reason(ctx)
+        loop = visits.loop
         await self._host.values.put(ctx.object(f"skipped/{loop.skip()}"), REJECTION, {"pose": pose, "reason": reason})
-        ctx.memory["loop"] = loop.to_json()
+        visits.keep(loop)
         if _all_planned_taken(ctx):
             await self._plan_visits(ctx)
         ctx.progress(f"pose {pose} skipped: {reason}", progress)
 
     async def _plan_visits(self, ctx: ActionContext) -> None:
         """Add the next visits to a command with an accuracy, if any is needed and left."""
-        loop, visits, file = _loop(ctx), _visits(ctx), await self._poses(ctx)
-        names, left_out = _visits_of(ctx, file), {skip["pose"] for skip in await self._skipped(ctx)}
+        visits, file = Visits(ctx), await self._poses(ctx)
+        left_out = {skip["pose"] for skip in await self._skipped(ctx)}
         observed: dict[int, list[Mapping[str, object]]] = {}
         coming = []
-        for number, (name, pose) in enumerate(zip(names, visits, strict=True), 1):
+        for number, (name, pose) in enumerate(zip(visits.names(file), visits.planned, strict=True), 1):
             if name in left_out:
                 continue
             if (seen := await self._observation(ctx, number)) is None:
                 coming.append(pose)
             else:
                 observed.setdefault(pose, []).append(seen)
-        question = file, ctx.memory["cameras"], _asked_m(ctx), observed, coming, _barred(ctx)
+        question = file, ctx.memory["cameras"], visits.asked_m, observed, coming, visits.barred
         added, expected = await self._host.noted_apart("visits", _next_visits, *question)
-        loop.add_poses(len(added))
-        ctx.memory["accuracy"] = {"asked_m": _asked_m(ctx), "visits": visits + added, "barred": _barred(ctx)}
-        ctx.memory["loop"] = loop.to_json()
+        loop = visits.add(added)
         if expected is not None:
-            ctx.progress(f"{1e3 * expected:.3f} mm expected of {1e3 * _asked_m(ctx):g} mm", loop.progress)
+            ctx.progress(f"{1e3 * expected:.3f} mm expected of {1e3 * visits.asked_m:g} mm", loop.progress)
 
     async def _poses(self, ctx: ActionContext) -> PosesFile:
         """Return the poses of a command; read the file again after a restart or in a recording."""
@@ -359,7 +364,7 @@ class CalibrateCamera:
         return self._file[1]
 
     async def _skipped(self, ctx: ActionContext) -> list[Mapping[str, object]]:
-        counts = range(1, _loop(ctx).skipped + 1)
+        counts = range(1, Visits(ctx).loop.skipped + 1)
         return [await self._host.values.read(ctx.object(f"skipped/{count}"), REJECTION, [()]) for count in counts]
 
     async def _observation(self, ctx: ActionContext, number: int) -> Mapping[str, object] | None:
@@ -373,7 +378,8 @@ class CalibrateCamera:
 
     async def _keep_observations(self, ctx: ActionContext) -> None:
         """Write the observations so far, if any, in the format of a calibration."""
-        numbers = sorted(_observation_number(ctx, visit) for visit in range(1, _loop(ctx).taken + 1))
+        visits = Visits(ctx)
+        numbers = sorted(visits.observation_of(number) for number in range(1, visits.loop.taken + 1))
         kept = [await self._observation(ctx, number) for number in numbers]
         if observed := [seen for seen in kept if seen is not None]:
             told = str(ctx.memory["directory"]), ctx.memory["cameras"], str(ctx.memory["target"]), observed
@@ -460,16 +466,12 @@ def _new_directory() -> str:
     return str(make_directory(results_dir(), clock.stamp_name()))
 
 
-def _loop(ctx: ActionContext) -> PoseLoop:
-    return PoseLoop.from_json(ctx.memory.get("loop"))
-
-
 def _other_needed(ctx: ActionContext) -> bool:
     return bool(ctx.memory["other"])
 
 
 def _more_poses(ctx: ActionContext) -> bool:
-    return _loop(ctx).more_poses()
+    return Visits(ctx).loop.more_poses()
 
 
 def _goes_on(ctx: ActionContext) -> bool:
@@ -478,94 +480,25 @@ def _goes_on(ctx: ActionContext) -> bool:
 
 def _plans_ahead(ctx: ActionContext) -> bool:
     """Return whether the arm goes on, and to another pose."""
-    return _goes_on(ctx) and ctx.memory.get("there") != _pose_of(ctx, _loop(ctx).following)
+    visits = Visits(ctx)
+    return _goes_on(ctx) and ctx.memory.get("there") != visits.pose_of(visits.loop.following)
 
 
 def _stays(ctx: ActionContext) -> bool:
     """Return whether the arm is at the destination already: a further look of the same visit."""
-    present = _loop(ctx).present
-    return "there" in ctx.memory and present is not None and ctx.memory["there"] == _pose_of(ctx, present.number)
+    visits = Visits(ctx)
+    present = visits.loop.present
+    return "there" in ctx.memory and present is not None and ctx.memory["there"] == visits.pose_of(present.number)
 
 
 def _all_planned_taken(ctx: ActionContext) -> bool:
     """Return whether an accuracy is asked for, and all visits planned for it have begun."""
-    return "accuracy" in ctx.memory and not _more_poses(ctx)
-
-
-def _told_accuracy(ctx: ActionContext) -> Mapping[str, Any]:
-    told = ctx.memory["accuracy"]
-    assert isinstance(told, dict)
-    return told
-
-
-def _asked_m(ctx: ActionContext) -> float:
-    return float(_told_accuracy(ctx)["asked_m"])
-
-
-def _visits(ctx: ActionContext) -> list[int]:
-    """Return numbers of poses of the visits, one a look."""
-    return list(_told_accuracy(ctx)["visits"])
-
-
-def _barred(ctx: ActionContext) -> list[int]:
-    """Return numbers of poses that failed."""
-    return list(_told_accuracy(ctx)["barred"])
+    return Visits(ctx).for_accuracy and not _more_poses(ctx)
 
 
 def _order_wanted(ctx: ActionContext) -> bool:
     """Return whether the poses may be visited in any order, and none is known yet."""
-    return bool(ctx.memory["free"]) and _order_found(ctx) is None
-
-
-def _order_found(ctx: ActionContext) -> list[int] | None:
-    """Return numbers of the poses in the order of the visits, None before it is found."""
-    match ctx.replies.get(ORDER):
-        case {"order": list(numbers)}:
-            return [int(str(number)) for number in numbers]
-    return None
-
-
-def _as_listed(ctx: ActionContext) -> bool:
-    """Return whether the poses are visited one after the other as they are listed."""
-    return "accuracy" not in ctx.memory and _order_found(ctx) is None
-
-
-def _pose_of(ctx: ActionContext, number: int) -> int:
-    """Return the number in the poses file, from 1, of a visit."""
-    if "accuracy" in ctx.memory:
-        return _visits(ctx)[number - 1]
-    order = _order_found(ctx)
-    return number if order is None else order[number - 1]
-
-
-def _observation_number(ctx: ActionContext, visit: int) -> int:
-    """Return the number of the observation of a visit: that of the pose, or of the look where a pose has several."""
-    return visit if "accuracy" in ctx.memory else _pose_of(ctx, visit)
-
-
-def _name_of(ctx: ActionContext, number: int, pose: str) -> str:
-    """Return the name of a visit: the pose, with the number of the look among several."""
-    if "accuracy" not in ctx.memory:
-        return pose
-    visits = _visits(ctx)
-    return f"{pose[:56]}/{visits[:number].count(visits[number - 1])}"
-
-
-def _visits_of(ctx: ActionContext, file: PosesFile) -> list[str]:
-    """Return the names of all visits."""
-    count = _loop(ctx).poses if "accuracy" in ctx.memory else len(file.poses)
-    return [_name_of(ctx, number, file.poses[_pose_of(ctx, number) - 1].name) for number in range(1, count + 1)]
-
-
-def _bar(ctx: ActionContext, number: int) -> None:
-    """Plan no further look at the pose of a failed visit."""
-    if "accuracy" not in ctx.memory:
-        return
-    loop, visits, pose = _loop(ctx), _visits(ctx), _pose_of(ctx, number)
-    kept = visits[: loop.taken] + [each for each in visits[loop.taken :] if each != pose]
-    loop.drop_poses(len(visits) - len(kept))
-    ctx.memory["accuracy"] = {"asked_m": _asked_m(ctx), "visits": kept, "barred": sorted({*_barred(ctx), pose})}
-    ctx.memory["loop"] = loop.to_json()
+    return bool(ctx.memory["free"]) and Visits(ctx).order_found is None
 
 
 def _next_visits(
@@ -583,12 +516,12 @@ def _next_visits(
 
 def _another_visit_may_help(ctx: ActionContext) -> bool:
     """Return whether a light was too faint for the first time, or the images died with the process."""
-    code, looked = ctx.failure.code if ctx.failure is not None else "", _loop(ctx).looked
+    code, looked = ctx.failure.code if ctx.failure is not None else "", Visits(ctx).loop.looked
     return code == FORGOTTEN or (code == TOO_FAINT and looked is not None and not looked.longer)
 
 
 def _dispensable(ctx: ActionContext) -> bool:
-    return ctx.failure is not None and _loop(ctx).dispensable(ctx.failure.code)
+    return ctx.failure is not None and Visits(ctx).loop.dispensable(ctx.failure.code)
 
 
 def _begun_anew(ctx: ActionContext) -> bool:

@@ -22,11 +22,7 @@ _TURN = 24
 
 
 def capsule_around(link: UrdfLink, urdf: Path) -> Capsule | None:
-    """Return a capsule around all collision shapes of a link; None where it has none.
-
-    Args:
-        link: The link.
-        urdf: File that the link is from, for the paths of meshes.
+    """Return a capsule around all collision shapes of a link; None without a shape.
 
     Raises:
         DataError: A mesh is not there, cannot be read, or is as large as one in millimetres.
@@ -118,7 +114,7 @@ def _vertices(shape: UrdfGeometry, link: str, urdf: Path) -> NDArray[np.float64]
 
 
 def enclosing_capsules(cell: Cell) -> list[Capsule]:
-    """Return a capsule around each link of a cell that has shapes.
+    """Return a capsule around each link of a cell with shapes.
 
     Raises:
         DataError: A mesh cannot be used.

@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def exported(cell: Cell, mcs: Path | None, folder: Path) -> list[Path]:
-    """Write the files that MoveIt, RViz and Foxglove read of a cell, and return the paths.
+    """Write the files of a cell for MoveIt, RViz and Foxglove, and return the paths.
 
     Raises:
         ImError: The configuration of MCS does not fit the cell.

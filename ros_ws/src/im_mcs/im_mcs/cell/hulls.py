@@ -22,10 +22,6 @@ _POINT_M, _THIN_M = 1e-9, 1e-3
 def hulls_around(link: UrdfLink, urdf: Path) -> list[Hull]:
     """Return a hull around each shape of a link, if one of them is a mesh or a box; a capsule holds the others well.
 
-    Args:
-        link: The link.
-        urdf: File that the link is from, for the paths of meshes.
-
     Raises:
         DataError: A mesh is not there, cannot be read, or is as large as one in millimetres.
     """

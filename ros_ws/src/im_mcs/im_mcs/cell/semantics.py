@@ -69,12 +69,7 @@ def moveit_files(cell: Cell, config: McsConfig) -> dict[str, str]:
 
 
 class _Robot:
-    """Tree of the robot description.
-
-    Args:
-        cell: The cell.
-        limits: Limits in force of each joint, by name.
-    """
+    """Tree of the robot description."""
 
     def __init__(self, cell: Cell, limits: Mapping[str, Limits]) -> None:
         self._cell, root = cell, ET.fromstring(robot_description(cell, limits))
@@ -82,7 +77,7 @@ class _Robot:
         self.solid = [str(link.get("name")) for link in root.iter("link") if link.find("collision") is not None]
 
     def parent_of(self, moving: str) -> str:
-        """Return the link that carries a joint."""
+        """Return the link carrying a joint."""
         return next(_link(joint, "parent") for joint in self._above.values() if joint.get("name") == moving)
 
     def drives(self, link: str) -> list[str]:
@@ -160,7 +155,7 @@ def _add_unions(root: ET.Element, config: McsConfig) -> None:
 
 
 def _untouching(cell: Cell, robot: _Robot) -> list[tuple[str, str, str]]:
-    """Return the pairs of links that are not compared, with the reason.
+    """Return the pairs of links excluded from the comparison, with the reason.
 
     MCS has no bodies of grippers and cameras: their pairs are those of the links that carry them, and neighbours. What
     stands still is one link for MoveIt: a link that must not be compared with one part of it is compared with none.

@@ -57,13 +57,7 @@ class SwitchAction(StrEnum):
 
 @dataclass(frozen=True)
 class SwitchStep:
-    """Step of a switch.
-
-    Attributes:
-        action: What is done.
-        group: To which group.
-        law: Which law takes over.
-    """
+    """Step of a switch."""
 
     action: SwitchAction
     group: str

@@ -17,10 +17,6 @@ _ANSWER_S, _LOOK_S = 0.2, 0.002
 class EmergencyStop:
     """Stop the machine at once, and remember the stop until the reset; without ROS and without a loop.
 
-    Args:
-        circuits: The second way to the power.
-        latch: Keeps the stop beyond the life of this process.
-
     Attributes:
         cause: Why the machine is stopped; empty where it is not.
         count: How many stops were asked for.

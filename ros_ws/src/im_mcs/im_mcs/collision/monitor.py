@@ -26,10 +26,6 @@ def lever_bounds(model: CellModel, bodies: Bodies) -> NDArray[np.float64]:
     A point that a revolute joint carries moves by at most the angle times its distance from the axis; that distance is
     at most what the offsets of the joints in between add up to. A joint that carries both bodies of a pair, or none of
     them, does not change their distance.
-
-    Args:
-        model: Kinematics.
-        bodies: What is compared.
     """
     carried = np.array([_levers(model, joint, ends.tobytes()) for joint, ends in bodies.ends]).reshape(-1, model.n)
     first, second = carried[bodies.pairs[:, 0]], carried[bodies.pairs[:, 1]]

@@ -22,12 +22,7 @@ class FrictionParameters(ConfigModel):
 
 
 class FrictionFeedforward:
-    """Coulomb and viscous friction at the wanted velocity: a wanted velocity has no noise and a sure sign.
-
-    Args:
-        parameters: Shares.
-        setup: Joints and model.
-    """
+    """Coulomb and viscous friction at the wanted velocity: a wanted velocity has no noise and a sure sign."""
 
     def __init__(self, parameters: FrictionParameters, setup: ControllerSetup) -> None:
         n = len(setup.joints)

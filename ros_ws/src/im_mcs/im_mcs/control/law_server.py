@@ -35,14 +35,7 @@ def main() -> int:
 
 
 def serve(link: LawLink, model: ControlledModel, laws: list[GuardedLaw], sizes: list[int]) -> None:
-    """Answer questions until told to end.
-
-    Args:
-        link: Where they come from.
-        model: The laws' model.
-        laws: Of each group.
-        sizes: Number of joints of each group.
-    """
+    """Answer questions until told to end."""
     view = link.view
     while True:
         if not link.question.wait(_LOOK_S):

@@ -62,9 +62,6 @@ class ControlLaws:
         handover_s: Time in which the difference fades [s].
         model: The laws' model, if what the arms carry may change: while it does, nothing is at rest, and integrals run.
         make: Makes a law with parameters in place of some of the configuration's; None: there is no other.
-
-    Attributes:
-        name: The law in force, or about to be.
     """
 
     def __init__(

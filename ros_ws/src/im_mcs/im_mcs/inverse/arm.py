@@ -35,10 +35,6 @@ class Arm:
         carriers: Ranks of the joints that carry the arm, in order.
         reach: From the second axis to the centre of the wrist with the arm stretched out; of an arm of another build to
             the frame, no less than that [m].
-
-    Args:
-        model: Kinematics.
-        frame: Frame that the arm carries.
     """
 
     def __init__(self, model: CellModel, frame: str) -> None:

@@ -37,11 +37,6 @@ class ArmTracker:
     """Newton's method for the joints of an arm at a pose of the wrist, near to the present positions.
 
     With five joints the wrist is where the pose is, turned about the axis that the arm gives up.
-
-    Args:
-        model: Kinematics.
-        arm: The arm.
-        frame: The wrist.
     """
 
     def __init__(self, model: CellModel, arm: Arm, frame: str) -> None:

@@ -11,9 +11,6 @@ class Saturations:
 
     Attributes:
         counts: Shape (kinds, n), in the order of :data:`KINDS`.
-
-    Args:
-        n_joints: Number of joints.
     """
 
     def __init__(self, n_joints: int) -> None:

@@ -17,14 +17,7 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True)
 class Part:
-    """Some joints, and the frames of the kinematics.
-
-    Attributes:
-        name: Name of the group.
-        joints: Names of the joints.
-        base: Frame that poses are given in.
-        wrists: Frames whose poses the joints change.
-    """
+    """Some joints, and the frames of the kinematics."""
 
     name: str
     joints: tuple[str, ...]
@@ -89,12 +82,7 @@ def _short(text: str, length: int = 60) -> str:
 
 
 class PartModel:
-    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright.
-
-    Args:
-        part: Joints and frames.
-        cell: Parameters.
-    """
+    """Kinematics and dynamics of a part; other joints stand at home, the brakes on, carriers upright."""
 
     def __init__(self, part: Part, cell: Cell) -> None:
         self.part = part

@@ -51,12 +51,6 @@ class View:
 def stand(model: CellModel, names: Sequence[str], group: str, joints: Sequence[str]) -> list[View]:
     """Return cameras at the places during a move of a group, with all other joints at home.
 
-    Args:
-        model: Kinematics and nominal cameras.
-        names: Names of the cameras.
-        group: Name of the group, for the errors.
-        joints: Its joints.
-
     Raises:
         NotFoundError: There is no such camera.
         StateError: A camera rides on the group.

@@ -20,9 +20,6 @@ class ServoHeartbeat:
     Args:
         memory: Fields of :data:`LAYOUT`, shape (), all zeros at first.
         mine: Index of the counter that this side moves.
-
-    Attributes:
-        LAYOUT: Two counters and two process ids.
     """
 
     LAYOUT = np.dtype([("counters", "<u8", (2,)), ("pids", "<u8", (2,))], align=True)

@@ -45,11 +45,7 @@ _ANSWERED_S = 0.5
 
 
 class Refusals:
-    """Counter of refused messages by topic; a sentence is logged once for any numbers inside; thread-safe.
-
-    Args:
-        logger: Of the node.
-    """
+    """Counter of refused messages by topic; a sentence is logged once for any numbers inside; thread-safe."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
@@ -74,11 +70,7 @@ class Refusals:
 
 
 class TakeOvers:
-    """Takeovers of groups from the owners: in the log, and on ``/diagnostics``.
-
-    Args:
-        logger: Of the node.
-    """
+    """Takeovers of groups from the owners: in the log, and on ``/diagnostics``."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger

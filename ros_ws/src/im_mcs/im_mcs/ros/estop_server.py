@@ -12,11 +12,7 @@ from im_mcs.state import Event
 
 
 class EstopServer:
-    """Service ``/mcs/estop`` of a second node, ``mcs_estop``, in a separate thread.
-
-    Args:
-        access: MCS.
-    """
+    """Service ``/mcs/estop`` of a second node, ``mcs_estop``, in a separate thread."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access

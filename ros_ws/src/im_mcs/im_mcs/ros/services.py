@@ -67,9 +67,6 @@ class StateServices:
 
     What changes power and motion is there once more, for one group and with its owner: ``/mcs/group/power_on`` etc.
     ``/mcs/<group>/ready`` does all that a motion of a group needs.
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:
@@ -165,9 +162,6 @@ class MotionServices:
     """``/mcs/pause``, ``resume``, ``set_speed``, ``set_payload``, ``set_controller`` and ``set_gripper``.
 
     ``/<group>/query_state`` of every group of every preset answers as that of ros2_control's trajectory controller.
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:
@@ -240,11 +234,7 @@ class MotionServices:
 
 
 class SurroundingsServices:
-    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, and contacts allowed for a time.
-
-    Args:
-        access: MCS.
-    """
+    """``/mcs/set_thing`` and ``allow_contact``: free bodies for the collision watch, contacts allowed for a time."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access
@@ -300,11 +290,7 @@ class SurroundingsServices:
 
 
 class KinematicsServices:
-    """``/mcs/get_group_state``, ``forward_kinematics``, ``inverse_kinematics``, ``check_path``, ``get_surroundings``.
-
-    Args:
-        access: MCS.
-    """
+    """``/mcs/get_group_state``, ``get_surroundings``, ``check_path``, and forward and inverse kinematics."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access

@@ -21,7 +21,7 @@ from im_mcs.limits.configuration import McsConfig
 from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.ros.lifecycle import Lifecycle
 from im_mcs.safety.stop_circuits import StopCircuits
-from im_mcs.safety.stop_mark import StopLatch, StopMark
+from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.state import POWERED, UNCONFIGURED_MESSAGE, Event, State, lifecycle_of
 from im_mcs.testbed.driver import PowerReading, asks_for_time
 
@@ -128,7 +128,7 @@ class ServoKeeper:
         changed: Callable[[], None],
     ) -> None:
         self._node, self._lifecycle = node, lifecycle
-        self._circuits, self._latch = circuits, StopLatch(StopMark(), circuits)
+        self._circuits, self._latch = circuits, StopLatch(circuits)
         self._stop = EmergencyStop(circuits, self._latch)
         self._told_again, self._resets = 0.0, 0
         self._testbed_lost = self._servo_lost = False
@@ -278,9 +278,6 @@ class ServoKeeper:
 
     async def reset(self, request: Callable[[Event, dict[str, Any]], Awaitable[object]]) -> None:
         """End an emergency stop, if the cause is gone; nothing moves.
-
-        Args:
-            request: Asks the servo and awaits its answer.
 
         Raises:
             ImError: The cause is not gone, there is nothing to reset, or it was stopped again meanwhile.

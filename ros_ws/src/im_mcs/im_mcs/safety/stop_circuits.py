@@ -11,12 +11,7 @@ Answer = TypeVar("Answer")
 
 
 class StopCircuits:
-    """Cut, restore and read all stop circuits; fit for several threads.
-
-    Args:
-        drivers: Drivers of the configuration, by name.
-        instance: Which machine on this host.
-    """
+    """Cut, restore and read all stop circuits; fit for several threads."""
 
     def __init__(self, drivers: Mapping[str, Driver], instance: str) -> None:
         found = {name: find_stop_circuit(spec.driver, instance) for name, spec in drivers.items()}

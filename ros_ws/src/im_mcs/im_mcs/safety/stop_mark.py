@@ -9,7 +9,7 @@ from im_mcs.safety.stop_circuits import StopCircuits
 
 
 class StopMark:
-    """Keep an emergency stop beyond the life of the process cutting the power.
+    """Mark of an emergency stop, beyond the life of the process cutting the power.
 
     The presence of the file is the statement, its content is the cause. Node and servo process both make it.
     """
@@ -27,14 +27,6 @@ class StopMark:
             return read_text(self.path).strip() or "an emergency stop"
         except FileError as error:
             return f"an emergency stop whose cause cannot be read: {error.sentence}"
-
-    def keep(self, cause: str) -> None:
-        """Make the mark, without a wait for the disk; an existing mark stays.
-
-        Raises:
-            StoreError: The file cannot be made.
-        """
-        make_mark(self.path, f"{cause}\n")
 
     def synchronise(self) -> None:
         """Wait until the mark is safe against a loss of power; a mark cleared meanwhile needs nothing.
@@ -60,45 +52,23 @@ class StopMark:
             raise StoreError.of("removed", self.path, error) from error
 
 
-class StopLatch:
+class StopLatch(StopMark):
     """Keep an emergency stop by the mark, or by the stop circuits where there can be no mark.
 
     Args:
-        mark: The file.
         circuits: The second way to the power; they outlive this process, too.
     """
 
-    def __init__(self, mark: StopMark, circuits: StopCircuits) -> None:
-        self._mark, self._circuits = mark, circuits
-
-    def read(self) -> str:
-        """Read the cause of the kept emergency stop; empty if there is none."""
-        return self._mark.read()
+    def __init__(self, circuits: StopCircuits) -> None:
+        self._circuits = circuits
 
     def keep(self, cause: str) -> str:
-        """Keep an emergency stop; return the failure as a sentence, empty where the mark is made.
+        """Make the mark, without a wait for the disk; an existing mark, and its cause, stays.
 
-        Args:
-            cause: Cause of the stop; the first one stays.
+        Where it cannot be made, cut the circuits, and return the failure as a sentence; empty otherwise.
         """
         try:
-            self._mark.keep(cause)
+            make_mark(self.path, f"{cause}\n")
         except StoreError as error:
             return f"the emergency stop cannot be kept in the run folder: {error.message}; {self._circuits.cut()}"
         return ""
-
-    def synchronise(self) -> None:
-        """Wait until the mark, if there is one, outlives a loss of power.
-
-        Raises:
-            StoreError: The disk has failed.
-        """
-        self._mark.synchronise()
-
-    def clear(self) -> None:
-        """Forget the emergency stop.
-
-        Raises:
-            StoreError: The mark cannot be removed.
-        """
-        self._mark.clear()

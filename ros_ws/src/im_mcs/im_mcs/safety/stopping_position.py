@@ -35,9 +35,6 @@ class Reach:
 
     Attributes:
         slopes: Way for a velocity and for an acceleration up to the limits, shape (2, n); the bound is the sum.
-
-    Args:
-        limits: Of velocity, acceleration and jerk.
     """
 
     def __init__(self, limits: MotionLimits) -> None:

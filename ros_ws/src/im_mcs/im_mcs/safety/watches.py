@@ -110,11 +110,7 @@ class Watch(Protocol):
 
 
 class PowerWatch:
-    """Watch over the power: the testbed may cut the power without a command.
-
-    Args:
-        faults: What the hardware says of itself.
-    """
+    """Watch over the power: the testbed may cut the power without a command."""
 
     def __init__(self, faults: Callable[[], Sequence[str]]) -> None:
         self._faults = faults
@@ -181,11 +177,7 @@ class BrakeWatch:
 
 
 class ReadingWatch:
-    """A joint gives no reading.
-
-    Args:
-        limits: Names of the joints.
-    """
+    """A joint gives no reading."""
 
     def __init__(self, limits: JointLimits) -> None:
         self._names = limits.names
@@ -237,11 +229,7 @@ class AgeWatch:
 
 
 class SpeedWatch:
-    """A joint is faster than any motion commands.
-
-    Args:
-        limits: Limits of all joints.
-    """
+    """A joint is faster than any motion commands."""
 
     def __init__(self, limits: JointLimits) -> None:
         self._limits = limits
@@ -253,11 +241,7 @@ class SpeedWatch:
 
 
 class FollowingWatch:
-    """Watch over following errors: a protective stop beyond the bound, an e-stop beyond twice the bound.
-
-    Args:
-        limits: Bounds of the following error.
-    """
+    """Watch over following errors: a protective stop beyond the bound, an e-stop beyond twice the bound."""
 
     def __init__(self, limits: JointLimits) -> None:
         self._limits = limits
@@ -284,11 +268,7 @@ class FollowingWatch:
 
 
 class OverrunWatch:
-    """Servo deadlines were missed in a row.
-
-    Args:
-        bound: How many are too many.
-    """
+    """Servo deadlines were missed in a row."""
 
     def __init__(self, bound: int) -> None:
         self._bound = bound
@@ -323,11 +303,7 @@ class OwnerWatch:
 
 
 class LeaseWatch:
-    """Watch over the leases of reserved groups.
-
-    Args:
-        reservations: Owners and leases.
-    """
+    """Watch over the leases of reserved groups."""
 
     def __init__(self, reservations: Reservations) -> None:
         self._reservations = reservations

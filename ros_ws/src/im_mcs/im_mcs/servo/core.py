@@ -31,7 +31,6 @@ from im_mcs.servo.torque_stream import Ended
 from im_mcs.state import POWERED, Event, State
 from im_mcs.state.manager import StateManager
 from im_mcs.testbed import Drive, TestbedInterface
-from im_mcs.testbed.hardware import GuardedTestbed
 
 
 class Mcs:
@@ -77,7 +76,7 @@ class Mcs:
         latch: StopLatch | None = None,
     ) -> None:
         self.config, self.model, self.recorder = config, model, recorder
-        self._testbed = GuardedTestbed(testbed)
+        self._testbed = testbed
         self.measured = self._testbed.read()
         self.v = np.zeros(model.n)
         self.wants_time = self.held = False

@@ -85,11 +85,7 @@ class Machine(Protocol):
 
 
 class Dispatch:
-    """Effect of each request.
-
-    Args:
-        mcs: The machine.
-    """
+    """Effect of each request."""
 
     def __init__(self, mcs: Machine) -> None:
         self._mcs = mcs

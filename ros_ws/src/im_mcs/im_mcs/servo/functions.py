@@ -61,11 +61,6 @@ class ServoReading:
 class ServoFunctions:
     """Functions of a configuration, registered behind the servo's own.
 
-    Args:
-        configured: The functions by name.
-        mcs: Gives what they read.
-        rates: Calls them.
-
     Raises:
         ConfigError: One cannot be loaded, or refuses its parameters.
         DataError: Phase and rate of one do not go together.

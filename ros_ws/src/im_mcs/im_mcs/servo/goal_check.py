@@ -19,12 +19,6 @@ class GoalCheck:
         q: Measured positions, shape (n,) [rad or m].
         v: Estimated velocities, shape (n,) [rad/s or m/s].
         fault: Why the goal that was found at its end last has not been reached; None: it has.
-
-    Args:
-        name: Name of the group.
-        context: Limits and joints.
-        planner: Setpoints.
-        monitor: Judge of rest.
     """
 
     def __init__(self, name: str, context: PlanContext, planner: GroupPlanner, monitor: RestMonitor) -> None:

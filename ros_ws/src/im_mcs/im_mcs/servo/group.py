@@ -56,13 +56,6 @@ class ControlledGroup:
         gate: Whether it takes a stream.
         engaged: Whether it has setpoints and torques.
         held: Fault of a protective stop that was asked for: latched until the group is resumed.
-
-    Args:
-        name: Name of the group.
-        planner: Setpoints.
-        context: What motions are planned with.
-        controller: Motion control layer.
-        monitor: Judge of rest.
     """
 
     def __init__(

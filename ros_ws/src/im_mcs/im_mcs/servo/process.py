@@ -18,14 +18,13 @@ from im_mcs.model import CellModel
 from im_mcs.protocol.channel import ServoChannel, channel_name
 from im_mcs.protocol.evidence import Recorder
 from im_mcs.safety.stop_circuits import StopCircuits
-from im_mcs.safety.stop_mark import StopLatch, StopMark
+from im_mcs.safety.stop_mark import StopLatch
 from im_mcs.servo.awaited import AwaitedOwners
 from im_mcs.servo.core import Mcs
 from im_mcs.servo.functions import ServoFunctions
 from im_mcs.servo.report import Reporter
 from im_mcs.state import State
 from im_mcs.testbed import TestbedInterface
-from im_mcs.testbed.hardware import GuardedTestbed
 
 _WAIT_S = 0.05
 _LOOK_S = 0.02
@@ -41,10 +40,6 @@ _CROWDED = 0.5
 class ServoProcess:
     """Runner of MCS, tick by tick, until the end is requested.
 
-    Args:
-        instance: Which machine on this host.
-        config: Configuration.
-
     Raises:
         ImError: Testbed or owner cannot be reached, or a module of the configuration cannot be loaded.
     """
@@ -52,8 +47,7 @@ class ServoProcess:
     def __init__(self, instance: str, config: McsConfig) -> None:
         self._config = config
         model = CellModel(load_cell())
-        testbed = TestbedInterface.load(config.testbed, config.slots, instance)
-        self._testbed = GuardedTestbed(testbed)
+        self._testbed = TestbedInterface.load(config.testbed, config.slots, instance)
         if abs(self._testbed.period_s - config.servo.period_s) > 1e-9:
             raise LinkError(
                 f"the testbed ticks every {self._testbed.period_s:g} s, the servo every {config.servo.period_s:g} s;"
@@ -66,8 +60,8 @@ class ServoProcess:
         recorder = Recorder(self._channel.evidence)
         self._on_demand = self._testbed.wall_period_s == 0.0
         awaited = AwaitedOwners(config.servo.owner_patience_s) if self._on_demand else None
-        latch = StopLatch(StopMark(), StopCircuits(config.testbed.drivers, instance))
-        self._mcs = Mcs(config, model, testbed, self._pending.append, recorder, awaited, latch)
+        latch = StopLatch(StopCircuits(config.testbed.drivers, instance))
+        self._mcs = Mcs(config, model, self._testbed, self._pending.append, recorder, awaited, latch)
         rates = RateGroups(config.servo.period_s)
         rates.register("control", self._control)
         rates.register("report", self._report)

@@ -279,11 +279,6 @@ class StateManager:
     ) -> dict[str, list[str]]:
         """Check whether the slots may be divided into other groups.
 
-        Args:
-            groups: Slots of each group.
-            preset: Name of the partition, for messages.
-            sender: Who asks.
-
         Returns:
             The groups that will be reserved in the place of others, each with those others.
 
@@ -410,10 +405,6 @@ class StateManager:
         """Stop at once: setpoints dropped, goals ended, brakes on, power off; latched.
 
         There is no state in which it is refused; after another one, the cause is that of the first.
-
-        Args:
-            reason: Why.
-            facts: Named values the reason speaks of.
         """
         self.check(Event.ESTOP)
         error = StateError(f"emergency stop: {reason}", reason=reason)

@@ -7,54 +7,9 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from im_cell.link.values import Drive as Drive  # parts of the contract
+from im_cell.link.values import Measured as Measured
 from im_mcs.limits.slots import OFFERED, Interface, check_settings, find_driver
-
-
-class Measured(NamedTuple):
-    """Readings of the channels at the start of a tick.
-
-    Attributes:
-        tick: Number of the tick.
-        stamp_ns: Testbed time [ns].
-        q: Positions, shape (n,) [rad or m].
-        power: Whether the motors have power.
-        brakes: Which brakes are engaged, shape (n,).
-        gripper: Openings, shape (m,) [m].
-        age_s: How old each position is, testbed time, shape (n,) [s]; 0 where it is of this tick.
-        wrench: Wrist force-torque readings, force then torque, shape (w, 6) [N, Nm]; NaN where there is no sensor.
-        gripper_force: Force between the jaws, shape (m,) [N]; NaN where it is not measured.
-    """
-
-    tick: int
-    stamp_ns: int
-    q: NDArray[np.float64]
-    power: bool
-    brakes: NDArray[np.bool_]
-    gripper: NDArray[np.float64]
-    age_s: NDArray[np.float64]
-    wrench: NDArray[np.float64]
-    gripper_force: NDArray[np.float64]
-
-
-class Drive(NamedTuple):
-    """Commands to the channels until the next tick.
-
-    Attributes:
-        command: Torque, velocity or position of each joint, as its slot says, shape (n,)
-            [Nm or N, rad/s or m/s, rad or m].
-        power: Whether the motors shall have power.
-        brakes: Which brakes shall be engaged, shape (n,).
-        gripper: Wanted openings, shape (m,) [m].
-        wants_time: Whether MCS waits for something, so that simulated time must go on.
-        gripper_force: Largest force between the jaws, shape (m,) [N]; infinity stands for all the gripper can give.
-    """
-
-    command: NDArray[np.float64]
-    power: bool
-    brakes: NDArray[np.bool_]
-    gripper: NDArray[np.float64]
-    wants_time: bool
-    gripper_force: NDArray[np.float64]
 
 
 class PlannedCourse(NamedTuple):

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 
-from im_cell.link import ServoEnd, StopEnd, TickCommand
+from im_cell.link import ServoEnd, StopEnd
 from im_core import clock
 from im_core.errors import LinkError
 from im_mcs.testbed.driver import Drive, Measured, PowerReading, ReportedFault
@@ -65,7 +65,7 @@ class SimulatedDriver:
 
     def read(self) -> Measured:
         """Encoder readings, power, brakes and grippers of the newest tick."""
-        return Measured(*self._link.read_state())
+        return self._link.read_state()
 
     def write(self, drive: Drive) -> None:
         """Answer the tick.
@@ -73,7 +73,7 @@ class SimulatedDriver:
         Raises:
             LinkError: The testbed has declared this servo gone.
         """
-        self._link.write_command(TickCommand(*drive))
+        self._link.write_command(drive)
 
     def faults(self) -> list[ReportedFault]:
         """Return the injected faults."""
@@ -108,11 +108,7 @@ class SimulatedDriver:
 
 
 class SimulatedStop:
-    """Emergency stop of the simulated testbed running at the use.
-
-    Args:
-        instance: Which machine on this host.
-    """
+    """Emergency stop of the simulated testbed running at the use."""
 
     def __init__(self, instance: str) -> None:
         self._instance = instance

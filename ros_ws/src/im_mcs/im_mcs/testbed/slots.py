@@ -1,12 +1,13 @@
 """The slots: a hardware-independent view of the channels (paper, section 4)."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Self
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ConfigError
+from im_core.errors import ConfigError, ImError, LinkError
 from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import (
@@ -24,10 +25,32 @@ from im_mcs.testbed.driver import (
 _COUNTS = {"joint": "n_joints", "gripper": "n_grippers", "wrench": "n_wrenches"}
 
 
+Given = ParamSpec("Given")
+ResultT = TypeVar("ResultT")
+_Method = Callable[Concatenate["TestbedInterface", Given], ResultT]
+
+
+def _guarded(method: _Method[Given, ResultT]) -> _Method[Given, ResultT]:
+    """Make every failure of a driver a link error: drivers are the users', and may raise anything."""
+
+    @wraps(method)
+    def call(self: "TestbedInterface", /, *given: Given.args, **named: Given.kwargs) -> ResultT:
+        try:
+            return method(self, *given, **named)
+        except LinkError:
+            raise
+        except Exception as error:
+            told = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
+            raise LinkError(f"the channel driver failed: {method.__name__}: {told}") from error
+
+    return call
+
+
 class TestbedInterface:
     """Joints, grippers and wrist sensors in the order of the slots, on any drivers and channels.
 
-    One driver is the clock: its ticks are the servo's. The others are read and written in each of them.
+    One driver is the clock: its ticks are the servo's. The others are read and written in each of them. A driver that
+    raises anything has failed, as a :class:`~im_core.errors.LinkError` says.
 
     Args:
         drivers: By name.
@@ -78,6 +101,7 @@ class TestbedInterface:
         """Wall time between ticks of the loop [s]; 0 if the clock sets the pace."""
         return self._clock.wall_period_s
 
+    @_guarded
     def connect(self) -> None:
         """Reach all hardware.
 
@@ -87,6 +111,7 @@ class TestbedInterface:
         for part in self._parts:
             part.driver.connect()
 
+    @_guarded
     def wait(self, timeout_s: float) -> bool:
         """Wait for the next tick of the clock, at most ``timeout_s`` of wall time [s]; return whether the tick came.
 
@@ -95,6 +120,7 @@ class TestbedInterface:
         """
         return self._clock.wait(timeout_s)
 
+    @_guarded
     def time_asked(self) -> bool:
         """Return whether a tick must come: time passes without requests, or on request."""
         return not isinstance(self._clock, TimeKeeper) or self._clock.time_asked()
@@ -104,6 +130,7 @@ class TestbedInterface:
         """Process of the local host with the ticks; 0 where there is none."""
         return self._clock.hardware_pid if isinstance(self._clock, HostedHardware) else 0
 
+    @_guarded
     def read(self) -> Measured:
         """The newest measured state, in the order of the slots.
 
@@ -137,6 +164,7 @@ class TestbedInterface:
         """Whether there are several drivers, of which some may listen when another has failed."""
         return len(self._parts) > 1
 
+    @_guarded
     def write(self, drive: Drive) -> None:
         """Answer the tick.
 
@@ -153,11 +181,13 @@ class TestbedInterface:
         """Ranks of the joints on drivers that follow courses."""
         return [rank for part in self._parts if part.follows for rank in part.joints[0].tolist()]
 
+    @_guarded
     def speed(self) -> float:
         """Share of the wanted speed with which robots follow courses: of the slowest."""
         drivers = (part.driver for part in self._parts)
         return min((driver.speed for driver in drivers if isinstance(driver, CourseFollower)), default=1.0)
 
+    @_guarded
     def follow(self, course: PlannedCourse) -> None:
         """Give a course to the drivers that follow one.
 
@@ -167,6 +197,7 @@ class TestbedInterface:
         for part in self._parts:
             part.follow(course)
 
+    @_guarded
     def faults(self) -> list[str]:
         """Return the faults reported by hardware, e.g. ``brake_open of elbow``.
 
@@ -175,11 +206,13 @@ class TestbedInterface:
         """
         return [fault for part in self._parts for fault in part.faults()]
 
+    @_guarded
     def after_tick(self, tick: int) -> None:
         """Return once the hardware has taken the answer to ``tick``, where known."""
         for part in self._parts:
             part.driver.after_tick(tick)
 
+    @_guarded
     def close(self) -> None:
         """Leave all hardware with power off and brakes on."""
         self._each(lambda part: part.driver.close())

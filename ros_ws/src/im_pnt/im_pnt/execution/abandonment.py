@@ -11,11 +11,6 @@ from im_pnt.execution.jobs import ActivityState, Command, Job
 def abandonment(nets: Iterable[Executor], command: Command, why: str) -> ImError:
     """Return the error that ends a command at once, in a net and wherever its tokens and requests have led to.
 
-    Args:
-        nets: Nets of this process.
-        command: The command.
-        why: Begins the message.
-
     Returns:
         The error; the facts ``held``, ``actions``, ``doubts`` and ``freed`` tell the places with data objects, the
         actions under way, those in doubt, and the tokens that come back to the nets.

@@ -50,12 +50,6 @@ def entropy(distribution: Sequence[float]) -> float:
 class ConflictResolution:
     """Decides about the transitions of an expanded net.
 
-    Args:
-        rule: The net, its marking and its jobs.
-        functions: Registered guards.
-        book: What was learned about strategies.
-        seed: Seed of the choices.
-
     Attributes:
         book: As given.
         delayed: Transitions that take their time and have no action.

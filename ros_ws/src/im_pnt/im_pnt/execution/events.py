@@ -142,13 +142,7 @@ class JobUpdateArrived:
 
 @dataclass(frozen=True, slots=True)
 class NodeForgotten:
-    """Event: a node is gone for good; tokens sent there are lost, and the jobs here end.
-
-    Attributes:
-        node: The node.
-        nets: Nets of it.
-        error: Why.
-    """
+    """Event: a node is gone for good; tokens sent there are lost, and the jobs here end."""
 
     node: str
     nets: tuple[str, ...]

@@ -26,10 +26,6 @@ class ActionContext:
 
     What it holds belongs to a command or request; where there is none, it is this call's own.
 
-    Attributes:
-        net: Name of the net.
-        transition: Name of the transition.
-
     >>> context = ActionContext("oven", "bake")
     >>> context.result["degrees"] = 220
     >>> context.result, context.command.id, context.cancelled

@@ -165,10 +165,6 @@ _ATOMS, _LISTS = (bool, int, str), (list, tuple)  # as tuples: every command's t
 def plain(value: object, where: str) -> object:
     """Return a copy of a value as JSON data; a tuple becomes a list.
 
-    Args:
-        value: The value.
-        where: What it is, for the message.
-
     Raises:
         NetError: It has a part that JSON cannot carry; names the part.
     """

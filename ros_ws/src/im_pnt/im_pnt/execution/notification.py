@@ -173,15 +173,7 @@ class Nowhere:
 
 
 class Notifier:
-    """Numbering of the firings of a net, and the report in batches.
-
-    Args:
-        net: Name of the net.
-        observer: Whom.
-
-    Attributes:
-        sequence: Number of the last firing.
-    """
+    """Numbering of the firings of a net, and the report in batches."""
 
     def __init__(self, net: str, observer: Observer) -> None:
         self.sequence = 0

@@ -18,10 +18,6 @@ Lookup = Callable[[str, str], object]
 def evaluate(node: Node, lookup: Lookup) -> object:
     """Return the value of an expression, as JSON data.
 
-    Args:
-        node: The expression.
-        lookup: Values of names.
-
     Raises:
         ExpressionError: It has none: a value is missing, or of another type, or a number is divided by 0.
     """

@@ -50,10 +50,6 @@ class PlacedError(ExpressionError):
 def check_net(net: Net, types: MessageTypes) -> None:
     """Check all values in requests, objects, results and guards of a net.
 
-    Args:
-        net: The net as written.
-        types: Looks up the fields of messages.
-
     Raises:
         NetFileError: One does not fit; names file, line, column, key, and what is allowed.
     """
@@ -128,15 +124,7 @@ def _object_type(net: Net, name: str) -> ValueType:
 
 
 class NetScope:
-    """Meanings of names in a net.
-
-    Args:
-        net: The net as written.
-        types: Looks up the fields of messages.
-
-    Attributes:
-        net: As given.
-    """
+    """Meanings of names in a net."""
 
     def __init__(self, net: Net, types: MessageTypes) -> None:
         self.net, self._types = net, types
@@ -234,12 +222,6 @@ def _works(net: Net) -> dict[str, frozenset[str]]:
 
 def check_value(value: object, wanted: ValueType, meanings: Meanings, location: Location = ()) -> None:
     """Check a value against a wanted type, field by field.
-
-    Args:
-        value: Plain data, with expressions in it.
-        wanted: The type.
-        meanings: What names mean.
-        location: Where the value stands.
 
     Raises:
         PlacedError: It does not fit; says where, and what is allowed.

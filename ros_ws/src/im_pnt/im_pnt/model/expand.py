@@ -75,9 +75,6 @@ def output_place(service: str) -> str:
 def expand(net: Net) -> Net:
     """Make the phases of timed transitions and the coordination structures explicit.
 
-    Args:
-        net: A net as written.
-
     Returns:
         The expanded net; an expanded net is returned as it is.
 

@@ -27,12 +27,7 @@ def groups(nets: Sequence[Net]) -> list[list[Net]]:
 
 
 def group_of(net: Net, others: Sequence[Net]) -> list[Net]:
-    """Return a net with the direct and indirect partners among others, replacing a net of the same name.
-
-    Args:
-        net: The net; the first of its group.
-        others: Nets that may be there beside it.
-    """
+    """Return a net with the direct and indirect partners among others, replacing a net of the same name."""
     return groups([net, *(other for other in others if other.name != net.name)])[0]
 
 

@@ -101,9 +101,6 @@ def untold(net: Net) -> Iterator[str]:
 
     A function, or a request to another net, is looked at from where it is written; who calls a service, sends a goal
     or publishes a message is the only one to know what that moves.
-
-    Args:
-        net: The net, as written.
     """
     for transition in net.transitions.values():
         if isinstance(transition.action, ServiceAction | GoalAction | TopicAction) and transition.acts_on is None:

@@ -21,11 +21,7 @@ _Row = tuple[dict[int, int], dict[str, int]]
 
 
 def resource_places(net: Net) -> frozenset[str]:
-    """Return the places of resources.
-
-    Args:
-        net: A net as written.
-    """
+    """Return the places of resources."""
     declared = frozenset(place.name for place in net.places.values() if place.resource)
     if not net.symbols() and not net.services:
         return declared  # nothing in it belongs to anybody

@@ -9,11 +9,7 @@ from im_pnt.netfile.schema.names import shown_name
 
 
 def faults(net: Net) -> Iterator[tuple[Location, str]]:
-    """Yield the faults of the assumptions of a net, and the places in the file.
-
-    Args:
-        net: The net.
-    """
+    """Yield the faults of the assumptions of a net, and the places in the file."""
     for name, assumption in net.assume.items():
         for key, sentence in _faults(net, name, assumption):
             yield (("assume", name, key) if key else ("assume", name)), sentence

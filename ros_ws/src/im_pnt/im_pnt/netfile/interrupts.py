@@ -27,13 +27,7 @@ _OWN = ("in", "out", "on_failure", "on_doubt", "symbol", "emit", "guard", "inhib
 
 @dataclass(frozen=True, slots=True)
 class Interrupt:
-    """Interrupt, as written.
-
-    Attributes:
-        name: Its name.
-        file: What it says.
-        written: Where that stands.
-    """
+    """Interrupt, as written."""
 
     name: str
     file: InterruptFile

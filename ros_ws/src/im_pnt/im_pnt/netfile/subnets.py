@@ -177,12 +177,7 @@ def _expression(value: Value, name: str) -> Node:
 
 
 class Subnets:
-    """Uses of subnets in a net, replaced by the parts of the subnets.
-
-    Args:
-        templates: Templates of the net by name.
-        interrupts: Interrupts of transitions of the net.
-    """
+    """Uses of subnets in a net, replaced by the parts of the subnets."""
 
     def __init__(self, templates: Mapping[str, Template], interrupts: Sequence[Interrupt] = ()) -> None:
         self._templates = templates

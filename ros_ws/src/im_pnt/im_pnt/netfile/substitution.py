@@ -15,14 +15,7 @@ from im_pnt.netfile.text import complaint
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Template and the file.
-
-    Attributes:
-        file: What it says.
-        root: The file that it stands in.
-        location: Where it stands there.
-        given: Values of the parameters of that file.
-    """
+    """Template and the file."""
 
     file: TemplateFile
     root: Value

@@ -58,10 +58,6 @@ class Element:
 def parse_xml(data: bytes, file: str) -> Element:
     """Parse an XML document.
 
-    Args:
-        data: The document.
-        file: Its name in messages.
-
     Raises:
         NetFileError: Not XML, with a document type, or with more elements or deeper nesting than a net can need.
     """

@@ -39,11 +39,6 @@ def refuse_without_effect(options: argparse.Namespace, names: Iterable[str], why
 def write_output(path: Path, text: str, *, overwrite: bool) -> None:
     """Write a text file in one step: a reader sees the old one or the new one.
 
-    Args:
-        path: The file.
-        text: What to write.
-        overwrite: Whether it may be there already.
-
     Raises:
         ImError: It is there already, or cannot be written.
     """
@@ -96,11 +91,7 @@ INTERRUPTED = 130
 
 
 class EndOnInterrupt:
-    """Context for Ctrl-C to print a word and end the process; nothing may be half written inside.
-
-    Args:
-        word: What to say on stderr.
-    """
+    """Context for Ctrl-C to print a word and end the process; nothing may be half written inside."""
 
     def __init__(self, word: str) -> None:
         self._word = word

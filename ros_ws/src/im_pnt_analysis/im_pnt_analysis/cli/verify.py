@@ -139,9 +139,6 @@ def _write_counterexample(path: str, files: list[str], nets: list[Net], report: 
 def checked_types(nets: Sequence[Net]) -> str:
     """Check the values in requests, objects and guards of nets.
 
-    Args:
-        nets: The nets as written.
-
     Returns:
         What was done, in one line; empty where the nets name no types.
 

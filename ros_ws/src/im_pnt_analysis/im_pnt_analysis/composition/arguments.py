@@ -15,9 +15,6 @@ from im_pnt.model.net import Net, Transition
 def check_arguments(nets: Sequence[Net]) -> None:
     """Check the requests of nets to each other.
 
-    Args:
-        nets: Nets as written or expanded.
-
     Raises:
         NetError: A request brings an argument that its service does not know, or that does not fit, or lacks one.
     """

@@ -55,9 +55,6 @@ class _Debt:
 class Assumptions:
     """Additions to a composition for the assumptions of the nets.
 
-    Args:
-        flat: The net that grows.
-
     Attributes:
         promises: For places with a capacity that is a promise, what is said when it is broken; ``{tokens}`` in it.
         debts: For places that must always be able to become empty again, what is said when they cannot.
@@ -86,13 +83,7 @@ class Assumptions:
                     self._limit(net, net.places[name], assumption.at_most)
 
     def kept(self, net: Net, written: Transition, part: Transition) -> Iterator[Transition]:
-        """Return a transition with the counters of the promises, in all ways to keep or break promises.
-
-        Args:
-            net: Its net.
-            written: The transition as expanded.
-            part: The same, or a part of it, with qualified names.
-        """
+        """Return a transition with the counters of the promises, in all ways to keep or break promises."""
         inputs, outputs = dict(part.inputs), dict(part.outputs)
         for count in self._counts:
             _add(outputs, count.name, part.outputs.get(count.raised_by or "", 0))

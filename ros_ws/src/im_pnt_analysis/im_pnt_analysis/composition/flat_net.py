@@ -13,9 +13,6 @@ NOT_LOOKED_AT = "not looked at: "
 class FlatNet:
     """Places and transitions of several nets and the environment.
 
-    Args:
-        nets: The expanded nets by name.
-
     Attributes:
         nets: The expanded nets by name.
         places: Places by qualified name.

@@ -44,12 +44,7 @@ class Precedence:
 
 
 def with_precedence(composition: Composition, nets: Sequence[Net]) -> Precedence:
-    """Write out the precedence of transitions.
-
-    Args:
-        composition: One net or several.
-        nets: The nets, as written.
-    """
+    """Write out the precedence of transitions."""
     net, closed = composition.net, _is_closed(composition)
     resources = {f"{each.name}." * (len(nets) > 1) + place for each in nets for place in resource_places(each)}
     transitions: dict[str, Transition] = {}

@@ -36,11 +36,7 @@ class Caller:
 
 
 class TapeCommands:
-    """Connections between writers of commands, and the readers and acknowledgers.
-
-    Args:
-        flat: The net that grows.
-    """
+    """Connections between writers of commands, and the readers and acknowledgers."""
 
     def __init__(self, flat: FlatNet) -> None:
         self._flat = flat

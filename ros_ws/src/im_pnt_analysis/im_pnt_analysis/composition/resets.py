@@ -40,12 +40,7 @@ def ways_to_empty(transition: Transition, places: Mapping[str, Place]) -> Iterat
 
 
 def stop_above_capacity(flat: FlatNet, emptied: Collection[str]) -> None:
-    """Block all firings where an emptied place holds more than the capacity.
-
-    Args:
-        flat: The net.
-        emptied: Those places.
-    """
+    """Block all firings where an emptied place holds more than the capacity."""
     for name, transition in flat.transitions.items() if emptied else ():
         inhibitors = dict(transition.inhibitors)
         for place in emptied:

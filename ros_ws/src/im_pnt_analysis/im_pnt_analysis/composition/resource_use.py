@@ -90,21 +90,13 @@ class UntoldError(Exception):
 
 
 class Acting:
-    """Resources used by the transitions of some nets.
-
-    Args:
-        nets: The nets.
-    """
+    """Resources used by the transitions of some nets."""
 
     def __init__(self, nets: Sequence[Net]) -> None:
         self._nets = {net.name: net for net in nets}
 
     def acts_on(self, transition: Transition, work: Work) -> frozenset[str]:
         """Return the possible resources of a transition's action.
-
-        Args:
-            transition: A transition that begins an action.
-            work: For whom.
 
         Raises:
             UntoldError: It is not told by the net files.

@@ -157,9 +157,6 @@ class GuardCoverage:
     net whose guards leave a value of these out is refused. Other data objects and enabling functions in Python may
     change, so a guard over them is a wait, and an assumption of the proof.
 
-    Args:
-        net: The net as written.
-
     Attributes:
         decided: Transitions whose guards are proved to leave no value out, with the others at their places.
         resources: Places whose tokens belong to nobody.

@@ -195,9 +195,6 @@ def mission_from(events: Sequence[Any], nets: Mapping[str, Net]) -> Mission:
 class MissionTime:
     """Testbed time since the first firing; after a restart of the testbed, time goes on from the last value.
 
-    Args:
-        first: The first firing.
-
     Attributes:
         zero_s: Testbed time from which it counts, as of the life of the testbed that was heard last [s].
     """
@@ -226,10 +223,6 @@ class MissionTime:
 
 def net_told(bag: Path, told: Any) -> Net:
     """Return the net in a message of ``/pnt/nets``.
-
-    Args:
-        bag: Where it is from, for complaints.
-        told: The message.
 
     Raises:
         DataError: It describes none.

@@ -53,12 +53,7 @@ _PHASES: Mapping[int, Sequence[str]] = {
 
 
 class Description(NamedTuple):
-    """Net as described by the node.
-
-    Attributes:
-        net: The net, as written.
-        node: Who runs it.
-    """
+    """Net as described by the node."""
 
     net: Net
     node: str
@@ -126,18 +121,7 @@ class NetState:
 
 
 class NetRecording:
-    """The nets of a bag, moment by moment.
-
-    Args:
-        descriptions: All descriptions of nets.
-        moments: What was told, in its order; a firing at least.
-        mission: What the firings tell.
-
-    Attributes:
-        descriptions: All descriptions of nets.
-        moments: From the first firing on.
-        mission: What the firings tell.
-    """
+    """The nets of a bag, moment by moment."""
 
     def __init__(self, descriptions: Sequence[Description], moments: Sequence[Moment], mission: Mission) -> None:
         self.descriptions, self.mission = descriptions, mission
@@ -246,9 +230,6 @@ class NetRecording:
 
 class _Rule:
     """Effect of firings on the marking of a net.
-
-    Args:
-        net: The net, as written.
 
     Attributes:
         initial: Tokens of the marked places at the beginning.

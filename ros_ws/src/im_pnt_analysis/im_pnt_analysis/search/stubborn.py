@@ -96,11 +96,7 @@ def _sequence(compiled: Compiled, parents: dict[Vector, tuple[Vector, int]], mar
 
 
 class StubbornSets:
-    """Strong stubborn sets of a net.
-
-    Args:
-        compiled: The net.
-    """
+    """Strong stubborn sets of a net."""
 
     def __init__(self, compiled: Compiled) -> None:
         self._compiled = compiled

@@ -27,10 +27,6 @@ class NetReduction:
         inhibitors: Inhibitor arcs of the transitions that have some.
         tested: Places at inhibitor arcs.
         parts: For each transition those of the original net that it stands for, in the order of firing.
-
-    Args:
-        compiled: The original net.
-        initial: Initial marking, tokens of each place.
     """
 
     def __init__(self, compiled: Compiled, initial: tuple[int, ...]) -> None:

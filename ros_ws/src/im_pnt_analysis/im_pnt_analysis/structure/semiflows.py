@@ -35,12 +35,7 @@ class Semiflows:
         return covered.issuperset(names)
 
     def place_bounds(self, places: Sequence[str], initial: Sequence[int]) -> list[int | None]:
-        """Return the bound on the tokens of each place by P-semiflows; None: none.
-
-        Args:
-            places: Names of the places.
-            initial: Tokens of each place at first.
-        """
+        """Return the bound on the tokens of each place by P-semiflows; None: none."""
         number = {name: index for index, name in enumerate(places)}
         bounds: list[int | None] = [None] * len(number)
         for flow in self.flows:

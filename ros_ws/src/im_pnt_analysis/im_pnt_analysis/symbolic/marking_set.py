@@ -24,13 +24,7 @@ def path_counts(diagram: Diagram, root: Node) -> list[dict[Node, int]]:
 
 
 class MarkingSet:
-    """Nonempty set of markings.
-
-    Args:
-        diagram: The diagram.
-        root: The set.
-        events: The transitions of the net, in its order.
-    """
+    """Nonempty set of markings."""
 
     def __init__(self, diagram: Diagram, root: Node, events: Sequence[SaturationEvent]) -> None:
         self.diagram = diagram

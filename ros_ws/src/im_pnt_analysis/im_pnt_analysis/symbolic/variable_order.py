@@ -10,11 +10,7 @@ _ROUNDS = 60
 
 
 def place_order(compiled: Compiled) -> tuple[int, ...]:
-    """Return the places in an order with short spans.
-
-    Args:
-        compiled: The net.
-    """
+    """Return the places in an order with short spans."""
     arcs = zip(compiled.inputs, compiled.outputs, compiled.inhibitors, strict=True)
     edges = [sorted({place for part in parts for place, _ in part}) for parts in arcs]
     edges = [edge for edge in edges if len(edge) > 1]

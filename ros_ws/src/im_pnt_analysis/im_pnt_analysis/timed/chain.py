@@ -173,11 +173,7 @@ class Chain:
 
 
 def chain(found: Markings) -> Chain:
-    """Give the firings the rates and weights.
-
-    Args:
-        found: The markings.
-    """
+    """Give the firings the rates and weights."""
     net = found.net
     speed: dict[int, float] = {}
     for timer in net.timers:

@@ -104,10 +104,6 @@ def play_command(net: TimedNet, symbol: str, seed: int, runs: int, progress: Cal
 def exact_totals(net: TimedNet, symbol: str) -> tuple[Totals, str] | None:
     """Compute the averages where means decide, and name the method.
 
-    Args:
-        net: Made for one command.
-        symbol: The command.
-
     Returns:
         None where means do not decide, or where there are too many markings.
 

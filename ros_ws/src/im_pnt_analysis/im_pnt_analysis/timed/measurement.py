@@ -52,10 +52,6 @@ def estimate(nets: Sequence[Net], seen: Iterable[MeasuredFiring]) -> dict[str, d
     Where one of them was not seen, it keeps its weight, and the others divide theirs by their counts: what is rare and
     did not happen remains as probable as written; so do failures. A request to one of the nets has no delay: its time
     is that net's.
-
-    Args:
-        nets: The nets, as written.
-        seen: What was measured.
     """
     ended: defaultdict[str, list[float]] = defaultdict(list)
     failed: defaultdict[str, int] = defaultdict(int)

@@ -25,9 +25,6 @@ _SUFFIX = ".failed"
 def tell_outcomes_apart(flat: Net) -> tuple[Net, Mapping[str, str], Mapping[str, str]]:
     """Split the replies to requests, for services and for commands, into done and failed.
 
-    Args:
-        flat: Flat net of a composition.
-
     Returns:
         The net, and for each transition and each place that was added the one it was split from.
     """

@@ -31,11 +31,6 @@ def rewrite(text: str, net: Net, found: Mapping[str, TransitionEstimate]) -> Rew
     """Put estimates into the transitions of a net file: the ``delay``, ``success`` and ``weight``.
 
     Comments, order and layout stay. A value that was not measured stays; a delay of several lines becomes one of one.
-
-    Args:
-        text: The file, which is a net.
-        net: The net.
-        found: What was estimated, by transition.
     """
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     assert isinstance(root, yaml.MappingNode)

@@ -129,11 +129,7 @@ def remaining_time(rows: Rows, tangible: Sequence[bool], ends: Sequence[int]) ->
 
 
 def bottom_classes(arcs: Sequence[Sequence[tuple[int, int, int]]]) -> list[list[int]]:
-    """Find the recurrent classes of a graph: strongly connected sets of states without a way out.
-
-    Args:
-        arcs: For each state its firings as transition, target, servers.
-    """
+    """Find the recurrent classes of a graph: strongly connected sets of states without a way out."""
     source = np.repeat(np.arange(len(arcs)), [len(row) for row in arcs])
     target = np.fromiter((arc[1] for row in arcs for arc in row), dtype=np.int64, count=len(source))
     graph = sparse.csr_matrix((np.ones(len(source), dtype=np.int8), (source, target)), shape=(len(arcs), len(arcs)))

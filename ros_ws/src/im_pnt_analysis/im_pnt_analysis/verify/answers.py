@@ -328,13 +328,7 @@ def _deadlocks(report: Report, problem: Problem, found: SymbolicAnswers, why: st
 
 
 def answer_from_coverability(report: Report, problem: Problem, found: Coverability) -> None:
-    """Answer by a coverability tree.
-
-    Args:
-        report: Gets the answers and refusals.
-        problem: The nets.
-        found: The tree.
-    """
+    """Answer by a coverability tree."""
     compiled = problem.compiled
     report.answer(_COVERABILITY, bounded=found.bounded)
     if found.bounded is False:

@@ -58,13 +58,7 @@ def too_many(problem: Problem, name: str, tokens: int) -> str:
 
 
 def deadlock(problem: Problem, sequence: tuple[str, ...], vector: tuple[int, ...]) -> Counterexample:
-    """Describe a marking of stuck nets.
-
-    Args:
-        problem: The nets.
-        sequence: Firings that lead there.
-        vector: The marking.
-    """
+    """Describe a marking of stuck nets."""
     compiled = problem.compiled
     marking = compiled.marking(vector)
     held = ", ".join(f"{place}={count}" for place, count in marking.items()) or "no token at all"

@@ -59,10 +59,6 @@ def parts(nets: Sequence[Net], limits: SearchLimits = LIMITS) -> list[list[Net]]
 def comes_to_rest(net: Net, limits: SearchLimits = LIMITS) -> bool:
     """Return whether an idle net is always in the first marking; False where undecided.
 
-    Args:
-        net: The net.
-        limits: Where the search gives up.
-
     Raises:
         NetError: It is no net.
     """

@@ -18,10 +18,6 @@ def verify_to_load(nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS) -> R
     Of several, only those are composed that must be (:mod:`im_pnt_analysis.verify.layers`), with nets that stand for
     those who write to their tapes.
 
-    Args:
-        nets: Nets as written.
-        limits: Where the search gives up.
-
     Raises:
         NetError: They do not fit together.
 
@@ -40,10 +36,6 @@ def verify_to_load(nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS) -> R
 
 def verify_to_start(nets: Sequence[Net], limits: SearchLimits = LOAD_LIMITS) -> Iterator[Report]:
     """Verify the nets of a machine: each alone, as the node does, then communicating ones together.
-
-    Args:
-        nets: All nets of the machine, as written.
-        limits: Where each search gives up.
 
     Yields:
         A report for each, the first that is refused at the end.

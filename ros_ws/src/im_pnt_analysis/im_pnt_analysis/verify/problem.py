@@ -75,9 +75,6 @@ class Problem:
 def problem_of(nets: Sequence[Net]) -> Problem:
     """Compose nets.
 
-    Args:
-        nets: Nets as written or expanded.
-
     Raises:
         NetError: The nets do not fit together.
     """
@@ -104,11 +101,7 @@ _GOES, _STOPPED = "goes on", "has stopped"
 
 
 def stopping(problem: Problem) -> tuple[Compiled, tuple[int, ...]]:
-    """Return nets with a stop, and the first marking.
-
-    Args:
-        problem: The nets.
-    """
+    """Return nets with a stop, and the first marking."""
     net = problem.compiled.net
     places = {**net.places, _GOES: Place(_GOES, tokens=1), _STOPPED: Place(_STOPPED)}
     transitions = {transition.name: transition for transition in _transitions(problem)}

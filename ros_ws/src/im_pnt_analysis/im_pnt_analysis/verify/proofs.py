@@ -67,12 +67,7 @@ def find_proof(nets: Sequence[Net]) -> Report | None:
 
 
 def keep_proof(nets: Sequence[Net], report: Report) -> None:
-    """Keep the proof of nets; without room for the proof, the nets will be verified again.
-
-    Args:
-        nets: Nets as written.
-        report: The verdict, which is that they may.
-    """
+    """Keep the proof of nets; without room for the proof, the nets will be verified again."""
     key = fingerprint(nets)
     proof = Proof(fingerprint=key, states=report.states, assumptions=report.assumptions)
     with contextlib.suppress(StoreError, DataError, OSError):

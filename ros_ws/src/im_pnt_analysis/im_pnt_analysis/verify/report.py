@@ -106,12 +106,7 @@ class Report:
     composed: list[Net] = field(default_factory=list, repr=False, compare=False)
 
     def answer(self, method: str, **answers: object) -> None:
-        """Enter missing answers; None is no answer.
-
-        Args:
-            method: How they were obtained.
-            answers: Values by attribute.
-        """
+        """Enter missing answers; None is no answer."""
         for name, value in answers.items():
             if value is not None and getattr(self, name) is None:
                 setattr(self, name, value)

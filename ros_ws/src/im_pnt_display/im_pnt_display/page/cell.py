@@ -84,12 +84,12 @@ def markers(message: Any) -> Iterator[Part]:
 
 
 def jpeg(camera: str, message: Any) -> Part:
-    """Return a compressed image as an address of its data."""
+    """Return a compressed image as a data address."""
     return f"image/{camera}", _data("jpeg", bytes(message.data))
 
 
 def png(camera: str, message: Any) -> Part:
-    """Return an image as an address of its data, packed as PNG.
+    """Return an image as a data address, packed as PNG.
 
     Raises:
         DataError: It has another encoding, or not as many bytes as pixels.

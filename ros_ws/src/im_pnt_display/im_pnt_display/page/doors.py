@@ -28,11 +28,7 @@ _HEADERS = {
 
 
 def guarded_application(host: str) -> web.Application:
-    """Return an application with checked requests, and with rules for browsers on the pages.
-
-    Args:
-        host: Name or address that it listens on.
-    """
+    """Return an application with checked requests, and with rules for browsers on the pages."""
     app = web.Application(middlewares=[_only_for(served_names(host))])
     app.on_response_prepare.append(_tell_browser)
     return app

@@ -58,10 +58,6 @@ def counterexample(text: str) -> dict[str, object]:
 def drawn_counterexample(nets: Sequence[Net], firings: FiringSequence) -> dict[str, object]:
     """Return the steps of a firing sequence, with the drawings, as JSON data.
 
-    Args:
-        nets: The nets that it is for, as written.
-        firings: The sequence, for instance a counterexample.
-
     Raises:
         NetError: The sequence does not fit to the nets.
     """

@@ -16,6 +16,7 @@ from im_core.errors import DataError, ImError
 from im_core.names import results_dir
 from im_core.text.bounded_json import read_json
 from im_pnt_display.page.doors import REQUEST_S, guarded_application
+from im_pnt_display.page.state import Change
 from im_pnt_display.page.viewers import VALUES, Operate, Viewer, Viewers
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ class Site:
                 if wanted["request"] == "look":
                     self._viewers.look(viewer, at_cell=wanted["argument"] == "cell")
                 elif refusal := self._refusal(may_operate or (self._recording is None and wanted["request"] == VALUES)):
-                    await socket.send_json(self._viewers.state.answer(wanted["net"], False, refusal))
+                    await socket.send_json(_refused(wanted["net"], refusal))
                 elif self._operate is not None:
                     self._operate(wanted)
         return False
@@ -198,7 +199,7 @@ class Site:
         transport.pause_reading()
         with suppress(OSError, TimeoutError):
             async with asyncio.timeout(_TOLD_S):
-                await socket.send_json(self._viewers.state.answer("page", False, TOO_FAST))
+                await socket.send_json(_refused("page", TOO_FAST))
                 await asyncio.sleep(_TOLD_S)
         transport.abort()
 
@@ -237,6 +238,11 @@ async def _file(path: Path, request: web.Request) -> web.FileResponse:
 
 async def _picture(request: web.Request) -> web.FileResponse:
     return web.FileResponse(results_dir() / request.match_info["folder"] / request.match_info["picture"])
+
+
+def _refused(net: str, reason: str) -> Change:
+    """Return the answer to a viewer with a refused request."""
+    return {"kind": "answer", "net": net, "success": False, "message": reason}
 
 
 def _wanted(text: str) -> Mapping[str, str] | None:

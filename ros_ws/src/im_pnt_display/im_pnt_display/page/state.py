@@ -1,7 +1,7 @@
 """State of a display: nets, markings, last firings, commands, and the cell; as plain data."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from im_pnt.model.net import Net
@@ -14,6 +14,22 @@ REFUSALS_KEPT = 20
 MOST_CELL_PARTS = 200
 
 Change = dict[str, object]
+"""What is passed on to viewers, by its ``kind``; JSON data:
+
+- ``net``: a new net or a new structure, with ``net``, ``node`` and what :func:`net_content` returns; a former refusal
+  of the name is over. ``gone``: ``net`` is unloaded. ``refusal``: of ``net``, with its counterexample.
+- ``marking``: of ``net``, with ``tokens`` by place, ``active``, ``cancelling`` and ``in_doubt`` transitions, the
+  ``sequence`` number of the firing after which it holds, ``mode``, ``paused``, and ``proposed`` transitions.
+- ``firing``: as of :func:`im_pnt_display.page.messages.firing_content`. ``breakpoints``: by net, of a ``node``.
+- ``mcs``: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, the reason of a
+  ``protective_stop``, owners of ``stopped`` groups, and whether all that is ``stale``.
+- ``commands``: all ``content`` of a ``part``: ``known``, ``listed``, ``ended`` or ``diagnostics``. ``log``: new
+  ``lines``: time [s since 1970], level, node and text of each.
+- ``cell``, for viewers of the cell alone: all ``content`` of a ``part``: ``robot``, ``joints``, ``frame/<name>``,
+  ``marker/<namespace>/<id>``, ``image/<camera>`` or ``spot/<camera>``; None: the part has gone.
+- ``answer`` to a viewer's request (``net``, ``success``, ``message``), and ``values`` behind a ``part`` of ``net`` are
+  passed on without being kept.
+"""
 
 
 def net_content(net: Net) -> dict[str, object]:
@@ -34,7 +50,7 @@ def net_content(net: Net) -> dict[str, object]:
 
 
 class DisplayState:
-    """Last known state of every net. Most methods return a change; :meth:`enter` makes the change, in the shown state.
+    """Last known state of every net; :meth:`enter` makes a change.
 
     Attributes:
         operable: Whether viewers may operate nets.
@@ -106,82 +122,6 @@ class DisplayState:
         self._breakpoints = {change["node"]: change for change in snapshot["breakpoints"]}
         self._log = deque(snapshot["log"], maxlen=LOG_KEPT)
         self._commands = {change["part"]: change for change in snapshot["commands"]}
-
-    def net(self, name: str, node: str, content: Mapping[str, object]) -> Change:
-        """Return the change for a new net or a new structure; a former refusal of the name is over.
-
-        Args:
-            name: Name of the net.
-            node: Node that runs it.
-            content: Its description, with the drawing.
-        """
-        return {"kind": "net", "net": name, "node": node, **content}
-
-    def gone(self, name: str) -> Change:
-        """Return the change for an unloaded net."""
-        return {"kind": "gone", "net": name}
-
-    def marking(self, net: str, marking: Mapping[str, object]) -> Change:
-        """Return the change for the marking of a net, and the mode of operation.
-
-        Args:
-            net: Name of the net.
-            marking: ``tokens`` by place, ``active``, ``cancelling`` and ``in_doubt`` transitions, ``sequence`` number
-                of the firing after which it holds, ``mode``, ``paused``, and ``proposed`` transitions.
-        """
-        return {"kind": "marking", "net": net, **marking}
-
-    def refusal(self, net: str, refusal: Mapping[str, object]) -> Change:
-        """Return the change for the refusal of a net, with the counterexample."""
-        return {"kind": "refusal", "net": net, **refusal}
-
-    def answer(self, net: str, success: bool, message: str) -> Change:
-        """Return the answer to a viewer's request, for passing on without keeping."""
-        return {"kind": "answer", "net": net, "success": success, "message": message}
-
-    def firing(self, firing: Mapping[str, object]) -> Change:
-        """Return the change for a firing."""
-        return {"kind": "firing", **firing}
-
-    def motion_control(self, condition: Mapping[str, object]) -> Change:
-        """Return the change for the state of the Motion Control System.
-
-        Args:
-            condition: ``state``, ``reason``, ``power``, ``brakes``, states of reserved ``groups``, the reason of a
-                ``protective_stop``, owners of ``stopped`` groups, and whether all that is ``stale``.
-        """
-        return {"kind": "mcs", **condition}
-
-    def commands(self, part: str, content: object) -> Change:
-        """Return the change for a part of the state of commands.
-
-        Args:
-            part: ``known``, ``listed``, ``ended`` or ``diagnostics``.
-            content: All of the part, as JSON data.
-        """
-        return {"kind": "commands", "part": part, "content": content}
-
-    def breakpoints(self, node: str, breakpoints: Mapping[str, Sequence[str]]) -> Change:
-        """Return the change for the breakpoints of a node's nets: transitions by net."""
-        return {"kind": "breakpoints", "node": node, "breakpoints": breakpoints}
-
-    def log(self, lines: Sequence[object]) -> Change:
-        """Return the change for new lines of the log: time [s since 1970], level, node and text of each."""
-        return {"kind": "log", "lines": lines}
-
-    def values(self, net: str, part: str, content: object) -> Change:
-        """Return the values behind a part of a net, for passing on without keeping."""
-        return {"kind": "values", "net": net, "part": part, "content": content}
-
-    def cell(self, part: str, content: object) -> Change:
-        """Return the change for a part of the cell, for viewers of the cell alone.
-
-        Args:
-            part: ``robot``, ``joints``, ``frame/<name>``, ``marker/<namespace>/<id>``, ``image/<camera>`` or
-                ``spot/<camera>``.
-            content: All of the part, as JSON data; None: the part has gone.
-        """
-        return {"kind": "cell", "part": part, "content": content}
 
     def cell_parts(self) -> list[Change]:
         """Return the known parts of the cell, for a new viewer of the cell."""

@@ -44,10 +44,6 @@ class Viewers:
 
     Changes that follow each other closely go in one piece, made once for all viewers: a line each, of a marking and of
     a part of the cell the newest alone.
-
-    Args:
-        state: What is shown to whoever comes.
-        audience: Takes each change of the numbers of viewers.
     """
 
     def __init__(self, state: DisplayState, audience: Audience = lambda viewers, of_cell: None) -> None:
@@ -92,12 +88,7 @@ class Viewers:
         self._tell()
 
     def show(self, change: Change, text: str = "") -> None:
-        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead.
-
-        Args:
-            change: The change.
-            text: The same as JSON, where it is known.
-        """
+        """Make a change of the state, and pass the change on to all; a late viewer gets the state instead."""
         if not self.state.enter(change):
             return
         of_cell = change["kind"] == "cell"
@@ -118,7 +109,7 @@ class Viewers:
         self.send()
 
     def send(self) -> None:
-        """Send all viewers the changes that are not sent yet."""
+        """Send all viewers the unsent changes."""
         if self._due is not None:
             self._due.cancel()
             self._due = None

@@ -23,13 +23,7 @@ _NICENESS = 10
 
 
 async def answer_visitors(host: str, link: socket.socket, listening: Sequence[socket.socket]) -> None:
-    """Answer visitors until the display closes the link.
-
-    Args:
-        host: Address that the page is served on.
-        link: Leads to the display.
-        listening: Sockets that visitors come to.
-    """
+    """Answer visitors until the display closes the link."""
     reader, writer = await asyncio.open_connection(sock=link, limit=_LONGEST_PIECE)
 
     def operate(wanted: Mapping[str, str]) -> None:

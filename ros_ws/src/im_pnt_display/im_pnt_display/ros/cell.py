@@ -27,12 +27,7 @@ Show = Callable[[str, Callable[[], Iterable[cell.Part]]], None]
 
 
 class CellTopics:
-    """Subscriptions of a node to the cell: robot, joints, frames, markers, images and spots.
-
-    Args:
-        node: The node.
-        show: Shows what a message tells.
-    """
+    """Subscriptions of a node to the cell: robot, joints, frames, markers, images and spots."""
 
     def __init__(self, node: ManagedNode, show: Show) -> None:
         self._node, self._show = node, show

@@ -34,12 +34,7 @@ ShowPart = Callable[[str, object], None]
 
 
 class DispatcherClient:
-    """Commands of the machine, followed while somebody views the page.
-
-    Args:
-        node: The node.
-        show: Shows a part of the state.
-    """
+    """Commands of the machine, followed while somebody views the page."""
 
     def __init__(self, node: ManagedNode, show: ShowPart) -> None:
         self._node, self._show = node, show

@@ -81,7 +81,7 @@ class DisplayNode(ManagedNode):
         self._diagnostics = DiagnosticsTopics(
             self,
             partial(self._show_commands, "diagnostics"),
-            lambda lines: self.server.show(self.server.state.log(lines)),
+            lambda lines: self._tell("log", lines=lines),
         )
 
     def phase_configure(self) -> None:
@@ -111,20 +111,25 @@ class DisplayNode(ManagedNode):
         with suppress(OSError):
             display_file().unlink(missing_ok=True)
 
+    def _tell(self, kind: str, **content: object) -> None:
+        self.server.show({"kind": kind, **content})
+
     def _show_mcs(self) -> None:
         """Show the last state of MCS, and whether the state is still current."""
         if self._mcs is None or (said := self._mcs.message) is None:
             return
         groups = {group.group: group.state for group in said.groups if group.reserved}
-        condition: dict[str, object] = {
-            "state": said.state,
-            "reason": said.reason,
-            "power": said.power,
-            "brakes": said.brakes,
-        }
-        condition["stopped"] = {group.group: group.owner for group in said.groups if group.protective_stop}
-        condition["protective_stop"] = said.protective_stop
-        self.server.show(self.server.state.motion_control({**condition, "groups": groups, "stale": self._mcs.stale}))
+        self._tell(
+            "mcs",
+            state=said.state,
+            reason=said.reason,
+            power=said.power,
+            brakes=said.brakes,
+            groups=groups,
+            stopped={group.group: group.owner for group in said.groups if group.protective_stop},
+            protective_stop=said.protective_stop,
+            stale=self._mcs.stale,
+        )
 
     def _describe(self, message: NetDescription) -> None:
         work = self._draw_net if message.json else self._forget_net
@@ -151,7 +156,7 @@ class DisplayNode(ManagedNode):
         with self._warning(f"the description of net {message.net}"):
             content = messages.described_net(message.net, message.json, message.node)
             self._descriptions.add(message.net, message.node, content)
-            self.server.show(self.server.state.net(message.net, message.node, content))
+            self._tell("net", node=message.node, **content)
 
     def _forget_net(self, message: NetDescription) -> None:
         if not self._descriptions.withdraw(message.net, message.node):
@@ -159,39 +164,39 @@ class DisplayNode(ManagedNode):
         try:
             node, content = self._descriptions.newest(message.net)
         except NotFoundError:
-            self.server.show(self.server.state.gone(message.net))
+            self._tell("gone", net=message.net)
         else:  # another node runs it
-            self.server.show(self.server.state.net(message.net, node, content))
+            self._tell("net", node=node, **content)
 
     def _draw_refusal(self, message: NetRefusal) -> None:
         with self._warning(f"the refusal of net {message.net}"):
-            refusal = {"message": message.message, "counterexample": messages.counterexample(message.json)}
-            self.server.show(self.server.state.refusal(message.net, refusal))
+            counterexample = messages.counterexample(message.json)
+            self._tell("refusal", net=message.net, message=message.message, counterexample=counterexample)
 
     def _mark(self, message: Marking) -> None:
         with self._warning(f"the marking of net {message.net}"):
-            marking = {
-                "tokens": messages.token_counts(message.places, message.tokens),
-                "active": list(message.active),
-                "cancelling": list(message.cancelling),
-                "in_doubt": list(message.in_doubt),
-                "sequence": int(message.sequence),
-                "mode": message.mode,
-                "paused": message.paused,
-                "proposed": list(message.proposed),
-            }
-            self.server.show(self.server.state.marking(message.net, marking))
+            self._tell(
+                "marking",
+                net=message.net,
+                tokens=messages.token_counts(message.places, message.tokens),
+                active=list(message.active),
+                cancelling=list(message.cancelling),
+                in_doubt=list(message.in_doubt),
+                sequence=int(message.sequence),
+                mode=message.mode,
+                paused=message.paused,
+                proposed=list(message.proposed),
+            )
 
     def _show_breakpoints(self, message: String) -> None:
         with self._warning("a message of /pnt/breakpoints"):
             told = read_json(_Breakpoints, message.data, "breakpoints")
-            self.server.show(self.server.state.breakpoints(told.node, told.breakpoints))
+            self._tell("breakpoints", node=told.node, breakpoints=told.breakpoints)
 
     def _fire(self, message: Firing) -> None:
         with self._warning(f"a firing of net {message.net}"):
             at_s = message.stamp.sec + message.stamp.nanosec * 1e-9
-            firing = messages.firing_content(at_s, message)
-            self.server.show(self.server.state.firing(firing))
+            self._tell("firing", **messages.firing_content(at_s, message))
 
     @contextmanager
     def _warning(self, what: str) -> Iterator[None]:
@@ -203,12 +208,12 @@ class DisplayNode(ManagedNode):
             self.get_logger().warning(f"{what} cannot be shown: {why}")
 
     def _show_commands(self, part: str, content: object) -> None:
-        self.server.show(self.server.state.commands(part, content))
+        self._tell("commands", part=part, content=content)
 
     def _show_cell(self, topic: str, read: Callable[[], Iterable[Part]]) -> None:
         with self._warning(f"a message of {topic}"):
             for part, content in read():
-                self.server.show(self.server.state.cell(part, content))
+                self._tell("cell", part=part, content=content)
 
     # What viewers ask for; it comes in the server's thread.
 
@@ -228,20 +233,20 @@ class DisplayNode(ManagedNode):
         try:
             if not net:
                 done = await self._dispatcher.do(request, argument)
-                self.server.show(self.server.state.answer(net, True, done))
+                self._tell("answer", net=net, success=True, message=done)
                 return
             if request == VALUES:
                 found = await self._find_values(net, argument)
-                self.server.show(self.server.state.values(net, argument, found))
+                self._tell("values", net=net, part=argument, content=found)
                 return
             asked = ControlNet.Request(net=net, request=request, argument=argument)
             answer = await call(
                 self, self._asker(net, ControlNet, "control_net"), asked, ANSWER_S, f"{request} of net {net}"
             )
         except ImError as error:
-            self.server.show(self.server.state.answer(net, False, error.message))
+            self._tell("answer", net=net, success=False, message=error.message)
         else:
-            self.server.show(self.server.state.answer(net, answer.success, answer.message))
+            self._tell("answer", net=net, success=answer.success, message=answer.message)
 
     async def _find_values(self, net: str, part: str) -> dict[str, object]:
         """Return the values behind a part of a net, with its data objects as JSON, long ones cut.

@@ -84,12 +84,7 @@ def summary(held: Recovered) -> str:
 
 
 def described(held: Recovered, most: int) -> list[str]:
-    """Return lines about a journal: the snapshot by net, and the last entries.
-
-    Args:
-        held: What it holds.
-        most: How many entries.
-    """
+    """Return lines about a journal: the snapshot by net, and the last entries."""
     lines = [summary(held), "", "at the snapshot:"]
     nets, link = held.state.get("nets"), held.state.get("link")
     for name, net in nets.items() if isinstance(nets, dict) else ():

@@ -9,12 +9,7 @@ from im_pnt.model.net import Net
 
 
 class Order:
-    """Command for one run.
-
-    Attributes:
-        symbol: Its symbol.
-        arguments: Its arguments, checked.
-    """
+    """Command for one run."""
 
     def __init__(self, symbol: str, arguments: dict[str, object]) -> None:
         self.symbol, self.arguments = symbol, arguments

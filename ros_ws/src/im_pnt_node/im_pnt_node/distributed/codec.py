@@ -86,10 +86,6 @@ class _Form(NamedTuple):
 class Codec(Generic[ValueT]):
     """Codec of a type.
 
-    Args:
-        kind: A class, or a union of classes.
-        name: Name of a value, for messages.
-
     Attributes:
         encode: Makes JSON of a value; raises NetError where JSON cannot carry a part of it.
     """

@@ -389,11 +389,7 @@ class Exchange:
         self._give_up(node, why)
 
     def begin_incarnation(self, epoch: int) -> None:
-        """Begin an incarnation after a loss of memory: no later request has the name of a forgotten one.
-
-        Args:
-            epoch: The epoch that it has begun.
-        """
+        """Begin an incarnation after a loss of memory: no later request has the name of a forgotten one."""
         self._happens(RequestsRenamed(f"{self._node}-{began_at(epoch):x}"))
 
     def _give_up(self, node: str, why: str) -> None:

@@ -76,13 +76,7 @@ def _name_of(event: Delivery) -> tuple[type, object]:
 
 
 class _Door(NamedTuple):
-    """A place of a net through which tokens of other nets have come.
-
-    Attributes:
-        executor: The net in execution.
-        event: A token arrives.
-        posted: What the journal is told.
-    """
+    """A place of a net through which tokens of other nets have come."""
 
     executor: Executor
     event: TokenArrived

@@ -201,10 +201,6 @@ class Packet(NamedTuple):
 def read_packet(text: str, receiver: str) -> Packet | str:
     """Read a packet.
 
-    Args:
-        text: The line.
-        receiver: Name of the process that reads.
-
     Returns:
         The packet; or why it is none, empty if it is for another process.
     """

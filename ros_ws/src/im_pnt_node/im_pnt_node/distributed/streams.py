@@ -185,9 +185,6 @@ class Incoming:
 class Peer:
     """Another process, with the streams to and from the process.
 
-    Args:
-        name: Its name.
-
     Attributes:
         name: As given.
         quoted: Its name as JSON.

@@ -31,11 +31,7 @@ class Growing(Protocol):
 
 
 class Files(Protocol):
-    """File system of a journal.
-
-    Attributes:
-        name: Where it is, for messages.
-    """
+    """File system of a journal."""
 
     name: str
 
@@ -101,9 +97,6 @@ class _File:
 
 class Folder:
     """Files of a real folder, made where missing.
-
-    Args:
-        path: The folder.
 
     Raises:
         JournalError: It cannot be made.

@@ -102,12 +102,7 @@ class Journal:
     # What the nets, the exchange and the link of the process need to be given.
 
     def recorder(self, net: str, told: Callable[[str], None] = lambda _: None) -> Record:
-        """Return the recorder of events and firings for an executor.
-
-        Args:
-            net: Its net.
-            told: Is told each as it is written.
-        """
+        """Return the recorder of events and firings for an executor."""
         begin, encode, append = f'["net",{encode_json(net)},', NET_ENTRY.encode, self._entries.append
 
         def record(entry: NetEntry) -> None:

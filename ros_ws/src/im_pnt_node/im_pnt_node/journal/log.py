@@ -216,10 +216,6 @@ class Log:
     def replace(self, header: Mapping[str, object], state: Mapping[str, object]) -> None:
         """Begin a new file with a snapshot; older records are not needed any more.
 
-        Args:
-            header: What the journal belongs to.
-            state: The snapshot.
-
         Raises:
             JournalError: It cannot be written; the old file is still in use.
         """

@@ -55,14 +55,7 @@ class RerunExecutor(Executor):
 
 
 class NotDoneAgain:
-    """Stand-in for actions named as ``module:function``: a repeat may move something, so recorded results are reused.
-
-    Args:
-        progress: The nets.
-
-    Attributes:
-        known: Their names.
-    """
+    """Stand-in for actions named as ``module:function``: a repeat may move something; recorded results are used."""
 
     def __init__(self, progress: RerunProgress) -> None:
         self._progress = progress

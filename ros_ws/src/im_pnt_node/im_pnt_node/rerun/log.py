@@ -64,11 +64,6 @@ class MissionLog:
     async def read(self, key: Key, work: Awaitable[ValueT], content: Callable[[ValueT], object]) -> ValueT:
         """Wait for an input from outside, and note the input, or the failure.
 
-        Args:
-            key: What it is.
-            work: Brings it.
-            content: Makes JSON data of it.
-
         Raises:
             ImError: As ``work`` does.
         """
@@ -91,12 +86,7 @@ def packed(kind: str, data: bytes) -> list[str]:
 
 
 class NotedRequests:
-    """Requests to other nets, noted on sending.
-
-    Args:
-        requests: Carries them.
-        log: Is told of each.
-    """
+    """Requests to other nets, noted on sending."""
 
     def __init__(self, requests: Requests, log: MissionLog) -> None:
         self._requests, self._log = requests, log

@@ -23,9 +23,6 @@ from im_pnt_node.rerun.stream import NodeStream
 class RerunProgress:
     """Recorded entries of the nets of a node, and the repeated ones among the entries.
 
-    Args:
-        stream: What was recorded.
-
     Raises:
         NetError: An entry makes no sense.
 

@@ -55,11 +55,6 @@ class Script:
 
     One whose action has not ended where the recording does goes as far as that tells what it did.
 
-    Args:
-        stream: The recording.
-        differs: Makes differences.
-        messages: Compares messages.
-
     Raises:
         DataError: What was recorded makes no sense.
 
@@ -230,13 +225,6 @@ class ScriptObjects:
 
 class ScriptHost:
     """Stands for a node (:class:`im_pnt_node.rerun.host.Host`).
-
-    Args:
-        name: Its full name.
-        script: The recording.
-        messages: Reads and writes messages.
-        executors: Its nets in execution, by name.
-        nets: The same as written.
 
     Attributes:
         heard: The last message of each topic, with its type, as recorded so far.

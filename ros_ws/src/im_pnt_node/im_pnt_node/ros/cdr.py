@@ -39,13 +39,7 @@ def decode_packet(data: bytes) -> str:
 
 
 def encode_firing(firing: Firing, seconds: int, nanoseconds: int) -> bytes:
-    """Write a ``Firing``.
-
-    Args:
-        firing: The firing.
-        seconds: Its stamp.
-        nanoseconds: Likewise.
-    """
+    """Write a ``Firing``."""
     net, transition, sequence, phase, symbol, command_id, message, duration, progress = firing
     names, rest = _unchanging(net, transition, phase, symbol, command_id, message)
     stamp = _STAMP(seconds, nanoseconds)

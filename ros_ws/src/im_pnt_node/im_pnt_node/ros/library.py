@@ -29,10 +29,6 @@ MOST_KEPT = 100
 class Library:
     """Finds and verifies nets.
 
-    Args:
-        files: Net files that the node begins with.
-        verifier: Says whether nets may run together.
-
     Attributes:
         files: As given.
         verify: As given.
@@ -139,21 +135,11 @@ class Library:
                     file.unlink()
 
     def group(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with all known direct and indirect partners.
-
-        Args:
-            net: The net.
-            own: Nets of this node.
-        """
+        """Return a net with all known direct and indirect partners."""
         return group_of(net, list({**self._known, **{each.name: each for each in own}}.values()))
 
     def with_servers(self, net: Net, own: Sequence[Net]) -> list[Net]:
-        """Return a net with the known direct and indirect receivers of the requests and tokens.
-
-        Args:
-            net: The net.
-            own: Nets of this node.
-        """
+        """Return a net with the known direct and indirect receivers of the requests and tokens."""
         known = {**self._known, **{each.name: each for each in own}}
         together = {net.name: net}
         waiting = [net]

@@ -203,10 +203,6 @@ class Loader:
 
         Data objects that only its guards are woken by count as not valid until ``/dom`` has answered.
 
-        Args:
-            net: The net.
-            report: Says that it may run.
-
         Raises:
             StateError: Something is under way in the present net that the new one does not have.
             JournalError: The journal cannot be written. It has taken the place all the same, and nothing leaves until

@@ -90,12 +90,7 @@ def _size(numbers: Sequence[int]) -> tuple[int, int, tuple[int, ...]]:
 
 
 class ValueDraw:
-    """Draw of values of types: plain ones, and those next to the literals of a net.
-
-    Args:
-        nets: Nets whose expressions are looked into.
-        types: Looks up the fields of messages.
-    """
+    """Draw of values of types: plain ones, and those next to the literals of a net."""
 
     def __init__(self, nets: Sequence[Net], types: MessageTypes) -> None:
         literals = {literal for net in nets for literal in _literals(net)}

@@ -189,13 +189,7 @@ class ScenariosFile(Model):
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A scenario, with the common parts of its file.
-
-    Attributes:
-        name: Its name.
-        line: Line of the file.
-        content: What it says.
-    """
+    """A scenario, with the common parts of its file."""
 
     name: str
     line: int
@@ -204,13 +198,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioSet:
-    """The scenarios of a file.
-
-    Attributes:
-        path: The file.
-        nets: The nets that run in each.
-        scenarios: The scenarios.
-    """
+    """The scenarios of a file."""
 
     path: Path
     nets: tuple[Net, ...]

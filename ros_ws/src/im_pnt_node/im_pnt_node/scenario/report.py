@@ -35,12 +35,7 @@ class ScenarioOrder:
 
 @dataclass
 class Coverage:
-    """Parts of nets reached by runs.
-
-    Attributes:
-        transitions: Transitions that have fired, by net.
-        guards: Answers of guards, by net and guard.
-    """
+    """Parts of nets reached by runs."""
 
     transitions: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     guards: dict[tuple[str, str], set[bool]] = field(default_factory=lambda: defaultdict(set))

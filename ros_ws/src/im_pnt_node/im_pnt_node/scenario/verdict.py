@@ -34,11 +34,7 @@ class ScenarioVerdict:
     drawn: bool = False
 
     def told(self, where: str) -> str:
-        """Return the complaints, the drawn values, and the firings.
-
-        Args:
-            where: File and line of the scenario.
-        """
+        """Return the complaints, the drawn values, and the firings."""
         lines = [f"{where}: {each}" for each in self.complaints]
         if self.drawn and self.complaints:
             script = {key: part for key, part in asdict(self.outcome.script).items() if part}
@@ -60,15 +56,7 @@ def _fired_lines(outcome: ScenarioReport) -> list[str]:
 def judge(
     scenarios: ScenarioSet, scenario: Scenario, coverage: Coverage, types: MessageTypes, seed: int = 0
 ) -> ScenarioVerdict:
-    """Run a scenario, with drawn answers as often as it says, and judge it.
-
-    Args:
-        scenarios: The file.
-        scenario: The scenario.
-        coverage: Takes what is reached.
-        types: Types of messages.
-        seed: Seed of what is drawn.
-    """
+    """Run a scenario, with drawn answers as often as it says, and judge it."""
     values = ValueDraw(scenarios.nets, types)
 
     def tried(draws: Draws | None, reached: Coverage) -> tuple[tuple[str, ...], ScenarioReport]:

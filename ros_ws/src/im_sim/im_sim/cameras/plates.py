@@ -152,12 +152,7 @@ class _Plate:
 
 
 class Plates:
-    """All plates of a cell, infinitely thin, opaque from both sides, with white backs.
-
-    Args:
-        targets: The plates.
-        place: Where their frames are at present.
-    """
+    """All plates of a cell, infinitely thin, opaque from both sides, with white backs."""
 
     def __init__(self, targets: Sequence[Target], place: Place) -> None:
         self._standing = [_Plate(each, *each.pose()) for each in targets if each.parent == "world"]

@@ -27,12 +27,6 @@ class CameraProcess:
     def __init__(self, instance: str, truth: Path, cell: Cell, settings: CameraSettings) -> None:
         """Attach to host and testbed and load the scene.
 
-        Args:
-            instance: Name of the machine's instance.
-            truth: File of the testbed's truth.
-            cell: Geometry.
-            settings: Cameras in use, sensor, renderer.
-
         Raises:
             ImError: The host or the testbed is not there, or the renderer does not load.
         """

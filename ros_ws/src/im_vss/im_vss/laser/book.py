@@ -43,12 +43,7 @@ class LaserBook:
     """Keeper of the calibration and the file."""
 
     def __init__(self, sheet: LaserScanner, directory: Path) -> None:
-        """Start from the drawing.
-
-        Args:
-            sheet: The scanner as drawn.
-            directory: Where the file goes.
-        """
+        """Start from the drawing."""
         rotation, position = sheet.pose()
         self._entry = LaserEntry(LaserModel(rotation, position, sheet.gap))
         self._directory = directory

@@ -72,14 +72,7 @@ class ControlParameters:
     """Parameters ``exposure``, and ``<camera>.gain``, ``<camera>.noise`` and ``<camera>.rate``, each with the range."""
 
     def __init__(self, node: ManagedNode, settings: VssSettings, controls: CameraControls, stream: ImageStream) -> None:
-        """Declare and obey the parameters.
-
-        Args:
-            node: The node whose parameters they are.
-            settings: Cameras and ranges.
-            controls: What is set.
-            stream: Takes images at the cameras' rates.
-        """
+        """Declare and obey the parameters."""
         self._node = node
         self._controls = controls
         self._stream = stream

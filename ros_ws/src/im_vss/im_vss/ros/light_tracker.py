@@ -61,12 +61,7 @@ class LightTracker:
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
     def wrist(self, frame: str, stamp_ns: int) -> Pose | None:
-        """Return the place of a wrist in the world at a testbed time [ns]; None if unknown.
-
-        Args:
-            frame: The wrist, or another frame of the cell.
-            stamp_ns: The time.
-        """
+        """Return the place of a wrist in the world at a testbed time [ns]; None if unknown."""
         for message in reversed(tuple(self._newest)):
             with contextlib.suppress(DataError):  # not from MCS
                 return wrist_by(decoded(message, TFMessage), self._cell, frame, stamp_ns, self._freshness_ns)

@@ -27,12 +27,7 @@ _WORKSPACE = ColorRGBA(r=0.3, g=0.5, b=1.0, a=0.12)
 
 
 class ResidualMarkers:
-    """Namespace ``residuals`` of ``/markers``, latched, for subscribers only: the spots of the last calibrations.
-
-    Args:
-        node: The node that publishes.
-        book: Calibrations of the cameras.
-    """
+    """Namespace ``residuals`` of ``/markers``, latched, for subscribers only: the spots of the last calibrations."""
 
     def __init__(self, node: ManagedNode, book: CameraBook) -> None:
         self._book = book
@@ -60,11 +55,6 @@ class CellMarkers(ResidualMarkers):
 
     Namespaces ``cameras``, ``residuals``, ``lights``, ``objects`` and ``workspace``. Each is in the frame it is
     fixed to, which ``/tf`` moves. A camera that is as drawn is grey.
-
-    Args:
-        node: The node that publishes.
-        cell: Lights.
-        book: Calibrations of the cameras.
     """
 
     def __init__(self, node: ManagedNode, cell: Cell, book: CameraBook) -> None:

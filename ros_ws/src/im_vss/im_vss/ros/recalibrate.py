@@ -13,25 +13,18 @@ from im_bag.command_line import parsed
 from im_bag.reading import messages_of, topics_of
 from im_calibration import (
     SAME,
-    TARGET_NOISE,
     CalibrationProblem,
     DegenerateDataError,
     InconsistentDataError,
     calibrate_possible,
     comparison,
-    dataset_of,
-    dataset_of_views,
     largest_difference,
-    problem_of,
-    problem_of_views,
     report_of,
-    views_of,
     write_observations,
 )
 from im_calibration.problem.bags import RecordedCalibration, recorded_calibrations, recorded_sizes
 from im_calibration.problem.problem import NOISE_SOURCES
 from im_calibration.recorded.stamps import stamp_of
-from im_calibration.targets.target import chessboard_of
 from im_cell.lens import LENSES
 from im_cell.robot import Cell, load_cell
 from im_core import clock
@@ -42,7 +35,13 @@ from im_vss.camera_poses import Pose, at_rest
 from im_vss.recalibration import find_again
 from im_vss.ros.light_tracker import wrist_by
 from im_vss.ros.ports.calibration import from_request
-from im_vss.services.calibrate import CalibrateRequest, Mount, on_their_mounts, write_calibration
+from im_vss.services.calibrate import (
+    CalibrateRequest,
+    Mount,
+    dataset_and_problem,
+    on_their_mounts,
+    write_calibration,
+)
 from im_vss.settings import VssSettings, load_settings
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -60,14 +59,7 @@ exit codes: 0 calibrated, and the same where nothing was changed; 1 it is not th
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code."""
     options = parsed(_parser(), arguments)
     try:
         return _recalibrate(options)
@@ -177,23 +169,19 @@ def _problem(
     Raises:
         ImError: The observations are malformed, their board is not in the cell, or the bag does not tell all of them.
     """
-    sizes, estimated = recorded_sizes(options.bag, call, request.cameras), options.noise == "estimated"
-    lenses = None if options.lens_model is None else (options.lens_model,) * len(request.cameras)
-    if request.target:
-        target = chessboard_of(cell, request.target)
-        views = views_of(request.cameras, request.observations, target, sizes, settings.cameras)
-        views = replace(views, lens_models=lenses or views.lens_models)
-        noise = NOISE_SOURCES if estimated else TARGET_NOISE
-        return dataset_of_views(views, noise), problem_of_views(views, noise)
     offset = call.led_offset()
-    if offset is None:
-        offset = cell.led.offset, cell.led.offset_prior_sd
-        told = f"{[1e3 * value for value in offset[0]]} mm, each axis to {1e3 * offset[1]:g} mm"
+    if offset is None and not request.target:
+        told = f"{[1e3 * value for value in cell.led.offset]} mm, each axis to {1e3 * cell.led.offset_prior_sd:g} mm"
         print(f"replay: the bag does not tell where the light is in the wrist; as this workspace has it: {told}")
-    problem = problem_of(request.cameras, request.observations, request.lengths, sizes, offset, settings.cameras)
-    problem = replace(problem, lens_models=lenses or problem.lens_models)
-    problem = replace(problem, noise_to_estimate=NOISE_SOURCES if estimated else problem.noise_to_estimate)
-    return dataset_of(problem), problem
+    return dataset_and_problem(
+        request,
+        recorded_sizes(options.bag, call, request.cameras),
+        cell,
+        settings.cameras,
+        offset=offset,
+        lens_model=options.lens_model,
+        noise_to_estimate=NOISE_SOURCES if options.noise == "estimated" else (),
+    )
 
 
 def _folder(options: argparse.Namespace) -> Path:

@@ -37,11 +37,7 @@ _EXAMPLE = "example: scripts/im vss run --camera left:=/left/image_raw right:=/r
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code of ``/vss``.
-
-    Args:
-        arguments: Of the command line; None: those of the process.
-    """
+    """Run the command, by default with the arguments of the process; return the exit code of ``/vss``."""
     parser = NumberParser(prog="im vss", description=_DESCRIPTION, epilog=_EXAMPLE)
     parser.add_argument("action", choices=["run"])
     parser.add_argument(

@@ -1,6 +1,6 @@
 """Service for the calibration of cameras from observations of the wrist light, or of a target on a wrist."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -27,6 +27,7 @@ from im_calibration.targets.target import chessboard_of
 from im_cell.calibration_files import CameraPose
 from im_cell.camera_covariance import CameraCovariance
 from im_cell.camera_model import CameraModel
+from im_cell.robot import Cell
 from im_core.processes.memory import give_back_freed
 from im_vss.camera_book import CameraBook
 from im_vss.camera_poses import Pose
@@ -86,7 +87,13 @@ class SvcCalibrate(VisionService):
                 results cannot be written, or the client gave up; the cameras' calibration is as before then.
         """
         cameras = self.rig.settings.check_cameras(request.cameras)
-        problem = self._problem(cameras, request)
+        models = {camera: self.rig.book[camera].model for camera in cameras}
+        sizes = {camera: (model.width, model.height) for camera, model in models.items()}
+        dataset, problem = dataset_and_problem(
+            replace(request, cameras=cameras), sizes, self.rig.cell, self.rig.settings.cameras
+        )
+        if request.directory is not None:
+            write_observations(request.directory, dataset)
         calibration: Calibration = self.tool("tool_calibrate")(client, problem)
         for camera, residuals in zip(calibration.cameras, calibration.residuals, strict=True):
             self.rig.book.residuals[camera.name] = problem.spots[cameras.index(camera.name)], residuals
@@ -99,26 +106,35 @@ class SvcCalibrate(VisionService):
             self.rig.book.set_cameras(mounted, covariance)
         return CalibrateResult(calibration, report_of(calibration, problem), applied, request.directory)
 
-    def _problem(self, cameras: tuple[str, ...], request: CalibrateRequest) -> CalibrationProblem:
-        """Return the observations in the solver's terms; write them first.
 
-        Raises:
-            ImError: There is none, one is malformed, or the target is no chessboard of the cell or in too few of them.
-        """
-        models = {camera: self.rig.book[camera].model for camera in cameras}
-        sizes = {camera: (model.width, model.height) for camera, model in models.items()}
-        known, directory = self.rig.settings.cameras, request.directory
-        if request.target:
-            target = chessboard_of(self.rig.cell, request.target)
-            views = views_of(cameras, request.observations, target, sizes, known)
-            if directory is not None:
-                write_observations(directory, dataset_of_views(views, TARGET_NOISE))
-            return problem_of_views(views, TARGET_NOISE)
-        led = self.rig.cell.led.offset, self.rig.cell.led.offset_prior_sd
-        problem = problem_of(cameras, request.observations, request.lengths, sizes, led, known)
-        if directory is not None:
-            write_observations(directory, dataset_of(problem))
-        return problem
+def dataset_and_problem(
+    request: CalibrateRequest,
+    sizes: Mapping[str, tuple[int, int]],
+    cell: Cell,
+    known: Collection[str],
+    *,
+    offset: tuple[tuple[float, float, float], float] | None = None,
+    lens_model: str | None = None,
+    noise_to_estimate: tuple[str, ...] = (),
+) -> tuple[dict[str, Any], CalibrationProblem]:
+    """Return the observations of a request as a data set, and in the solver's terms.
+
+    Sizes are width and height of images [px]. None and () stand for the cell's light, and for usual lenses and noise.
+
+    Raises:
+        ImError: There is none, one is malformed, or the target is no chessboard of the cell or in too few of them.
+    """
+    lenses = None if lens_model is None else (lens_model,) * len(request.cameras)
+    if request.target:
+        views = views_of(request.cameras, request.observations, chessboard_of(cell, request.target), sizes, known)
+        views = replace(views, lens_models=lenses or views.lens_models)
+        noise = noise_to_estimate or TARGET_NOISE
+        return dataset_of_views(views, noise), problem_of_views(views, noise)
+    offset = offset or (cell.led.offset, cell.led.offset_prior_sd)
+    problem = problem_of(request.cameras, request.observations, request.lengths, sizes, offset, known)
+    noise = noise_to_estimate or problem.noise_to_estimate
+    problem = replace(problem, lens_models=lenses or problem.lens_models, noise_to_estimate=noise)
+    return dataset_of(problem), problem
 
 
 def on_their_mounts(

@@ -52,10 +52,6 @@ class VisionService(ABC):
     def serve(self, client: VisionClient, request: Any) -> Any:
         """Carry out a request.
 
-        Args:
-            client: Who asks.
-            request: The Service's own request type.
-
         Returns:
             The Service's own result type.
 

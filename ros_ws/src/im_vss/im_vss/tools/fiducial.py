@@ -15,12 +15,7 @@ class ToolFiducialPose(Tool):
     name: ClassVar[str] = "tool_fiducial_pose"
 
     def __call__(self, frame: Frame, wanted: Mapping[int, Target]) -> tuple[list[FiducialFit], dict[int, str]]:
-        """Return the plates in an image, and the causes of missing ones.
-
-        Args:
-            frame: The image.
-            wanted: Plates by number of their code.
-        """
+        """Return the plates in an image, and the causes of missing ones."""
         sensor = frame.controls.of(self.rig.settings.sensor)
         known = self.rig.book.covariance.of([frame.camera])
         return find_fiducials(frame.image, self.rig.book[frame.camera].model, sensor, wanted, known)

@@ -105,10 +105,6 @@ class ToolLaserSpot(Tool):
 
         Speckle is noise that the sensor's data sheet does not know: where the fit is worse than it says, the covariance
         is larger by as much.
-
-        Args:
-            off: Frame with the laser strobed off.
-            on: Frame with it.
         """
         settings = self.rig.settings
         finding = find_spot(on.image, off.image, on.controls.of(settings.sensor), settings.spot)

@@ -35,7 +35,7 @@ NAMES: dict[str, Callable[[Node], NamesAndTypes]] = {
 
 
 class GraphClient(InterruptibleNode):
-    """Hidden node that waits for what others offer."""
+    """Hidden node waiting for names, types and answers."""
 
     def __init__(self) -> None:
         super().__init__("_im")
@@ -87,7 +87,7 @@ _GRAPH_NAMES = {"action_name", "node_name", "service_name", "topic_name"}
 
 
 class GraphParser:
-    """Arguments of a command on the graph: a verb, and its arguments.
+    """Arguments of a command on the graph: a verb, followed by arguments.
 
     Args:
         kind: The command, ``im <kind>``.
@@ -158,7 +158,7 @@ class GraphParser:
 
 
 def absolute(name: str) -> str:
-    """Return a name with its slash."""
+    """Return a name with the leading slash."""
     return name if name.startswith("/") else f"/{name}"
 
 

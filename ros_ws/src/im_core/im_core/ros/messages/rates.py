@@ -6,12 +6,7 @@ from im_core.rate_groups import LATENESS_S, RateStatistics
 
 
 def rate_status(of: str, statistics: RateStatistics) -> DiagnosticStatus:
-    """Return the status of a function: ERROR if it is called no more.
-
-    Args:
-        of: Whose functions they are; the status is named after both.
-        statistics: Timing of the function.
-    """
+    """Return the status of a function: ERROR if it is called no more."""
     each = f"{statistics.times} in a period" if statistics.times > 1 else f"every {statistics.every}"
     status = DiagnosticStatus(name=f"{of}: {statistics.name}", message=statistics.ended or each)
     status.level = DiagnosticStatus.ERROR if statistics.ended else DiagnosticStatus.OK

@@ -66,12 +66,7 @@ def process_of(sender: str) -> str:
 
 
 def nodes_of(node: Node, client: str) -> tuple[str, ...]:
-    """Names of a process's nodes, ``/namespace/name`` each; empty if none is known, or not yet.
-
-    Args:
-        node: Whose view of the graph is asked.
-        client: As :func:`client_of` says.
-    """
+    """Names of a process's nodes, ``/namespace/name`` each; empty if none is known, or not yet."""
     ends = [end for topic in TOPICS_OF_ALL for end in node.get_publishers_info_by_topic(topic)]
     mine = [end for end in ends if bytes(end.endpoint_gid[:_PARTICIPANT_BYTES]).hex() == client]
     names = {node_of(end) for end in mine if end.node_name != _UNKNOWN}

@@ -34,12 +34,7 @@ def servers_of(node: Node, name: str) -> list[str]:
 
 
 def offered_alike(node: Node, name: str) -> str:
-    """Return a hint at the names of the same type that are offered, for a name without a server; empty without any.
-
-    Args:
-        node: Whose view of the graph is asked; it has a client of the name.
-        name: Full name of a service or of an action.
-    """
+    """Return a hint at the names of the same type that are offered, for a name without a server; empty without any."""
     known = dict(node.get_service_names_and_types())
     end = _GOALS if name + _GOALS in known else ""
     same = (each.removesuffix(end) for each, types in known.items() if types == known.get(name + end))

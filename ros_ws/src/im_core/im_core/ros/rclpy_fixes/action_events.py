@@ -21,11 +21,6 @@ class ActionEvents:
     """Publish the contents of one action: goals, results, and cancel requests.
 
     The topics are ``<action>/_action/send_goal/_service_event``, ``.../get_result/...`` and ``.../cancel_goal/...``.
-
-    Args:
-        node: Its node.
-        action_type: Type of the action.
-        action_name: Its name.
     """
 
     def __init__(self, node: Node, action_type: Any, action_name: str) -> None:

@@ -42,11 +42,6 @@ def shared_readers() -> Iterator[None]:
 def follow(topic: str, callback: Follower, make: Callable[[Follower], Subscription]) -> Subscription:
     """Follow a topic, by the reader of another node if there is one.
 
-    Args:
-        topic: Its name.
-        callback: Takes each message.
-        make: Makes a subscription with a callback.
-
     Returns:
         The subscription; of a topic that is shared a :class:`Share`, which no node has and so none destroys.
     """

@@ -214,13 +214,7 @@ def fit(
 
 
 class Terms:
-    """Demands of a motion of the path parameter on the joints, term by term.
-
-    Args:
-        curve: Joint positions over the path parameter.
-        motion: The path parameter at some times.
-        limits: Of the joints.
-    """
+    """Demands of a motion of the path parameter on the joints, term by term."""
 
     def __init__(self, curve: JointCurves, motion: Motion, limits: MotionLimits) -> None:
         self._s = np.concatenate([motion.s - _ASIDE_M, motion.s + _ASIDE_M])

@@ -157,11 +157,6 @@ class JointPreparation:
 
     From rest it is a :class:`JointPath`. From a motion under way the first point is
     reached, at rest, by the time-optimal motion from the state at which it takes over, then the rest follows.
-
-    Args:
-        context: What it is planned with.
-        move: Points.
-        start: Gives the state it begins with.
     """
 
     def __init__(self, context: PlanContext, move: JointMove, start: Start) -> None:

@@ -32,9 +32,6 @@ class GripperServer:
     cancelled goal stop where they are; a new goal of either action takes the place of the one under way, which is
     aborted, as with a trajectory. The results have no room for a sentence; why a goal was refused is in the log and
     counted in ``/diagnostics``.
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:

@@ -49,10 +49,6 @@ class Motions:
     """Sender of MOVE requests; shows the followed path, and stops motions.
 
     Parameters: ``tolerance``, ``still_tolerance`` and ``timeout_s`` below ``settle``.
-
-    Args:
-        access: MCS.
-        markers: What shows it to viewers.
     """
 
     def __init__(self, access: McsAccess, markers: PathMarkers) -> None:
@@ -179,11 +175,7 @@ class CalledActionServer(GuardedActionServer):
 
 
 class Goals:
-    """Actions, and the numbers of requests by goal, so a cancelled goal decelerates.
-
-    Args:
-        access: MCS.
-    """
+    """Actions, and the numbers of requests by goal, so a cancelled goal decelerates."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access

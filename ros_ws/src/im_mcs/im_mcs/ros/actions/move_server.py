@@ -23,12 +23,7 @@ _POLICIES = {Move.Goal.REFUSE: "refuse", Move.Goal.APPEND: "append", Move.Goal.R
 
 
 class MoveServer:
-    """``/<group>/move`` of every group of every preset.
-
-    Args:
-        access: MCS.
-        motions: Move groups.
-    """
+    """``/<group>/move`` of every group of every preset."""
 
     def __init__(self, access: McsAccess, motions: Motions) -> None:
         self._mcs, self._motions = access, motions

@@ -47,10 +47,6 @@ class TrajectoryServer:
 
     Parameters: ``allow_partial_joints_goal``, ``allow_nonzero_velocity_at_trajectory_end``, and, below ``constraints``,
     of each joint ``trajectory`` and ``goal``, ``stopped_velocity_tolerance`` and ``goal_time``, as the controller has.
-
-    Args:
-        access: MCS.
-        motions: Move groups.
     """
 
     def __init__(self, access: McsAccess, motions: Motions) -> None:

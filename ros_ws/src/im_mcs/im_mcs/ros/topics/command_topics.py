@@ -58,9 +58,6 @@ class CommandTopics:
     owner does not obey them.
 
     Parameter: ``incoming_command_timeout`` [s].
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:

@@ -25,9 +25,6 @@ class ControllerStates:
     """``/<group>/controller_state`` of every group of every preset; published for the groups in force.
 
     Parameter: ``controller_state_rate`` [1/s], up to 250.
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:

@@ -21,9 +21,6 @@ class Layers:
 
     Attributes:
         wrists: Frames of the force-torque sensors.
-
-    Args:
-        access: MCS.
     """
 
     def __init__(self, access: McsAccess) -> None:

@@ -25,11 +25,7 @@ _MOST_POINTS = 200
 
 
 class PathMarkers:
-    """``/markers`` of ``/mcs``: namespace ``paths``, a line in ``world`` for each wrist; latched, for subscribers only.
-
-    Args:
-        access: MCS.
-    """
+    """``/markers`` of ``/mcs``: namespace ``paths``, a line in ``world`` for each wrist; latched, if subscribed to."""
 
     def __init__(self, access: McsAccess) -> None:
         self._mcs = access

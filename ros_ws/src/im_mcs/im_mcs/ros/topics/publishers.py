@@ -111,11 +111,7 @@ def _hull(rank: int, hull: Hull, color: Sequence[float]) -> Marker:
 
 
 class JawSpeeds:
-    """Speeds of the jaws by differences of their openings; 0 where there is nothing to compare with.
-
-    Args:
-        count: Number of grippers.
-    """
+    """Speeds of the jaws by differences of their openings; 0 where there is nothing to compare with."""
 
     def __init__(self, count: int) -> None:
         self._stamp_ns, self._openings, self._speeds = 0, [0.0] * count, [0.0] * count

@@ -375,11 +375,7 @@ class FiringRule:
     # Firing.
 
     def withdraw(self, name: str) -> None:
-        """Move the tokens of an invalid data object: for an object of a command, the tokens of the command.
-
-        Args:
-            name: Its name in the DOM.
-        """
+        """Move the tokens of an invalid data object: for an object of a command, the tokens of the command."""
         for place, stands_for in self._withdrawable:
             index = self.number[f"{place}.withdrawn"]
             while self.enabling.tokens[self.place[place]]:

@@ -323,12 +323,7 @@ class Commands:
         return ""
 
     async def wait(self, number: int, listener: ProgressListener | None = None) -> CommandOutcome:
-        """Wait until a command has ended.
-
-        Args:
-            number: Its number.
-            listener: Is told of progress.
-        """
+        """Wait until a command has ended."""
         promise = self._node.promise()
         self._waiting.setdefault(number, []).append(promise)
         if listener is not None:

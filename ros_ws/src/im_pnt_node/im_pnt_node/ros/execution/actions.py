@@ -46,12 +46,6 @@ ClientT = TypeVar("ClientT")
 class WatchedServer(Generic[ClientT]):
     """Server of a name, sought by a client: once found it may go away and come back.
 
-    Args:
-        node: The node of the client.
-        client: The client.
-        name: The name.
-        ready: Whether the client has discovered a server.
-
     Attributes:
         client: The client.
         made: When the search began (monotonic) [s].
@@ -259,9 +253,6 @@ class RosActions(ABC, Generic[EndpointT]):
 
     The middleware takes no second type of a name in one process: what was made for a net that has gone makes room. It
     is gone when the executor has taken notice.
-
-    Args:
-        surroundings: Reaches other tasks.
     """
 
     def __init__(self, surroundings: Surroundings) -> None:

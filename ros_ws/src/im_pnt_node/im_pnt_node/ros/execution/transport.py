@@ -32,9 +32,6 @@ class DdsTransport:
         epoch: Its incarnation.
         heartbeats: Tells of the death of nodes.
         observer: Is told of packets that make no sense, of forgeries, and of journals that are too old.
-
-    Attributes:
-        link: Streams to and from other processes.
     """
 
     def __init__(self, node: ManagedNode, epoch: int, heartbeats: Heartbeats, observer: Observer) -> None:

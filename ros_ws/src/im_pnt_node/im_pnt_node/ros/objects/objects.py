@@ -19,13 +19,7 @@ class _Reading:
 
 
 class DomObjects:
-    """The objects of the Data Object Manager.
-
-    Args:
-        dom: Where they are read and stored.
-        spawn: Runs coroutines in the loop.
-        known: Called when an object has been read that a guard looks at.
-    """
+    """The objects of the Data Object Manager."""
 
     def __init__(
         self, dom: HostObjects, spawn: Callable[[Coroutine[object, object, None]], None], known: Callable[[], None]

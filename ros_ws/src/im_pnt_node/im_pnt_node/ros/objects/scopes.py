@@ -13,13 +13,7 @@ LOOK_S = 0.5
 
 
 class CommandScopes:
-    """Owner of the data objects of commands: ``/dom`` deletes objects after the end of a command, except results.
-
-    Args:
-        node: The node.
-        dom: Client of the Data Object Manager.
-        open_scopes: Returns the scopes of the commands that have not ended.
-    """
+    """Owner of the data objects of commands: ``/dom`` deletes objects after the end of a command, except results."""
 
     def __init__(self, node: ManagedNode, dom: DomClient, open_scopes: Callable[[], Container[str]]) -> None:
         self._node, self._dom, self._open_scopes = node, dom, open_scopes

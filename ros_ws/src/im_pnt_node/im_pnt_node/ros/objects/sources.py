@@ -91,11 +91,7 @@ class Sources:
             self._learned(name, await self._dom.is_valid(name))
 
     def keep(self, sources: Iterable[str]) -> None:
-        """Drop the data objects without a guard.
-
-        Args:
-            sources: What the guards of all nets are woken by.
-        """
+        """Drop the data objects without a guard."""
         for name in self._valid.keys() - _named("data", sources):
             del self._valid[name]
             self._unknown.discard(name)

@@ -93,12 +93,7 @@ class MissionPublisher:
 
 
 class NotedObjects:
-    """Data objects read and stored by functions and expressions of nets.
-
-    Args:
-        dom: The client.
-        log: Is told of each.
-    """
+    """Data objects read and stored by functions and expressions of nets."""
 
     def __init__(self, dom: DomClient, log: MissionLog) -> None:
         self._dom, self._log = dom, log

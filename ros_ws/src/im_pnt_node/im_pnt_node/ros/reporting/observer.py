@@ -14,10 +14,6 @@ from im_pnt_node.ros.reporting.publish import PntPublisher
 class NodeObserver(Observer):
     """The observer of the nets of a node.
 
-    Args:
-        node: The node.
-        publisher: Publishes what they do.
-
     Attributes:
         publisher: As given.
         commands: Tells clients; None: there are none yet.

@@ -34,9 +34,6 @@ class PntPublisher:
     What was fired is published when the turn of the loop is over, so that nobody who waits for a token waits for it; of
     markings that follow each other quickly only the last one is. Each net has its own latched publisher of markings, so
     that whoever comes late gets the last one of every net.
-
-    Attributes:
-        nets: The nets of the node, by name.
     """
 
     def __init__(self, node: ManagedNode) -> None:

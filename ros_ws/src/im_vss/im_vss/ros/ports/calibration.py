@@ -70,10 +70,6 @@ def from_request(message: Calibrate.Request) -> CalibrateRequest:
 def from_known_length(message: KnownLength, number: int) -> SeenLength:
     """Return a known length from a message.
 
-    Args:
-        message: The message.
-        number: Which it is of the request, for errors.
-
     Raises:
         DataError: A value is impossible, or a light has two spots of a camera.
     """
