@@ -50,7 +50,7 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool
 
 
 def scenery_urdf(cell: Cell) -> str:
-    """The boxes that stand still, to be drawn, as URDF."""
+    """Return the scenery as URDF: the standing boxes, for drawing."""
     return _robot(['<link name="world">', *_standing(cell), "</link>"])
 
 

@@ -24,7 +24,7 @@ _MOST_RAYS = 8192
 
 
 class Drawn(NamedTuple):
-    """What a renderer has drawn.
+    """Picture of a renderer.
 
     Attributes:
         colours: Red, green, blue, alpha, shape (h, w, 4).
@@ -35,7 +35,7 @@ class Drawn(NamedTuple):
     nearness: FloatImage
 
     def before(self, backdrop: "Drawn") -> "Drawn":
-        """Return the picture of both; what was drawn last, the present one, hides what is as near."""
+        """Return both as one picture; of two points as near, the present one is seen."""
         seen = self.nearness <= backdrop.nearness
         return Drawn(
             np.where(seen[..., None], self.colours, backdrop.colours), np.minimum(self.nearness, backdrop.nearness)
