@@ -30,10 +30,8 @@ def urdf(cell: Cell, *, frames: bool = True, shapes: bool = True, grippers: bool
         scenery: With the boxes that stand still (:func:`scenery_urdf`).
     """
     lines = ['<link name="world">']
-    if shapes and scenery:
-        lines += _standing(cell)
     if shapes:
-        lines += _shapes_of(cell, WORLD)
+        lines += [*(_standing(cell) if scenery else ()), *_shapes_of(cell, WORLD)]
     lines.append("</link>")
     hidden = _behind_grippers(cell) if grippers else ()
     for joint, link in zip(cell.joints, cell.links, strict=True):

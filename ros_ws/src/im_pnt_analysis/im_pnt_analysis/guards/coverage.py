@@ -258,16 +258,11 @@ class GuardCoverage:
         for known in at:
             given = replace(self._given(kind, [transition], known), rounded=True)
             with _one_at_a_time:
-                formulas = Formulas(z3, given)
-                facts = [formulas.holds(guard) for guard in _relevant(known.facts, [transition])]
-                solver = z3.Solver()
-                solver.set("rlimit", _EFFORT)
-                held = formulas.holds(transition.guard)
-                solver.add(*formulas.limits(), *facts)
+                formulas, solver, held = _question(z3, [transition], known, given)
                 if solver.check() == z3.unsat:
                     continue  # no token comes this way
                 possible = True
-                solver.add(held)
+                solver.add(*held)
                 if formulas.granted or solver.check() != z3.unsat:
                     return False
         return possible
@@ -295,24 +290,16 @@ class GuardCoverage:
         import z3
 
         with _one_at_a_time:
-            formulas = Formulas(z3, self._given(kind, guarded, known))
-            held = [formulas.holds(each.guard) for each in guarded if each.guard is not None]
-            facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
-            solver = z3.Solver()
-            solver.set("rlimit", _EFFORT)
-            solver.add(*formulas.limits(), *facts, z3.Or([z3.And(one, other) for one, other in combinations(held, 2)]))
+            formulas, solver, held = _question(z3, guarded, known, self._given(kind, guarded, known))
+            solver.add(z3.Or([z3.And(one, other) for one, other in combinations(held, 2)]))
             return not formulas.changing and bool(solver.check() == z3.unsat)
 
     def _left_out(self, guarded: list[Transition], known: TokenKnowledge, given: ValueKnowledge) -> str | None:
         """Return values that no guard lets pass for good, in words; empty: there are none; None: undecided."""
         import z3  # takes longer than most nets do
 
-        formulas = Formulas(z3, given)
-        held = z3.Or([formulas.holds(each.guard) for each in guarded if each.guard is not None])
-        facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
-        solver = z3.Solver()
-        solver.set("rlimit", _EFFORT)
-        solver.add(*formulas.limits(), *facts)
+        formulas, solver, passing = _question(z3, guarded, known, given)
+        held = z3.Or(passing)
         self.granted |= formulas.granted
         values = _found(z3, solver, formulas, [z3.Not(held)])
         if values and formulas.changing:
@@ -327,6 +314,19 @@ class GuardCoverage:
         if values == "" and formulas.inexact:
             return self._left_out(guarded, known, replace(given, rounded=True))
         return values
+
+
+def _question(
+    z3: Any, guarded: list[Transition], known: TokenKnowledge, given: ValueKnowledge
+) -> tuple[Formulas, Any, list[Any]]:
+    """Return the formulas at a place, a solver of the facts there, and the condition of each guard."""
+    formulas = Formulas(z3, given)
+    held = [formulas.holds(each.guard) for each in guarded if each.guard is not None]
+    facts = [formulas.holds(guard) for guard in _relevant(known.facts, guarded)]
+    solver = z3.Solver()
+    solver.set("rlimit", _EFFORT)
+    solver.add(*formulas.limits(), *facts)
+    return formulas, solver, held
 
 
 def _relevant(facts: frozenset[Guard], guarded: list[Transition]) -> list[Guard]:
