@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from im_core.errors import ConfigError
-from im_pnt.expression.types import BOOLEAN, INTEGER, NUMBER, NoTypes, message_type
+from im_pnt.expression.types import BOOLEAN, INTEGER, NUMBER, NoTypes, installed_types, message_type
 from im_pnt_node.cli import scenarios as command
 from im_pnt_node.scenario import file as file_module
 from im_pnt_node.scenario.draws import Draws, shrink
@@ -25,7 +25,6 @@ from im_pnt_node.scenario.file import (
     ScenariosFile,
     StepFile,
     load_scenarios,
-    message_types,
 )
 from im_pnt_node.scenario.report import Coverage
 from im_pnt_node.scenario.run import ScenarioRunner
@@ -176,16 +175,16 @@ class TypesHere:
     ],
 )
 def test_a_field_that_the_message_does_not_have_is_refused(tmp_path, monkeypatch, lines, said):
-    monkeypatch.setattr(file_module, "message_types", TypesHere)
+    monkeypatch.setattr(file_module, "installed_types", TypesHere)
     with pytest.raises(ConfigError, match=re.escape(said)):
         load_scenarios(write(tmp_path, f"    {lines}", TYPED))
-    monkeypatch.setattr(file_module, "message_types", NoTypes)  # no ROS, nothing known of fields
+    monkeypatch.setattr(file_module, "installed_types", NoTypes)  # no ROS, nothing known of fields
     if "mapp" not in lines:
         load_scenarios(write(tmp_path, f"    {lines}", TYPED))
 
 
 def test_an_action_that_ended_well_was_a_success_and_fields_left_out_are_empty(tmp_path, monkeypatch):
-    monkeypatch.setattr(file_module, "message_types", TypesHere)
+    monkeypatch.setattr(file_module, "installed_types", TypesHere)
     file = load_scenarios(
         write(
             tmp_path,
@@ -461,7 +460,7 @@ def test_every_net_of_the_machine_and_every_task_has_scenarios():
 
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.name.removesuffix(".test.yml"))
 def test_shipped_scenarios_pass_and_reach_everything(file):
-    scenarios, coverage, types = load_scenarios(file), Coverage(), message_types()
+    scenarios, coverage, types = load_scenarios(file), Coverage(), installed_types()
     for scenario in scenarios.scenarios:
         verdict = judge(scenarios, scenario, coverage, types)
         assert not verdict.complaints, verdict.told(f"{file}:{scenario.line}")
@@ -487,7 +486,7 @@ def test_a_condition_without_a_value_ends_the_action_and_is_told(tmp_path):
         "    expect: {order: [reach.full.stop_blind, 'reach!', reach.full.fail_blind], never: [reach.full.stop]}\n"
     )
     scenarios = load_scenarios(tmp_path / "n.test.yml")
-    verdict = judge(scenarios, scenarios.scenarios[0], Coverage(), message_types())
+    verdict = judge(scenarios, scenarios.scenarios[0], Coverage(), installed_types())
     assert not verdict.complaints, verdict.told("")
 
 
@@ -542,5 +541,5 @@ def test_a_garbage_collection_at_any_moment_changes_nothing(monkeypatch):
     monkeypatch.setattr(ScenarioRunner, "_pump", collecting)
     scenarios = load_scenarios(ROOT / "docs/nets/tasks/confirm.test.yml")
     scenario = next(each for each in scenarios.scenarios if each.name == "the_press_is_silent")
-    verdict = judge(scenarios, scenario, Coverage(), message_types())
+    verdict = judge(scenarios, scenario, Coverage(), installed_types())
     assert not verdict.complaints, verdict.told("confirm.test.yml")

@@ -4,8 +4,10 @@ import enum
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
+from im_core.plugins import extensions
 from im_pnt.model.arguments import Argument, ArgumentType
 
 
@@ -171,3 +173,14 @@ def field_type(text: str) -> ValueType:
         package, _, name = text.partition("/")
         return message_type(text if "/" in name else f"{package}/msg/{name}")
     return {"boolean": BOOLEAN, "string": TEXT, "wstring": TEXT}.get(text, ANY)
+
+
+@cache
+def installed_types() -> MessageTypes:
+    """Return the types of the installed messages; without ROS none is known."""
+    try:
+        makers = list(extensions("im_pnt.message_types"))
+    except ModuleNotFoundError:
+        return NoTypes()
+    types: MessageTypes = makers[0]() if makers else NoTypes()
+    return types

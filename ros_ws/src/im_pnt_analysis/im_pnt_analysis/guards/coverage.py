@@ -3,18 +3,17 @@
 import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import combinations, product
 from typing import Any
 
 from im_core.errors import ImError
-from im_core.plugins import extensions
 from im_pnt.errors import NetError
 from im_pnt.expression.inference import Meanings
 from im_pnt.expression.scope import NetScope
 from im_pnt.expression.syntax import Binary, Literal
 from im_pnt.expression.template import OPENS, nodes, references
-from im_pnt.expression.types import ANY, MessageTypes, NoTypes, ValueType
+from im_pnt.expression.types import ANY, NoTypes, ValueType, installed_types
 from im_pnt.model.net import Guard, Net, ObjectScope, Place, Role, Transition
 from im_pnt_analysis.guards.formula import Bounds, Formulas, ValueKnowledge
 from im_pnt_analysis.guards.knowledge import NO_FAILURE, Knowledge, TokenKnowledge, Ways, named
@@ -115,17 +114,6 @@ def _type_at(path: tuple[str, ...], scope: Meanings) -> ValueType:
     except ImError:
         return ANY
     return found
-
-
-@cache
-def installed_types() -> MessageTypes:
-    """Return the types of the installed messages; without ROS none is known."""
-    try:
-        makers = list(extensions("im_pnt.message_types"))
-    except ModuleNotFoundError:
-        return NoTypes()
-    types: MessageTypes = makers[0]() if makers else NoTypes()
-    return types
 
 
 class _SameNet:

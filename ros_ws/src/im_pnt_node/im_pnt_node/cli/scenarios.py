@@ -9,7 +9,8 @@ from im_core import plugins
 from im_core.clock import monotonic
 from im_core.errors import ConfigError
 from im_core.files import write_whole
-from im_pnt_node.scenario.file import SUFFIX, load_scenarios, message_types
+from im_pnt.expression.types import installed_types
+from im_pnt_node.scenario.file import SUFFIX, load_scenarios
 from im_pnt_node.scenario.report import Coverage
 from im_pnt_node.scenario.verdict import judge, unreached
 
@@ -67,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     if options.only is not None and options.only not in names:
         raise ConfigError(f"there is no scenario '{options.only}'; there are {', '.join(sorted(names))}")
     plugins.find_beside(net.source for each in sets for net in each.nets)
-    types, failed, passed = message_types(), 0, 0
+    types, failed, passed = installed_types(), 0, 0
     suites = ElementTree.Element("testsuites")
     for each in sets:
         coverage = Coverage()

@@ -8,7 +8,6 @@ from typing import Annotated, Literal, Self
 import pydantic
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from im_core import plugins
 from im_core.config import FieldError, Model, fault_in, load_model
 from im_core.errors import ConfigError, ImError, nearest
 from im_core.files import read_text
@@ -17,7 +16,7 @@ from im_pnt.expression.errors import ExpressionError
 from im_pnt.expression.inference import Meanings
 from im_pnt.expression.scope import ANSWERED, SENT, NetScope, PlacedError, check_value
 from im_pnt.expression.template import has_expressions
-from im_pnt.expression.types import MessageTypes, NoTypes, ValueType, message_type
+from im_pnt.expression.types import ValueType, installed_types, message_type
 from im_pnt.model.action import AwaitAction, GoalAction, ServiceAction
 from im_pnt.model.net import Net
 from im_pnt.netfile import load_net
@@ -28,7 +27,6 @@ SUFFIX = ".test.yml"
 MARKS = "+!~?"
 """Marks behind a transition in ``order`` and ``never``: begun, failed, cancelled, in doubt; without one: ended well."""
 
-_TYPES = "im_pnt_node.ros.messages:RosTypes"
 _LARGEST = 4 * 1024 * 1024
 _KINDS = ("symbol", "request", "cancel", "guards", "objects", "messages")
 
@@ -225,15 +223,6 @@ def load_scenarios(path: Path) -> ScenarioSet:
     return ScenarioSet(path, nets, tuple(scenarios))
 
 
-def message_types() -> MessageTypes:
-    """Return the types of the installed messages; without ROS none is known."""
-    try:
-        found: type[MessageTypes] = plugins.load(_TYPES, None, "message types")  # type: ignore[assignment]
-    except ConfigError:
-        return NoTypes()
-    return found()
-
-
 def awaits(nets: Iterable[Net]) -> Iterator[AwaitAction]:
     """Yield the awaits of nets."""
     for net in nets:
@@ -253,7 +242,7 @@ class _Names:
 
     def __init__(self, path: Path, nets: Sequence[Net]) -> None:
         self._path, self._nets = path, nets
-        self._scopes = {net.name: NetScope(net, message_types()) for net in nets}
+        self._scopes = {net.name: NetScope(net, installed_types()) for net in nets}
         self._acting: dict[str, Iterable[str]] = {
             net.name: {t.retry_of or t.name for t in net.transitions.values() if t.action is not None} for net in nets
         }

@@ -53,11 +53,11 @@ class _Test(pytest.Item):
 
     def runtest(self) -> None:
         """Run the scenario."""
-        from im_pnt_node.scenario.file import message_types
+        from im_pnt.expression.types import installed_types
         from im_pnt_node.scenario.report import Coverage
         from im_pnt_node.scenario.verdict import judge
 
-        verdict = judge(self.scenarios, self.scenario, Coverage(), message_types())
+        verdict = judge(self.scenarios, self.scenario, Coverage(), installed_types())
         if verdict.complaints:
             raise _ScenarioError(verdict.told(f"{self.path}:{self.scenario.line}"))
 
