@@ -10,6 +10,7 @@
 # Exit codes: 0 told, 2 bad usage, no such bag, nothing has fired in it.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 if wants_help "$@"; then help; exit 0; fi
 im_env
 exec "$IM_ROOT/scripts/im" pnt bag "$@"

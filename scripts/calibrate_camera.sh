@@ -16,6 +16,7 @@
 # 130 interrupted (Ctrl-C cancels the command and waits for its end).
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+[[ " $* " == *" --json "* ]] || keep_interrupts "$@"
 if wants_help "$@"; then help; exit 0; fi
 
 given=() json=0
@@ -42,8 +43,8 @@ while (($#)); do
   esac
 done
 im_env
-if ((!json)); then exec "$IM_BRINGUP/run_command" calibrate_camera ${given[@]+"${given[@]}"}; fi
+if ((!json)); then exec "$IM_BRINGUP/run" im_bringup run_command calibrate_camera ${given[@]+"${given[@]}"}; fi
 code=0
-results="$("$IM_BRINGUP/run_command" calibrate_camera --json ${given[@]+"${given[@]}"})" || code=$?
+results="$(env --block-signal=INT "$IM_BRINGUP/run" im_bringup run_command calibrate_camera --json ${given[@]+"${given[@]}"})" || code=$?
 ((code == 0)) || exit "$code"
 "$IM_VENV/bin/python" -c 'import json, sys; print(json.dumps(json.load(sys.stdin)["report"], indent=2))' <<<"$results"

@@ -21,6 +21,13 @@ die() {
   exit "$code"
 }
 
+# keep_interrupts ARGS...: Ctrl-C waits in the kernel until the program takes it (im_core/executables.py), which begins
+# with "$IM_BRINGUP/run": no Python on the way prints a traceback. Begins the calling script anew, with its ARGS.
+keep_interrupts() {
+  [[ -n "${IM_KEPT:-}" ]] || exec env --block-signal=INT IM_KEPT=1 bash "$0" "$@"
+  unset IM_KEPT
+}
+
 # help: prints the comment block at the top of the calling script.
 help() { sed -n '2,/^[^#]/{s/^# \{0,1\}//;t print;b;: print;p}' "$0"; }
 

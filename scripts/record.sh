@@ -12,6 +12,7 @@
 # Exit codes: 0 recorded, 1 the disk is full or nearly so (said), 2 bad usage or the folder exists.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_BAG/record" "$@"
+exec "$IM_BRINGUP/run" im_bag record "$@"

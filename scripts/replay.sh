@@ -28,6 +28,7 @@
 # ones; with --mission: 0 equal, 1 it differs, 2 the bag cannot be run again.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 doing=""
 rest=()
 for argument in "$@"; do
@@ -47,4 +48,4 @@ case "$doing" in
   --mission) exec "$IM_ROOT/scripts/im" pnt mission "$@" ;;
   --recalibrate) exec "$IM_BRINGUP/run" im_vss recalibrate --recalibrate "$@" ;;
 esac
-exec "$IM_BAG/replay" "$@"
+exec "$IM_BRINGUP/run" im_bag replay "$@"

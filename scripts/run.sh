@@ -10,6 +10,7 @@
 # Exit codes: that of the executable; 2 if there is no such package or executable (said which there are).
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 if [[ "${1:-}" == -h || "${1:-}" == --help ]]; then help; exit 0; fi
 im_env
 exec "$IM_BRINGUP/run" "$@"

@@ -26,6 +26,7 @@
 # itself; 2 bad usage, deployment or calibration; 130 interrupted before it was ready.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_BRINGUP/start" "$@"
+exec "$IM_BRINGUP/run" im_bringup start "$@"

@@ -8,6 +8,7 @@
 # Exit codes: 0 nothing runs any more, 1 something could not be ended (said what), 2 bad usage.
 set -euo pipefail
 source "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
+keep_interrupts "$@"
 if wants_help "$@"; then help; exit 0; fi
 im_env
-exec "$IM_BRINGUP/stop" "$@"
+exec "$IM_BRINGUP/run" im_bringup stop "$@"

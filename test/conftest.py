@@ -312,9 +312,19 @@ class VisionMachine:
             self.vss._book.set_cameras({name: model}, intrinsics=False)
 
     def listen(self, kind, topic, profile):
-        received = []
-        self.client.create_subscription(kind, topic, received.append, profile)
-        self.until(lambda: self.client.count_publishers(topic) > 0)
+        """A list that grows with the messages of a topic, from now on: both ends know each other."""
+        from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+        ours = [
+            each
+            for node in (self.testbed, self.vss)
+            for each in node.publishers
+            if each.topic_name == topic and qos_check_compatible(each.qos_profile, profile)[0] != QoSCompatibility.ERROR
+        ]
+        before, received = [each.get_subscription_count() for each in ours], []
+        heard = self.client.create_subscription(kind, topic, received.append, profile)
+        self.until(lambda: heard.get_publisher_count() >= max(1, len(ours)))
+        self.until(lambda: all(each.get_subscription_count() > n for each, n in zip(ours, before, strict=True)))
         return received
 
 

@@ -44,6 +44,16 @@ def observer(ros):
     return ros(node)
 
 
+def tasks_when_ready(observer, wait_until):
+    """The tasks, once the observer has heard that all are ready, which may be later than the start says so."""
+
+    def ready():
+        tasks = observer.registries[-1].tasks if observer.registries else []
+        return tasks if tasks and all(task.phase == "ready" for task in tasks) else None
+
+    return wait_until(ready, "all tasks to be ready")
+
+
 def run_im(*arguments):
     """What ``im`` of this workspace does."""
     return subprocess.run([ROOT / "scripts" / "im", *arguments], capture_output=True, text=True, check=False)
@@ -78,9 +88,8 @@ def test_up_known_mended_down(small_machine, observer, wait_until, script):
     assert re.findall(r"phase (\w+)", log) == ["LOAD", "CONFIGURE", "START"]
 
     # Whoever comes later learns the phase and the registry.
-    wait_until(lambda: observer.phases and observer.registries, "the latched phase and registry")
-    assert observer.phases[-1] == 2
-    tasks = {task.name: task for task in observer.registries[-1].tasks}
+    wait_until(lambda: observer.phases and observer.phases[-1] == 2, "the latched phase")
+    tasks = {task.name: task for task in tasks_when_ready(observer, wait_until)}
     assert [(task.id, task.phase, task.node) for task in tasks.values()] == [
         (1, "ready", "/dom"),
         (2, "ready", "/gripper_coordinator"),
@@ -149,8 +158,7 @@ def test_tasks_of_one_process_die_and_come_back_together(small_deployment, scrip
     done = script("start", small_deployment)
     assert done.returncode == 0, done.stderr
     try:
-        wait_until(lambda: observer.registries, "the registry")
-        killed = observer.registries[-1].tasks
+        killed = tasks_when_ready(observer, wait_until)
         assert [(task.name, task.process, task.phase) for task in killed] == [
             ("dom", "dom", "ready"),
             ("gripper_coordinator", "dom", "ready"),
@@ -260,8 +268,7 @@ def test_a_task_on_another_host_takes_part(script, process, small_deployment, ob
     try:
         done = script("start", small_deployment)
         assert done.returncode == 0, done.stderr + agent.out.read_text()
-        wait_until(lambda: observer.registries, "the registry")
-        assert [(task.name, task.host, task.phase) for task in observer.registries[-1].tasks] == [
+        assert [(task.name, task.host, task.phase) for task in tasks_when_ready(observer, wait_until)] == [
             ("dom", "localhost", "ready"),
             ("gripper_coordinator", "far", "ready"),
         ]

@@ -18,6 +18,7 @@ from im_cell.calibration_files import read_calibration
 from im_cell.robot import load_cell
 from im_core.config import package_file
 from im_pnt.netfile import describe, load_net
+from support.permissions import allowed
 from support.whole_machine import (
     COMMAND_S,
     EACH,
@@ -447,9 +448,11 @@ def test_a_keystore_lets_each_process_do_what_it_does_and_nothing_else(machine, 
     made = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_S, check=False)
     assert made.returncode == 0, made.stderr
 
+    def permissions(enclave):
+        return tmp_path / "keystore" / "enclaves" / "im" / enclave / "permissions.xml"
+
     def may_publish(enclave):
-        path = tmp_path / "keystore" / "enclaves" / "im" / enclave / "permissions.xml"
-        rule = ElementTree.parse(path).find("permissions/grant/allow_rule/publish/topics")
+        rule = ElementTree.parse(permissions(enclave)).find("permissions/grant/allow_rule/publish/topics")
         return {topic.text for topic in rule}
 
     processes = {f"{task.host}/{task.process}" for task in machine.tasks.values()}
@@ -467,6 +470,26 @@ def test_a_keystore_lets_each_process_do_what_it_does_and_nothing_else(machine, 
         assert {each for each in (*processes, "localhost/bootstrap", "client") if topic in may_publish(each)} == {owner}
     assert "rt/left/joint_trajectory" in may_publish("client")
     assert "rt/im/task_status" not in may_publish("client")
+    refused = {end for end in ends(machine) if not allowed(permissions(end[0]), *end[1:])}
+    assert refused <= {("client", "publish", "rt/im/task_status")}  # of nodes of tests that are tasks
+
+
+def ends(machine):
+    """Every end in the graph: enclave without ``/im/``, way, topic of DDS."""
+    node = machine.node
+    ways = {"publish": node.get_publishers_info_by_topic, "subscribe": node.get_subscriptions_info_by_topic}
+    enclaves = {task.node: f"{task.host}/{task.process}" for task in machine.tasks.values()}
+    enclaves["/bootstrap"] = "localhost/bootstrap"
+    of_participant = {
+        bytes(end.endpoint_gid)[:12]: enclaves[name]
+        for end in ways["publish"]("/rosout")
+        if (name := f"/{end.node_name}") in enclaves
+    }
+    assert set(of_participant.values()) == set(enclaves.values())
+    for topic, _ in node.get_topic_names_and_types(no_demangle=True):
+        for way, ask in ways.items():
+            for end in ask(topic, no_mangle=True):
+                yield of_participant.get(bytes(end.endpoint_gid)[:12], "client"), way, topic
 
 
 @pytest.fixture

@@ -133,6 +133,9 @@ def test_images_spots_and_data_objects(im):
     assert "client/greeting" not in im.dom
     with pytest.raises(MachineError, match="there is no data object 'none'"):
         _ = im.dom["none"]
+    for thing in (5, "hello", String):
+        with pytest.raises(MachineError, match="is no ROS message, as "):
+            im.dom["client/greeting"] = thing
 
 
 def test_a_refused_net_tells_the_firings_that_show_why(im):
@@ -146,3 +149,15 @@ def test_a_bag_is_recorded(im, tmp_path):
     with im.record(tmp_path / "bag"):
         im.run("home")
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    with pytest.raises(MachineError, match="cannot be made: File exists"), im.record(tmp_path / "bag"):
+        pytest.fail("goes on without a recorder")
+
+
+def test_a_machine_that_is_closed_says_so(im):
+    other = Machine.connect()
+    assert other.state.groups
+    other.run("home")
+    other.close()
+    for ask in (lambda: other.run("home"), lambda: other.state, lambda: other.under_way, lambda: other.dom["a"]):
+        with pytest.raises(MachineError, match="the connection is closed"):
+            ask()

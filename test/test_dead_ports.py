@@ -10,8 +10,9 @@ import threading
 import pytest
 from std_msgs.msg import Int32
 
+from im_core import dead_ports
 from im_core.ros.node import ManagedNode
-from im_core.shm_names import SHM
+from im_core.shm_names import SHM, lock
 
 LISTENER = """
 import rclpy
@@ -113,7 +114,13 @@ def deadly(listener):
     first.kill(between_messages=True)
 
 
-def test_fast_dds_still_leaves_the_next_process_deaf(listener, deadly):
+@pytest.fixture
+def without_renewal(monkeypatch):
+    """What Fast DDS does by itself."""
+    monkeypatch.setattr(dead_ports, "renew_ports", lambda: None)
+
+
+def test_fast_dds_still_leaves_the_next_process_deaf(without_renewal, listener, deadly):
     """Another test may hold the dead port for a moment, which the next process then passes over."""
     for _ in range(6):
         following = listener("Node")
@@ -121,6 +128,19 @@ def test_fast_dds_still_leaves_the_next_process_deaf(listener, deadly):
             return
         following.kill(between_messages=True)
     pytest.fail("each process heard: Fast DDS may be mended")
+
+
+@pytest.fixture
+def renewed_soon(monkeypatch):
+    """Nodes that look for removed ports twice a second."""
+    monkeypatch.setattr(dead_ports, "RENEWAL_S", 0.5)
+
+
+def test_a_node_finds_a_listener_in_bare_rclpy_that_took_a_dead_port(renewed_soon, listener, deadly):
+    for _ in range(4):
+        following = listener("Node")
+        assert following.hears()
+        following.kill(between_messages=True)
 
 
 @pytest.mark.parametrize(("kind", "times"), [("GuardedNode", 1), ("GuardedNode", 3), ("Connection", 2)])
@@ -141,3 +161,27 @@ def test_a_port_removed_while_a_process_writes_there_is_taken_without_a_word(lis
         (SHM / port).unlink()
         (SHM / f"{port}_el").unlink()
     assert listener("GuardedNode").told_first == []
+
+
+@pytest.fixture
+def unfinished():
+    """The ports of the domain that no process reads, as one leaves them that was killed while it made them."""
+    first, made = 7400 + 250 * int(os.environ["ROS_DOMAIN_ID"]), []  # as RTPS says
+    for number in range(first, first + 60):
+        port, held = SHM / f"fastrtps_port{number}", SHM / f"fastrtps_port{number}_el"
+        with contextlib.suppress(BlockingIOError):  # read by a process
+            with contextlib.suppress(FileNotFoundError):
+                os.close(lock(held))
+                held.unlink()
+            port.unlink(missing_ok=True)  # it may be in memory
+            port.touch()
+            os.utime(port, (0.0, 0.0))
+            made.append(port)
+    yield
+    for port in made:
+        port.unlink(missing_ok=True)
+
+
+@pytest.mark.parametrize("kind", ["GuardedNode", "Connection"])
+def test_a_process_begins_where_the_maker_of_its_port_was_killed(unfinished, kind):
+    Listener(kind).kill()

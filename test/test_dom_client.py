@@ -158,11 +158,12 @@ def test_what_is_below_a_name_is_forgotten_and_told_of(three, wait_until):
     assert mine.do(mine.dom.names("boss/")) == ["boss/12/a"]
 
 
-def test_a_client_remembers_no_more_than_it_can(three, monkeypatch):
+def test_a_client_remembers_no_more_than_it_can(three, monkeypatch, wait_until):
     monkeypatch.setattr("im_core.ros.dom.MOST_KNOWN", 2)
     dom, mine, _ = three
     for name in ("a", "b", "c"):
         mine.do(mine.dom.put(name, String(data=name)))
+        wait_until(lambda: (name, 1, True) in mine.changes, "the change")  # noqa: B023 - later it would be news
     calls = dom.calls
     assert [mine.do(mine.dom.get(name, String)).data for name in ("c", "b", "a")] == ["c", "b", "a"]
     assert dom.calls == calls + 1

@@ -177,6 +177,22 @@ def test_commands_end_in_the_version_in_which_they_began(arm, dispatcher, tmp_pa
         NodeRerun(stream, RosWorld(), RosMessages(), {"carry": parse_net(OLD)}).run()
 
 
+def test_a_command_that_needs_nothing_begins_in_the_new_version_beside_one_of_the_old(arm, dispatcher, wait_until):
+    free_of_needs = [text.replace('    needs: ["${arguments.side}_arm"]\n', "") for text in (OLD, NEW)]
+    old, new = (text.replace('acts_on: ["${arguments.side}_arm"]', "acts_on: []") for text in free_of_needs)
+    assert arm.load(old).success
+    arm.run("left")
+    wait_until(lambda: arm.versions() == [1], "the goal of the old version")
+    assert arm.load(new).success
+    arm.run("left")
+    wait_until(lambda: arm.versions() == [1, 2], "the goal of the new version")
+    refused = arm.run("left")
+    wait_until(refused.done, "the third command to be refused")
+    promise = in_loop(arm, refused.result().get_result_async)
+    wait_until(promise.done, "the end of the third command")
+    assert "carry is already running (begun)" in promise.result().result.status.message
+
+
 def test_a_former_version_hears_of_a_cancelled_and_an_abandoned_command(arm, dispatcher, wait_until):
     assert arm.load(OLD).success
     for side in ("left", "right"):

@@ -178,6 +178,18 @@ def test_a_service_that_raises_answers(clumsy, asker, name, kind):
     assert call_blocking(good, SetBool.Request(data=True), 60.0, "an answer").success
 
 
+def test_requests_that_are_refused_are_counted(ros, asker, wait_until):
+    node = GuardedNode("picky")
+    node.create_service(SetBool, "/picky/only_true", lambda request, _: SetBool.Response(success=request.data))
+    ros(node)
+    client = asker.create_client(SetBool, "/picky/only_true")
+    assert client.wait_for_service(60.0)
+    for refused, data in ((0, True), (1, False), (2, False)):
+        answer = client.call_async(SetBool.Request(data=data))
+        wait_until(answer.done, "the answer")
+        assert node.refused == refused
+
+
 def test_goals_whose_callbacks_raise_are_rejected_or_aborted(clumsy, asker, wait_until):
     client = GuardedActionClient(asker, ExecuteCommand, "/clumsy/do")
     assert client.wait_for_server(60.0)

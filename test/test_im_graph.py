@@ -3,6 +3,7 @@
 import contextlib
 import re
 import subprocess
+import sys
 import threading
 
 import pytest
@@ -260,6 +261,29 @@ def test_an_interruption_cancels_the_goal(im, oven):
     code, out, _ = im("action", "send_goal", *GOAL, "{command: {position: 5}}")
     assert (code, out.splitlines()[-1]) == (1, "Goal finished with status: CANCELED")
     assert oven.cancelled.is_set()
+
+
+KILN = """
+import rclpy
+from control_msgs.action import GripperCommand
+from rclpy.action import ActionServer
+rclpy.init()
+node = rclpy.create_node("kiln")
+def bake(goal):
+    print("baking", flush=True)
+    input()
+server = ActionServer(node, GripperCommand, "/kiln/door", bake)
+rclpy.spin(node)
+"""
+
+
+def test_the_end_of_a_goal_is_not_awaited_from_a_server_that_was_killed(im):
+    with subprocess.Popen(
+        [sys.executable, "-c", KILN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as kiln:
+        threading.Thread(target=lambda: kiln.stdout.readline() and kiln.kill(), daemon=True).start()
+        code, _, err = im("action", "send_goal", "/kiln/door", GOAL[1], "--timeout", "60")
+    assert (code, err) == (1, "im action: the server of /kiln/door is gone; the end of the goal is unknown\n")
 
 
 def test_nodes_are_listed_with_what_they_offer(im):

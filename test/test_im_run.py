@@ -11,7 +11,7 @@ from im_bringup.ros.run_command import show
 from im_core.errors import DataError
 from im_core.ros.messages.status import to_status
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import CommandState
+from im_msgs.msg import CommandState, Status
 from im_pnt.model.arguments import Argument, ArgumentSchema, ArgumentType
 
 WIDTH = Argument("width", ArgumentType.NUMBER, unit="m", minimum=0.0, maximum=0.08)
@@ -77,6 +77,13 @@ def test_a_command_that_is_under_way_is_offered_to_be_attached_to(state, told, m
             monkeypatch.setattr("sys.stdin", terminal)
             assert run_command.offered(under_way) is attaches
         os.close(reading)
+
+
+@pytest.mark.parametrize(("code", "offered"), [("state", 7), ("data", None)])
+def test_a_wrong_argument_is_no_reason_to_attach_to_a_command_of_that_name(code, offered):
+    under_way = [CommandState(command_id=number, symbol=symbol) for number, symbol in ((6, "home"), (7, "move"))]
+    found = run_command.same_under_way(under_way, "move", Status(code=code, message="no"))
+    assert (found and found.command_id) == offered
 
 
 @pytest.mark.parametrize(("answer", "abandons"), [("y\n", True), ("\n", False)])

@@ -698,7 +698,7 @@ def test_a_command_that_nothing_ends_is_abandoned_stays_so_and_its_net_is_replac
     wait_until(lambda: outcomes, "the end of the command")
     assert (outcomes[0].success, outcomes[0].status.code) == (False, "abandoned")
     assert outcomes[0].status.message.startswith("abandoned by the operator; it held: hang.chosen")
-    assert "no command has the number 1" in ask("abandon").message
+    assert "go (number 1) has ended" in ask("abandon").message
     in_loop(node, lambda: node.spawn(node.load_net(parse_net(HANG.replace("guard: may_leave", "priority: 1")))))
     wait_until(lambda: node.exchange.nets["hang"].written.guards() == frozenset(), "the net that took its place")
     node.spawn(run())

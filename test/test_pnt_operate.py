@@ -355,7 +355,7 @@ def test_a_net_is_replaced_when_it_comes_to_rest_and_else_it_is_said_what_keeps_
     operator.until(lambda: operator.markings["walker"].in_doubt, "the doubt")
     refusal = walker.load(changed)
     assert "its commands cannot go on in a former version: its transition give_up looks for the absence" in refusal
-    assert "net walker is not at rest and cannot be replaced now" in refusal
+    assert "net walker is not at rest and stays as it is" in refusal
     assert "function walk of transition walk is in doubt" in refusal
     assert "command go (number 1) is open" in refusal
     threading.Timer(0.5, lambda: operator.ask("resolve", "walk=done")).start()

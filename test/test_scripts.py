@@ -62,9 +62,22 @@ def test_recover_helps_and_says_that_no_machine_runs():
     assert (done.returncode, done.stderr.startswith(sentence)) == (3, True), done.stderr
 
 
-def test_ctrl_c_ends_a_subcommand_without_a_traceback_from_its_first_moment():
-    run = ["env", "--block-signal=INT", "bash", "-c", 'kill -INT $$; exec "$0" topic list', ROOT / "scripts" / "im"]
-    done = subprocess.run(run, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(
+    "line",
+    [
+        "im topic list",
+        "bag_report.sh none",
+        "calibrate_camera.sh",
+        "record.sh",
+        "replay.sh none",
+        "run.sh im_mcs model",
+        "start.sh none.yaml",
+        "stop.sh",
+    ],
+)
+def test_ctrl_c_ends_a_script_without_a_traceback_from_its_first_moment(line):
+    run = ["env", "--block-signal=INT", "bash", "-c", f"kill -INT $$; exec scripts/{line}"]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 

@@ -20,7 +20,7 @@ NODES = (
     "im_sim.ros.node",
     "im_vss.ros.node",
 )
-PARTS = ("linalg", "ndimage", "optimize", "sparse", "spatial", "stats")
+PARTS = ("linalg", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
 LATER = ("matplotlib", "rosbags", *(f"scipy.{part}" for part in PARTS))
 #: The supervisor only waits, all the time that the machine runs.
 SUPERVISOR = "im_bringup.machine.supervisor"

@@ -185,8 +185,8 @@ def test_the_robot_of_the_tutorial_goes_where_it_is_told_and_stands_when_power_g
             driver.write(Drive(begin + 0.2, True, free, NOTHING, True, NOTHING))
             clock.sleep(0.008)
         np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
-        for _ in range(50):
-            driver.write(Drive(begin, False, free, NOTHING, True, NOTHING))
+        for _ in range(50):  # the servo gives the place of a joint that it does not drive
+            driver.write(Drive(driver.read().q, False, free, NOTHING, True, NOTHING))
             clock.sleep(0.008)
         np.testing.assert_allclose(driver.read().q, begin + 0.2, atol=2e-3)
     finally:

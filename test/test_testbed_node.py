@@ -60,10 +60,10 @@ def test_a_session(run_folder):
         until(lambda: node.ready or node.failed)
         assert node.ready, node.failed
 
-        answer = call_blocking(set_light, SetLight.Request(name="left_led", on=True), 5.0, "light")
+        answer = call_blocking(set_light, SetLight.Request(name="left_led", on=True), 60.0, "light")
         assert (answer.success, answer.message) == (True, "left_led is on")
         until(lambda: lights and lights[-1] == {"left_led": True, "right_led": False})
-        answer = call_blocking(set_light, SetLight.Request(name="left_lamp", on=True), 5.0, "light")
+        answer = call_blocking(set_light, SetLight.Request(name="left_lamp", on=True), 60.0, "light")
         assert not answer.success
         assert "there is no light 'left_lamp'; did you mean 'left_led'?" in answer.message
 
@@ -71,14 +71,14 @@ def test_a_session(run_folder):
             exposure = camera.expose(2, blank_light=False, timeout_s=60.0)
         assert exposure.light_fraction == {"left_led": 1.0, "right_led": 0.0}
 
-        answer = call_blocking(advance, Advance.Request(duration=0.45), 5.0, "time")
+        answer = call_blocking(advance, Advance.Request(duration=0.45), 60.0, "time")
         assert answer.success, answer.message
         assert answer.stamp.nanosec == 102 * 4_500_000
         until(lambda: clocks and clocks[-1] == answer.stamp)
-        answer = call_blocking(advance, Advance.Request(duration=-1.0), 5.0, "time")
+        answer = call_blocking(advance, Advance.Request(duration=-1.0), 60.0, "time")
         assert (answer.success, answer.message) == (False, "duration -1.0 of /testbed is not between 0 and 3600")
 
-        answer = call_blocking(get_truth, GetTruth.Request(), 5.0, "truth")
+        answer = call_blocking(get_truth, GetTruth.Request(), 60.0, "truth")
         truth = json.loads(answer.json)
         assert truth["seed"] == 4
         assert set(truth["cameras"]) == {"ceiling_left", "ceiling_right", "wall", "table", "wrist_left"}
@@ -100,7 +100,7 @@ def test_faults_and_objects_by_service(run_folder):
 
         def broken(fault, joint, active):
             request = InjectFault.Request(fault=fault, joint=joint, active=active)
-            answer = call_blocking(inject, request, 5.0, "fault")
+            answer = call_blocking(inject, request, 60.0, "fault")
             panel.wait_tick(panel.request_time(1), timeout_s=60.0)
             return answer.success, answer.message
 
@@ -113,10 +113,10 @@ def test_faults_and_objects_by_service(run_folder):
         assert "there is no joint 'left_j9'; did you mean" in message
 
         request = PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4, mass=0.2)
-        assert call_blocking(put, request, 5.0, "object").success
+        assert call_blocking(put, request, 60.0, "object").success
         panel.wait_tick(panel.request_time(1), timeout_s=60.0)
         assert panel.objects()[0].mass == 0.2
-        answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 5.0, "object")
+        answer = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=-1.0), 60.0, "object")
         assert not answer.success
         assert "width and stiffness are > 0" in answer.message
         for end in ends:
@@ -157,7 +157,7 @@ def test_services_of_an_unconfigured_testbed_answer(run_folder):
     assert node.get_parameter("standalone").type_ == Parameter.Type.BOOL
     client = node.create_client(SetLight, "/testbed/set_light")
     with spin_in_thread(node):
-        answer = call_blocking(client, SetLight.Request(name="left_led", on=True), 5.0, "light")
+        answer = call_blocking(client, SetLight.Request(name="left_led", on=True), 60.0, "light")
     assert (answer.success, answer.message) == (False, "the testbed is not configured yet")
 
 
@@ -177,12 +177,12 @@ def test_free_bodies_are_placed_by_name(run_folder, monkeypatch):
             request = PlaceObject.Request(name=name)
             request.pose.position.x, request.pose.position.y, request.pose.position.z = x, 1.2, 0.82
             request.pose.orientation.w = w
-            answer = call_blocking(place, request, 5.0, "object")
+            answer = call_blocking(place, request, 60.0, "object")
             panel.wait_tick(panel.request_time(20), timeout_s=60.0)
             return answer.success, answer.message
 
         assert placed("can", 0.6) == (True, "can is at (0.6, 1.2, 0.82) m")
-        truth = json.loads(call_blocking(get_truth, GetTruth.Request(), 5.0, "truth").json)
+        truth = json.loads(call_blocking(get_truth, GetTruth.Request(), 60.0, "truth").json)
         assert truth["objects"]["can"][:3] == pytest.approx([0.6, 1.2, 0.82], abs=1e-3)
         for refused, why in (
             (placed("cup", 0.6), "there is no object 'cup'"),
@@ -191,7 +191,7 @@ def test_free_bodies_are_placed_by_name(run_folder, monkeypatch):
         ):
             assert not refused[0]
             assert why in refused[1]
-        held = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4), 5.0, "object")
+        held = call_blocking(put, PutInJaws.Request(gripper="left_gripper", width=0.05, stiffness=1e4), 60.0, "object")
         assert not held.success
         assert "this cell has free bodies" in held.message
         panel.close()

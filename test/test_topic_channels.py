@@ -86,7 +86,7 @@ def test_a_joint_that_is_driven_no_more_is_told_to_stand_where_it_was_then_left_
     wait_until(lambda: robot.drive([0.5, 0.0]) or {"x": 0.5} in robot.heard, "a position")
     assert all(set(each) == {"x"} for each in robot.heard)
     wait_until(lambda: robot.tell(0.3, 0.2) or robot.received()["q"][0] == 0.3, "the place where it is")
-    wait_until(lambda: robot.drive([0.5, 0.0], (False, False)) or {"x": 0.3} in robot.heard, "the place to stand")
+    wait_until(lambda: robot.drive([np.nan, np.nan], (False, False)) or {"x": 0.3} in robot.heard, "the place to stand")
     robot.tell(0.25, 0.2)  # what it does then is its own affair: the place stays
     count = -1
     while count != len(robot.heard):
@@ -94,6 +94,19 @@ def test_a_joint_that_is_driven_no_more_is_told_to_stand_where_it_was_then_left_
         robot.drive([0.7, 0.0], (False, False))
         clock.sleep(0.7)
     assert robot.heard[-1] == {"x": 0.3}
+
+
+def test_a_joint_that_is_driven_no_more_is_told_to_stand_where_mcs_says(robot, wait_until):
+    """A reading that has leapt is no place to go to."""
+    robot = robot(kind="position")
+    wait_until(lambda: robot.tell(0.1, 0.2) or robot.received()["at"].all(), "the robot to be heard")
+    wait_until(lambda: robot.drive([0.1, np.nan]) or {"x": 0.1} in robot.heard, "a position")
+    wait_until(lambda: robot.tell(30.0, 0.2) or robot.received()["q"][0] == 30.0, "a reading that has leapt")
+    for _ in range(20):
+        robot.drive([0.11, np.nan], (False, False))
+        clock.sleep(0.02)
+    wait_until(lambda: {"x": 0.11} in robot.heard, "the place to stand")
+    assert {"x": 30.0} not in robot.heard
 
 
 def test_a_velocity_ends_with_zero_also_when_its_driver_hangs(robot, wait_until):
@@ -106,19 +119,19 @@ def test_a_velocity_ends_with_zero_also_when_its_driver_hangs(robot, wait_until)
 def test_a_controller_is_told_all_of_its_joints_in_its_own_order(robot, wait_until):
     robot = robot(kind="position", order=["y", "x"])
     wait_until(lambda: robot.tell(0.1, 0.2) or robot.received()["at"].all(), "the robot to be heard")
-    wait_until(lambda: robot.drive([0.5, 0.0]) or {"y": 0.2, "x": 0.5} in robot.heard, "positions")
-    robot.drive([np.nan, 0.0])
-    wait_until(lambda: robot.drive([0.6, 0.0]) or {"y": 0.2, "x": 0.6} in robot.heard, "the next ones")
+    wait_until(lambda: robot.drive([0.5, np.nan]) or {"y": 0.2, "x": 0.5} in robot.heard, "positions")
+    robot.drive([np.nan, np.nan])
+    wait_until(lambda: robot.drive([0.6, np.nan]) or {"y": 0.2, "x": 0.6} in robot.heard, "the next ones")
     assert all(np.isfinite(list(each.values())).all() and len(each) == 2 for each in robot.heard)
 
 
 def test_a_controller_without_a_place_to_stand_is_told_nothing(robot, wait_until):
     robot = robot(kind="position", order=JOINTS)
     for _ in range(20):
-        robot.drive([0.5, 0.0])  # of y nothing has been heard
+        robot.drive([0.5, np.nan])  # of y nothing has been heard
         clock.sleep(0.02)
     assert robot.heard == []
-    wait_until(lambda: robot.tell(0.1, 0.2) or robot.drive([0.5, 0.0]) or robot.heard, "positions")
+    wait_until(lambda: robot.tell(0.1, 0.2) or robot.drive([0.5, np.nan]) or robot.heard, "positions")
     assert robot.heard[0] == {"x": 0.5, "y": 0.2}
 
 

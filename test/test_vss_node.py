@@ -21,7 +21,6 @@ from visualization_msgs.msg import MarkerArray
 from im_cell.calibration_files import read_calibration
 from im_cell.camera_model import CameraModel
 from im_cell.robot import load_cell
-from im_core import clock
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_msgs.msg import Observation, Spot
@@ -117,11 +116,10 @@ def test_reflections_are_handed_on_as_candidates(machine, monkeypatch):
 
 def test_images_infos_and_marker(machine):
     machine.light(on=True)
-    raw = machine.listen(Image, "/ceiling_left/image_raw", qos.SENSOR)
-    info = machine.listen(CameraInfo, "/ceiling_left/camera_info", qos.SENSOR)
+    raw = machine.listen(Image, "/ceiling_left/image_raw", qos.IMAGES)
+    info = machine.listen(CameraInfo, "/ceiling_left/camera_info", qos.IMAGES)
     spots = machine.listen(PointStamped, "/ceiling_left/spot", qos.EVENTS)
-    shown = machine.listen(Image, "/ceiling_left/image_display", qos.SENSOR)
-    clock.sleep(0.5)
+    shown = machine.listen(Image, "/ceiling_left/image_display", qos.IMAGES)
     answer = machine.call(SpotFind, "/vss/spot_find", cameras=["ceiling_left"])
     machine.until(lambda: len(raw) == 2 and len(info) == 2 and len(shown) == 1 and len(spots) == 1)
     assert [image.header for image in raw] == [camera.header for camera in info]

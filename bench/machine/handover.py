@@ -124,9 +124,11 @@ def _hand_over(machine: Machine, seed: int, victims: tuple[str, ...]) -> Ended:
         print(f"{told}: {failure}; the part is {'safe' if safe else 'NOT safe'}{named}", flush=True)
         subprocess.run([ROOT / "scripts/im", "recover"], capture_output=True, check=False)
         return Ended(None, safe=bool(safe), told=true)
-    off = 1e3 * math.dist(place[:3], (*to, UPRIGHT_M))
+    along = [1e3 * (there - wanted) for there, wanted in zip(place[:3], (*to, UPRIGHT_M), strict=True)]
+    off = math.hypot(*along)
     about = max(abs((angle + 45.0) % 90.0 - 45.0) for angle in turned.tolist())
-    print(f"{told}: {off:.1f} mm, {about:.2f} degrees off", flush=True)
+    axes = ", ".join(f"{each:.1f}" for each in along)
+    print(f"{told}: {off:.1f} mm ({axes}), {about:.2f} degrees off", flush=True)
     return Ended(off, about)
 
 

@@ -220,9 +220,10 @@ def run_machine():
 
 
 @pytest.fixture
-def without_testbed():
-    """Starts MCS alone, with parameters; a client."""
-    with contextlib.ExitStack() as stack:
+def without_testbed(tmp_path):
+    """Starts MCS alone, with parameters; a client. An emergency stop does not outlive the test."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        patch.setenv("IM_RUN_DIR", str(tmp_path))
         yield lambda **parameters: stack.enter_context(_machine(McsNode, parameters=parameters))
 
 

@@ -21,14 +21,14 @@ def inject(client):
 
     def call(fault, joint="", active=True, duration=0.0):
         request = InjectFault.Request(fault=fault, joint=joint, active=active, duration=duration)
-        answer = call_blocking(service, request, 5.0, "fault")
+        answer = call_blocking(service, request, 60.0, "fault")
         assert answer.success, answer.message
         broken.append((fault, joint))
 
     yield call
     for fault, joint in broken:
         if fault != "stall":
-            call_blocking(service, InjectFault.Request(fault=fault, joint=joint, active=False), 5.0, "fault")
+            call_blocking(service, InjectFault.Request(fault=fault, joint=joint, active=False), 60.0, "fault")
 
 
 def check_evidence(message, joint=""):
@@ -90,7 +90,7 @@ def test_power_that_does_not_come_is_said_and_changes_nothing(client, inject):
     inject("power_loss")
     answer = client.trigger("power_on")
     assert not answer.success
-    assert client.state() == "reserved"
+    client.until(lambda: client.state() == "reserved")
     assert client.lifecycle() == "inactive"
     inject("power_loss", active=False)
     assert client.trigger("power_on").success

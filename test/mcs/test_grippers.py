@@ -37,7 +37,7 @@ def put(hand):
 
     def call(width):
         request = PutInJaws.Request(gripper="left_gripper", width=width, stiffness=1e4, mass=0.1)
-        answer = call_blocking(service, request, 5.0, "object")
+        answer = call_blocking(service, request, 60.0, "object")
         assert answer.success, answer.message
 
     yield call

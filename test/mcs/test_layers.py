@@ -81,7 +81,7 @@ def test_a_tare_lets_the_wrench_of_a_wrist_begin_at_zero_and_slots_as_they_are(r
 
 def test_the_owner_drives_setpoints(client):
     client.to_motion(owner="me")
-    assert client.status().owner == "me"
+    client.until(lambda: client.status().owner == "me")
     publisher = client.talk(SetpointCommand, "/left/command/setpoints")
     start = np.array(client.group_state().q_rest)
     target = start + 0.1 * np.eye(9)[3]

@@ -98,6 +98,7 @@ def test_a_law_takes_over_in_the_middle_of_a_motion(ready):
         ("left", "", "{bandwith_rad_s: 40.0}", "did you mean 'bandwidth_rad_s'"),
         ("left", "", "{bandwidth_rad_s: [", "parameters"),
         ("left", "", "40.0", "parameters"),
+        ("left", "", "{bandwidth_rad_s: .nan}", "bandwidth_rad_s: nan has a number that is not finite"),
     ):
         given = {"group": group, "controller": controller, "parameters": parameters}
         answer = ready.call(SetController, "set_controller", **given)

@@ -153,8 +153,8 @@ def test_a_process_is_known_by_the_header_of_its_request(client, newcomer):
     one, two = newcomer("one"), newcomer("two")
     for user in (one, two, one):
         asked = user.node.create_client(ReserveGroup, "/who")
-        assert asked.wait_for_service(5.0)
-        assert asked.call(ReserveGroup.Request(), timeout_sec=5.0).success
+        assert asked.wait_for_service(60.0)
+        assert asked.call(ReserveGroup.Request(), timeout_sec=60.0).success
     client.mcs.destroy_service(service)
     assert seen[0] == seen[2] != seen[1]
     assert client_identity.nodes_of(client.node, seen[0]) == ("/one",)
@@ -180,18 +180,18 @@ def test_one_moves_while_another_comes_and_goes(client, newcomer):
     ann, bob = newcomer("ann"), newcomer("bob")
     ann.to_motion("left", owner="ann")
     handle, result = ann.start_far_move(speed_scale=0.02)
-    assert states_of(client) == {"left": ("motion", False), "right": ("cold", True)}
+    client.until(lambda: states_of(client) == {"left": ("motion", False), "right": ("cold", True)})
     assert bob.call(ReserveGroup, "reserve", group="right", owner="bob").success
     for name, state, brakes in (("power_on", "active", True), ("enable_motion", "motion", False)):
         answer = bob.trigger(name)
         assert answer.success, answer.message
-        assert states_of(client) == {"left": ("motion", False), "right": (state, brakes)}
+        client.until(lambda: states_of(client) == {"left": ("motion", False), "right": (state, brakes)})  # noqa: B023
     moved = bob.move(RIGHT - 0.05 * (RIGHT > 1.0), group="right")
     assert moved.success, moved.status.message
     for name, said in (("disable_motion", "active"), ("power_off", "reserved")):
         answer = bob.call(GroupCommand, f"group/{name}", group="right")
         assert answer.success, answer.message
-        assert states_of(client) == {"left": ("motion", False), "right": (said, True)}
+        client.until(lambda: states_of(client) == {"left": ("motion", False), "right": (said, True)})  # noqa: B023
     assert client.states[-1].state == "motion"
     assert client.states[-1].power
     assert client.lifecycle() == "active"
@@ -218,7 +218,7 @@ def test_nobody_takes_power_or_brakes_from_another_s_group(client, newcomer):
     )
     for name in ("disable_motion", "power_off"):  # a Trigger is for what is the caller's
         assert bob.trigger(name).success
-    assert states_of(client) == {"left": ("motion", False), "right": ("reserved", True)}
+    client.until(lambda: states_of(client) == {"left": ("motion", False), "right": ("reserved", True)})
     assert result().success
     assert ann.trigger("disable_motion").success
     assert "group 'left' is driven by its owner 'ann' only" in newcomer("eve").trigger("power_off").message
@@ -235,9 +235,9 @@ def test_an_emergency_stop_is_of_all_groups(client, newcomer):
     assert newcomer("eve").trigger("estop").success
     for result in (first, second):
         assert "emergency stop: request on /mcs/estop" in result().status.message
-    assert states_of(client) == {"left": ("estopped", True), "right": ("estopped", True)}
+    client.until(lambda: states_of(client) == {"left": ("estopped", True), "right": ("estopped", True)})
     assert client.trigger("reset").success
-    assert states_of(client) == {"left": ("cold", True), "right": ("cold", True)}
+    client.until(lambda: states_of(client) == {"left": ("cold", True), "right": ("cold", True)})
 
 
 def test_a_client_that_dies_loses_its_own_group_alone(client, newcomer):

@@ -13,6 +13,7 @@ from rcl_interfaces.srv import SetParameters
 from std_msgs.msg import Float64MultiArray
 
 from im_core.ros import qos
+from im_msgs.action import Move
 from im_msgs.srv import ReserveGroup
 
 #: So long a velocity holds here, by testbed time, which runs as fast as it can: a stranger must come round meanwhile.
@@ -81,6 +82,16 @@ def test_a_joint_jog_of_some_joints_moves_them_and_stops_by_itself(ready, talk, 
     assert moved[6] == pytest.approx(-0.4 * moved[8], abs=1e-3)
     np.testing.assert_allclose(moved[[0, 1, 2, 3, 4, 5, 7]], 0.0, atol=1e-3)
     assert refused("delta_joint_cmds") == refusals  # silence is how a jog ends
+
+
+def test_a_move_that_takes_over_from_a_jog_is_no_refusal(ready, talk, refused):
+    refusals = refused("delta_joint_cmds")
+    talk("delta_joint_cmds", joint_jog(["left_j6"], [0.05]))
+    ready.until(lambda: ready.status().moving)
+    assert ready.move(ready.home, policy=Move.Goal.REPLACE).success
+    later = ready.listen(DiagnosticArray, "/diagnostics")
+    ready.until(lambda: any(status.name.startswith("mcs") for message in later for status in message.status))
+    assert refused("delta_joint_cmds") == refusals
 
 
 def test_a_twist_moves_the_wrist_along_its_own_axis(ready, talk):

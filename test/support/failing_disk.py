@@ -15,20 +15,24 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from im_core.errors import ImError
+from im_pnt.errors import DamagedJournalError
 
 Say = Callable[[object], None]
 _ALLOCATIONS = 200
 """Of a story so many fail, spread over all of them."""
 
 
-def attempt(say: Say, what: object, work: Callable[[], object]) -> bool:
-    """Say that something is tried, and that it is done; return whether it is."""
+def attempt(
+    say: Say, what: object, work: Callable[[], object], told: type[Exception] | tuple[type[Exception], ...] = ImError
+) -> bool:
+    """Say that something is tried, and that it is done; return whether it is. A failure is told by certain errors."""
     say(["tried", what])
     try:
         work()
-    except ImError:
+    except told:
         return False
     say(["done", what])
     return True
@@ -40,12 +44,18 @@ class Dom:
     STEPS = (("a", "one"), ("b", "two"), ("a", "three"), ("a", "four"), ("b", "five"))
 
     @staticmethod
-    def tell(folder: Path, say: Say) -> None:
+    def opened(folder: Path) -> Any:
+        """Return the store, or None where it is refused."""
         from im_dom.store import ObjectStore
 
         try:
-            store = ObjectStore(folder / "dom.sqlite")
+            return ObjectStore(folder / "dom.sqlite")
         except ImError:
+            return None
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        if (store := Dom.opened(folder)) is None:
             return
         for name, data in Dom.STEPS:
             attempt(
@@ -70,6 +80,25 @@ class Dom:
             done = [data for how, (of, data) in said if how == "done" and of == name]
             newest = tried[tried.index(done[-1]) :] if done else [None, *tried]
             assert found.get(name) in newest, f"{name}: {found.get(name)} instead of one of {newest}"
+
+
+class Reopened(Dom):
+    """Data objects that are there already: what a disk that fails once has refused is no damage."""
+
+    @staticmethod
+    def prepare(folder: Path) -> None:
+        Dom.tell(folder, lambda _: None)
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        if (store := Dom.opened(folder)) is None:
+            return
+        assert not store.aside, store.aside
+        attempt(say, ["a", "six"], lambda: store.put("a", "t/msg/T", b"six", "", "", 0))
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        Dom.check(folder, [[how, list(step)] for step in Dom.STEPS for how in ("tried", "done")] + said)
 
 
 class Journal:
@@ -115,6 +144,109 @@ class Journal:
         lost = [number for number in done if isinstance(number, int) and number >= first and number not in batches]
         assert not lost, f"{lost} of {done} lost; {batches} are there"
         assert batches == sorted(batches)
+
+
+class JournalReopened(Journal):
+    """A journal that is there already: what cannot be read once is neither damaged nor begun anew."""
+
+    @staticmethod
+    def prepare(folder: Path) -> None:
+        Journal.tell(folder, lambda _: None)
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_pnt_node.journal.folder import Folder
+        from im_pnt_node.journal.log import Log, Sync
+
+        try:
+            files = Folder(folder / "journal")
+            files.lock()
+            log = Log(files, Sync.DISK)
+            recovered = log.recover()
+        except DamagedJournalError:
+            raise
+        except ImError:
+            return
+        assert recovered is not None
+        assert [batch for _, batch in recovered.batches] == [[3], [4], [5]]
+        for number in (6, 7):
+            attempt(say, [number], lambda number=number: log.append(f"[{number}]"))
+        log.close()
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        before = [[0], [1], [2], ["snapshot"], [3], [4], [5]]
+        Journal.check(folder, [[how, what] for what in before for how in ("tried", "done")] + said)
+
+
+class Strategies:
+    """Experience with strategies that is there already."""
+
+    @staticmethod
+    def outcome(name: str) -> Any:
+        from im_pnt.execution.strategies import DONE, StrategyOutcome
+        from im_pnt.model.net import Strategy
+
+        return StrategyOutcome(name, Strategy(decay=1.0), DONE, ())
+
+    @staticmethod
+    def prepare(folder: Path) -> None:
+        from im_pnt_node.journal.strategies import StrategyStore
+
+        StrategyStore(folder / "strategies.json", print).outcome(Strategies.outcome("n.t"))
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        from im_pnt_node.journal.strategies import StrategyStore
+
+        def refuse(text: str) -> None:
+            raise AssertionError(text)
+
+        try:
+            store = StrategyStore(folder / "strategies.json", refuse)
+        except ImError:
+            return
+        for _ in range(3):
+            attempt(say, 1, lambda: store.outcome(Strategies.outcome("n.t")), (ImError, OSError))
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_pnt_node.journal.strategies import read_experience
+
+        assert not list(folder.glob("*damaged*"))
+        done = [how for how, _ in said].count("done")  # one of which the disk failed at the very end may count twice
+        successes = read_experience(folder / "strategies.json")["n.t"].successes
+        assert successes >= 1 + done, f"{successes} after {said}"
+
+
+class Calibration:
+    """Camera files changed together: all of one calibration are in force."""
+
+    @staticmethod
+    def change(folder: Path, version: int) -> None:
+        from im_cell.calibration_files import change_camera_files
+
+        change_camera_files(folder, dict.fromkeys(("left.yaml", "right.yaml"), str(version)))
+
+    @staticmethod
+    def prepare(folder: Path) -> None:
+        Calibration.change(folder, 0)
+
+    @staticmethod
+    def tell(folder: Path, say: Say) -> None:
+        for version in (1, 2, 3):
+            attempt(say, version, lambda version=version: Calibration.change(folder, version), (ImError, OSError))
+
+    @staticmethod
+    def check(folder: Path, said: list[list[object]]) -> None:
+        from im_cell.calibration_files import camera_files
+
+        in_force = {path.name: int(path.read_text()) for path in camera_files(folder)}
+        assert set(in_force) == {"left.yaml", "right.yaml"}, in_force
+        assert len(set(in_force.values())) == 1, in_force
+        tried = [version for how, version in said if how == "tried"]
+        newest = max([version for how, version in said if how == "done"], default=0)
+        assert in_force["left.yaml"] in {newest, *(version for version in tried if version > newest)}, in_force
 
 
 class Bag:
@@ -206,7 +338,8 @@ class Ended:
         assert set(ended.newest(3)) <= {number for how, number in said if how == "tried"}
 
 
-STORES = {kind.__name__.lower(): kind for kind in (Dom, Journal, Bag, Results, Ended)}
+_STORES = (Dom, Reopened, Journal, JournalReopened, Strategies, Calibration, Bag, Results, Ended)
+STORES = {kind.__name__.lower(): kind for kind in _STORES}
 
 
 def in_child(
@@ -251,7 +384,7 @@ def stories(kind: type, folder: Path) -> Iterator[str]:
     def story(name: str, arm: Callable[[], None], may_be_told: bool) -> tuple[int, int]:
         place = folder / "place"
         shutil.rmtree(place, ignore_errors=True)
-        place.mkdir()
+        shutil.copytree(prepared, place)
         said, counts = in_child(arm, kind.tell, place)
         broken = [why for how, why in said if how == "broken"]
         assert may_be_told or not broken, f"{kind.__name__}, {name}: {broken[0]}"
@@ -261,8 +394,10 @@ def stories(kind: type, folder: Path) -> Iterator[str]:
             raise AssertionError(f"{kind.__name__}, {name}, after {said}: {error}") from error
         return counts
 
-    warm = folder / "warm"
-    warm.mkdir()
+    prepared, warm = folder / "prepared", folder / "warm"
+    prepared.mkdir()
+    getattr(kind, "prepare", lambda _: None)(prepared)
+    shutil.copytree(prepared, warm)
     kind.tell(warm, lambda _: None)  # what it loads and makes once is there in each child
     place = str(folder / "place").encode()
 

@@ -11,6 +11,7 @@ from typing import Any, Self, TypeVar
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -20,7 +21,7 @@ from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
 from im.waits import wait_for
-from im_core.dead_ports import passed_over
+from im_core.dead_ports import RENEWAL_S, passed_over, renew_ports
 
 ResultT = TypeVar("ResultT")
 
@@ -52,6 +53,7 @@ class Connection:
         self.domain = int(self._context.get_domain_id())
         with passed_over():
             self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)
+        self.node.create_timer(RENEWAL_S, renew_ports, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}
@@ -125,6 +127,8 @@ class Connection:
         """Call a function in the thread of the connection: each request is noted before the answer."""
         if threading.current_thread() is self._thread:
             return function()
+        if self._closing:
+            raise MachineError("the connection is closed")
         outcome: concurrent.futures.Future[ResultT] = concurrent.futures.Future()
 
         def carry() -> None:
@@ -156,12 +160,16 @@ class Connection:
 
         Raises:
             UnreachableError: The condition does not hold in time.
+            MachineError: The connection is closed.
         """
         deadline = time.monotonic() + timeout
-        while not ready():
+        while not self._closing:
+            if ready():
+                return
             if time.monotonic() > deadline:
                 raise UnreachableError(f"waited {timeout:g} s in vain for {what} in ROS domain {self.domain}")
             time.sleep(_POLL_S)
+        raise MachineError("the connection is closed")
 
     def count(self) -> int:
         """Return a number unique among the requests of the process."""

@@ -354,19 +354,19 @@ class Machine:
             [_program("im_bag", "record"), "-o", str(folder)],
             env=environment,
             stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
+            stderr=subprocess.PIPE,
             text=True,
         )
         assert recorder.stdout is not None
-        first = recorder.stdout.readline()  # said once it records
+        begun = recorder.stdout.readline()  # said once it records; faults are said on the other stream
         try:
-            if recorder.poll() is None:
+            if begun:
                 yield
         finally:
-            with contextlib.suppress(ProcessLookupError):
+            if begun:
                 recorder.send_signal(signal.SIGINT)
-            told = first + recorder.communicate()[0]
-        if recorder.returncode not in (0, 130):
+            told = recorder.communicate()[1]
+        if not begun or recorder.returncode not in (0, 130):
             raise MachineError(told.strip() or f"the recorder ended with {recorder.returncode}", "record")
 
     def control(self, number: int, request: str) -> str:

@@ -98,6 +98,13 @@ def _type(name: str) -> Any:
 
 
 def _data(message: Any) -> dict[str, Any]:
+    """Return type and bytes of a message.
+
+    Raises:
+        MachineError: It is no message.
+    """
+    if not hasattr(type(message), "get_fields_and_field_types"):
+        raise MachineError(f"{message!r:.60} is no ROS message, as std_msgs.msg.String(data='x') is", "argument")
     package, _, rest = type(message).__module__.partition(".")
     kind = f"{package}/{rest.partition('.')[0]}/{type(message).__name__}"
     return {"type": kind, "data": array("B", serialize_message(message))}

@@ -149,7 +149,10 @@ def _reader(kind: str, unit: str) -> Callable[[str], object]:
     def quantity(text: str) -> float:
         number = text.removesuffix(unit)
         prefix = number[-1:] if number != text and number[-1:] in _PREFIXES else ""
-        return finite_number(number.removesuffix(prefix)) * _PREFIXES.get(prefix, 1.0)
+        try:
+            return finite_number(number.removesuffix(prefix)) * _PREFIXES.get(prefix, 1.0)
+        except argparse.ArgumentTypeError as error:
+            raise argparse.ArgumentTypeError(f"{text[:60]} is not a finite number [{unit}]") from error
 
     return quantity
 

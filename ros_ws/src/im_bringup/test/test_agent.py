@@ -201,7 +201,7 @@ def test_a_process_of_several_tasks_gets_the_parameters_of_each(tmp_path, monkey
           oven: {package: lab, executable: oven, node: /oven, parameters: {heat: 200.0}}
           scale: {package: lab, executable: scale, node: /scale, parameters: {use_sim_time: false}}
         bar:
-          mixer: {package: lab, executable: scale, node: /bar/mixer}
+          mixer: {package: lab, executable: scale, node: /mixer}
     """
     kitchen, bar = commands(parse_model(text, Deployment, name="d.yaml"), "localhost", tmp_path)
     assert (kitchen.name, kitchen.tasks, bar.tasks) == ("kitchen", ("oven", "scale"), ("mixer",))
@@ -216,7 +216,7 @@ def test_a_process_of_several_tasks_gets_the_parameters_of_each(tmp_path, monkey
         "/oven": {"ros__parameters": {**given, "heat": 200.0}},
         "/scale": {"ros__parameters": {**given, "use_sim_time": False}},
     }
-    assert yaml.safe_load(Path(bar.argv[-1]).read_text()) == {"/bar/mixer": {"ros__parameters": given}}
+    assert yaml.safe_load(Path(bar.argv[-1]).read_text()) == {"/mixer": {"ros__parameters": given}}
 
 
 def test_the_last_words_are_those_of_the_process_that_died(tmp_path):

@@ -12,17 +12,17 @@ from im_cell.robot import cell_file
 from im_core.config import package_file, parse_model
 from im_core.errors import ConfigError, DataError, NotFoundError
 
-TASK = "{package: im_dom, executable: dom, node: /%s, parameters: %s}"
+TASK = "{package: im_dom, executable: %s, node: /%s, parameters: %s}"
 
 
 def machine(hosts):
     """A deployment from ``{host: {process: {task: parameters}}}``, as YAML text."""
     lines = ["seed: 3", "hosts:"]
     for host, processes in hosts.items():
-        lines.append(f"  {host}:")
+        lines.append(f"  {host}: {'' if processes else '{}'}")
         for process, tasks in processes.items():
             lines.append(f"    {process}: {'' if tasks else '{}'}")
-            lines += [f"      {name}: {TASK % (name, parameters)}" for name, parameters in tasks.items()]
+            lines += [f"      {name}: {TASK % (name, name, parameters)}" for name, parameters in tasks.items()]
     return "\n".join(lines)
 
 
@@ -231,6 +231,14 @@ def test_a_task_may_refuse_simulated_time_and_telling_what_it_carries():
         ),
         ({"localhost": {"bootstrap": {"one": "{}"}}}, "process 'bootstrap' of host 'localhost': this name is reserved"),
         ({"localhost": {"a": {"bootstrap": "{}"}}}, "task 'bootstrap' has the node /bootstrap, which is the machine's"),
+        ({"localhost": {"a": {"one": "{}"}}, "far": {}}, "d.yaml:6: hosts.far: host 'far' has no process"),
+        ({"far": {"a": {"agent_far": "{}"}}}, "task 'agent_far' has the node /agent_far, which is the agent of host"),
+        (
+            {"far-1": {"a": {"one": "{}"}}, "far.1": {"b": {"two": "{}"}}},
+            "d.yaml:7: hosts.far.1: node /agent_far_1 is the agent of host 'far-1', and that of host 'far.1'",
+        ),
+        ({"localhost": {"a": {"one": "{x: [1, two]}"}}}, "parameter 'x' of task 'one' is a list of int and str; ROS"),
+        ({"localhost": {"a": {"one": "{x: {y: 1}}"}}}, "d.yaml:5: hosts.localhost.a.one.parameters.x: a parameter is"),
     ],
 )
 def test_contradictions_are_refused(hosts, sentence):
@@ -239,7 +247,7 @@ def test_contradictions_are_refused(hosts, sentence):
 
 
 def test_errors_name_file_line_and_field():
-    text = machine({"localhost": {"a": {"one": "{}"}}}).replace("executable: dom", "executable: Dom!")
+    text = machine({"localhost": {"a": {"one": "{}"}}}).replace("executable: one", "executable: Dom!")
     with pytest.raises(ConfigError, match=r"^d\.yaml:5: hosts\.localhost\.a\.one\.executable: 'Dom!'"):
         parsed(text)
 
@@ -262,8 +270,23 @@ def test_what_contradicts_another_part_of_the_file_is_told_with_its_line(hosts, 
 
 def test_a_node_must_be_named_as_its_task():
     text = machine({"localhost": {"a": {"one": "{}"}}}).replace("node: /one", "node: /other")
-    with pytest.raises(ConfigError, match="task 'one' has the node /other, which must end in the task's name"):
+    with pytest.raises(ConfigError, match="task 'one' has the node /other, which must be /one"):
         parsed(text)
+
+
+def test_two_tasks_of_a_process_are_of_two_executables():
+    """A name for the node of one executable is one for every node of it in the process."""
+    text = machine({"localhost": {"a": {"one": "{}", "two": "{}"}}}).replace("executable: two", "executable: one")
+    with pytest.raises(ConfigError, match=r"^d\.yaml:5: hosts\.localhost\.a: tasks 'one' and 'two' of one process run"):
+        parsed(text)
+
+
+@pytest.mark.parametrize("cell", ["ur6", "./nix.yaml"])
+def test_a_cell_that_is_not_there_is_told_with_the_line_that_names_it(tmp_path, cell):
+    path = tmp_path / "d.yaml"
+    path.write_text(f"cell: {cell}\n{machine({'localhost': {'a': {'one': '{}'}}})}")
+    with pytest.raises(ConfigError, match=r"d\.yaml:1: cell: .*(did you mean 'ur5'|there is no such file)"):
+        deployment.load(path)
 
 
 def test_values_out_of_range_are_refused():

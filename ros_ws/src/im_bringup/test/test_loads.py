@@ -11,16 +11,16 @@ from im_core.processes.agent_socket import TaskReport
 from im_core.processes.procfs import families
 
 
-def report(turns=0, cpu_s=0.0, incarnation=1, requests=0, oldest_s=0.0, memory_mib=0.0):
-    return TaskReport("dom", incarnation, 2, "", {}, turns, requests, oldest_s, cpu_s, memory_mib)
+def report(turns=0, cpu_s=0.0, incarnation=1, requests=0, oldest_s=0.0, memory_mib=0.0, refused=0):
+    return TaskReport("dom", incarnation, 2, "", {}, turns, requests, oldest_s, cpu_s, memory_mib, refused)
 
 
 def test_rates_are_those_between_two_reports_two_seconds_apart():
     loads = TaskLoads()
     loads.note(report(turns=100, cpu_s=5.0), now=10.0)
     assert loads.of("dom") == Load()
-    loads.note(report(turns=150, cpu_s=5.5, requests=3, oldest_s=0.7, memory_mib=80.0), now=11.0)
-    assert loads.of("dom") == Load(requests=3, oldest_s=0.7, memory_mib=80.0)
+    loads.note(report(turns=150, cpu_s=5.5, requests=3, oldest_s=0.7, memory_mib=80.0, refused=2), now=11.0)
+    assert loads.of("dom") == Load(requests=3, oldest_s=0.7, memory_mib=80.0, refused=2)
     loads.note(report(turns=300, cpu_s=6.0), now=12.0)
     assert loads.of("dom") == Load(rate=100.0, cpu=0.5)
 

@@ -7,7 +7,16 @@ import pytest
 
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.deployment import Deployment
-from im_bringup.tasks.middleware import PROFILE, QOS_FROM_PROFILE, loopback_profile, middleware, open_profile, reach
+from im_bringup.tasks.middleware import (
+    PROFILE,
+    QOS_FROM_PROFILE,
+    loopback_profile,
+    middleware,
+    open_profile,
+    reach,
+    require_addresses,
+)
+from im_core.errors import ConfigError
 
 ONE = deployments.load(deployments.default_path())
 TASK = {"package": "a", "executable": "b"}
@@ -38,14 +47,26 @@ def test_addresses_of_the_file_are_the_peers_unless_the_user_has_named_some():
 @pytest.mark.parametrize(
     ("addresses", "sentence"),
     [
-        ({"here": "10.0.0.1", "fra": "10.0.0.2"}, "there is no host 'fra'; there are here, far"),
+        ({"here": "10.0.0.1", "fra": "10.0.0.2"}, "there is no host 'fra' .did you mean 'far'"),
         ({"here": "10.0.0.1"}, "host 'far' has no address; give one to every host, or to none"),
+        ({"here": "10.0.0.1", "far": "10.0.0.1"}, "10.0.0.1 is the address of host 'here'"),
+        ({"here": "127.0.0.1", "far": "10.0.0.2"}, "127.0.0.1 means each host itself"),
         ({"here": "10.0.0.1;10.0.0.3", "far": "10.0.0.2"}, "addresses.here"),
     ],
 )
 def test_wrong_addresses_are_refused(addresses, sentence):
     with pytest.raises(ValueError, match=sentence):
         Deployment.model_validate({**TWO.model_dump(), "addresses": addresses})
+
+
+def test_an_address_that_nobody_can_look_at_is_told_with_its_line(tmp_path):
+    path = tmp_path / "d.yaml"
+    path.write_text("addresses:\n  here: 10.0.0.1\n  far: 10.0.0.256\n")
+    both = TWO.model_copy(update={"addresses": {"here": "10.0.0.1", "far": "10.0.0.256"}})
+    with pytest.raises(
+        ConfigError, match=r"d\.yaml:3: addresses\.far: 10\.0\.0\.256: neither an IPv4 address nor a name"
+    ):
+        require_addresses(both, path)
 
 
 @pytest.mark.parametrize("deployment", [ONE, TWO])

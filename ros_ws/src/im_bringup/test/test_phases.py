@@ -52,7 +52,9 @@ def test_the_parts_of_a_start_share_all_of_its_time(tmp_path):
     for progress, now in ((Progress.LOADED, 2.0), (Progress.CONFIGURED, 2.5)):
         for name in NAMES:
             value.heard(name, 7, 1, progress, "", now)
+        value.changed()
         value.poll(now)
+        assert value.changed()  # so that the part is told while the next one lasts
     value.poll(2.75)
     nets.proof = True
     value.poll(3.5)

@@ -12,6 +12,7 @@ import pytest
 from im_bringup.security.keystore import Keystore
 from im_bringup.security.permissions import CLIENT, NodeInterfaces, client_permissions, enclave_of, permissions_of
 from im_core.errors import DataError
+from support.permissions import allowed
 
 SERVO = enclave_of("localhost", "servo")
 BRAIN = enclave_of("localhost", "brain")
@@ -19,7 +20,7 @@ MACHINE = {
     SERVO: NodeInterfaces(
         published={"/joint_states", "/servo/move/_action/feedback"},
         heard={"/servo/joint_trajectory", "/servo/tokens"},
-        served={"/servo/estop", "/servo/move/_action/send_goal"},
+        served={"/servo/estop", "/servo/move/_action/send_goal", "/servo/get_parameters"},
     ),
     BRAIN: NodeInterfaces(published={"/im/task_status"}, heard={"/joint_states"}, served={"/brain/ask"}),
 }
@@ -29,6 +30,7 @@ PERMISSIONS = {
     "permissions": ["grant"],
     "grant": ["subject_name", "validity", "allow_rule", "default"],
     "validity": ["not_before", "not_after"],
+    "deny_rule": ["domains", "publish", "subscribe"],
     "allow_rule": ["domains", "publish", "subscribe"],
 }
 GOVERNANCE = {
@@ -67,8 +69,8 @@ def document(keystore, path, orders):
     root = ET.fromstring((keystore / "enclaves" / path).read_bytes())
     for tag, order in orders.items():
         for element in root.iter(tag):
-            assert [child.tag for child in element] == order
-    assert [each.text for each in root.iter("id")] == ["7"]
+            assert [child.tag for child in element if child.tag != "deny_rule"] == order
+    assert {each.text for each in root.iter("id")} == {"7"}
     return root
 
 
@@ -90,10 +92,22 @@ def test_a_process_publishes_and_serves_its_own_and_calls_and_hears_everything(k
 
 
 def test_a_client_commands_but_serves_nothing_and_sends_no_heartbeat_and_no_token(keystore):
-    publish, subscribe = may(keystore, CLIENT, "publish"), may(keystore, CLIENT, "subscribe")
+    permissions = keystore / "enclaves" / CLIENT.strip("/") / "permissions.xml"
+    publish = {topic for topic in may(keystore, CLIENT, "publish") if not topic.startswith("rr/*/")}
     common = {"ros_discovery_info", "rq/*Request", "rt/rosout", "rt/parameter_events"}
     assert publish == {*common, "rt/servo/joint_trajectory"}
-    assert subscribe == {"ros_discovery_info", "rt/*", "rr/*Reply"}
+    for reply in ("rr/servo/estopReply", "rr/servo/get_parametersReply", "rr/me/estopReply"):
+        assert not allowed(permissions, "publish", reply)
+        assert allowed(permissions, "subscribe", reply)
+    for topic in ("rt/im/task_status", "rt/servo/tokens"):
+        assert not allowed(permissions, "publish", topic)
+
+
+def test_a_node_of_a_client_has_the_services_without_which_there_is_no_node(keystore):
+    permissions = keystore / "enclaves" / CLIENT.strip("/") / "permissions.xml"
+    for name in ("get_type_description", "set_parameters_atomically"):
+        assert allowed(permissions, "publish", f"rr/me/{name}Reply")
+        assert allowed(permissions, "subscribe", f"rq/me/{name}Request")
 
 
 def test_the_domain_is_encrypted_and_under_access_control(keystore):

@@ -99,6 +99,21 @@ def test_a_machine_that_is_ready_is_kept_before_anything_is_said(tmp_path, monke
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
 
 
+def test_a_start_tells_its_steps_and_one_that_takes_too_long_how_to_allow_more(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(start.stop, "stop", lambda say: 0)
+    monkeypatch.setattr(clock, "sleep", lambda _: None)
+    seen = [("LOAD", {}), ("CONFIGURE", {"load": 1.0}), *[("CONFIGURE", {"load": 1.0, "configure": 1.0})] * 3]
+    left = [MachineRecord(2, 0, start.machine.STARTING, phase, 3, "", "", 0.0, 1, 0, took=took) for phase, took in seen]
+    monkeypatch.setattr(start.machine, "read", lambda: left.pop(0) if len(left) > 1 else left[0])
+    monkeypatch.setattr(clock, "monotonic", lambda: 0.0 if len(left) > 1 else 60.0)
+    assert start.await_ready(SimpleNamespace(poll=lambda: None), 0.0, 60.0, {"preflight": 0.0}, False) == 1
+    told = capsys.readouterr()
+    steps = ["load 3 tasks", "configure 3 tasks", "verify the nets together"]
+    assert told.out.splitlines() == [f"start: {step}" for step in steps]
+    assert "not every task was ready after 60 s (--timeout allows more):" in told.err
+
+
 def test_a_bootstrap_that_ended_in_order_was_stopped():
     ended = SimpleNamespace(poll=lambda: 0)
     with pytest.raises(StateError, match=r"^the machine was stopped while it started$"):

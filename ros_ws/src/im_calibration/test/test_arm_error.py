@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.calibration.score import deviations, errors
-from bench.calibration.synthetic import Design, bent, make_scene
+from bench.calibration.synthetic import Design, bent, make_scene, random_rotations
 from im_calibration import calibrate
 from im_calibration.estimation.arm import with_arm_error
 from im_calibration.estimation.search import first_explanation
@@ -85,21 +85,33 @@ def test_a_half_of_the_space_that_contradicts_the_other_is_seen_unless_it_is_the
 
 def test_no_part_of_the_error_shifts_or_turns_all_positions_alike():
     positions = np.random.default_rng(3).uniform(1.0, 3.0, (30, 3))
-    error = ArmError.largest(positions)
+    error = ArmError.largest(positions, random_rotations(np.random.default_rng(3), 30))
     away = positions - positions.mean(axis=0)
     np.testing.assert_allclose(error.jacobians.sum(axis=0), 0.0, atol=1e-12)
     turned = np.cross(away[:, None, :], np.swapaxes(error.jacobians, 1, 2)).sum(axis=0)
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
 
 
+def test_a_tool_that_swings_on_a_bent_wrist_is_in_the_error():
+    rng = np.random.default_rng(7)
+    positions, wrists = rng.uniform(-1.0, 1.0, (60, 3)), random_rotations(rng, 60)
+    swung = np.cross([1.0, 2.0, -1.0], wrists @ [0.1, 0.2, 0.1]).ravel()
+    turned = np.cross(np.eye(3)[:, None], positions).reshape(3, -1)
+    spanned = np.vstack(
+        (turned, np.tile(np.eye(3), 60), ArmError.largest(positions, wrists).jacobians.reshape(180, -1).T)
+    )
+    left = swung - spanned.T @ np.linalg.lstsq(spanned.T, swung, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-6 * np.linalg.norm(swung)
+
+
 def test_the_error_does_not_depend_on_axes_or_units():
     positions = np.random.default_rng(4).uniform(-1.0, 1.0, (12, 3))
-    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    wrists, turn = random_rotations(np.random.default_rng(5), 12), random_rotations(np.random.default_rng(6), 1)[0]
 
-    def spread(places):
-        jacobians = ArmError.largest(places).jacobians.reshape(-1, ArmError.largest(places).jacobians.shape[2])
+    def spread(places, rotations):
+        jacobians = ArmError.largest(places, rotations).jacobians.reshape(36, -1)
         return jacobians @ jacobians.T
 
-    one, other = spread(positions), spread(1e3 * positions @ turn.T)
+    one, other = spread(positions, wrists), spread(1e3 * positions @ turn.T, turn @ wrists)
     whole = np.kron(np.eye(12), turn)
     np.testing.assert_allclose(other, 1e6 * whole @ one @ whole.T, atol=1e-9)

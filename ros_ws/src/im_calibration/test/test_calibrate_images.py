@@ -158,6 +158,20 @@ def test_intrinsics_of_kalibr_are_held(scene, tmp_path, capsys):
     assert "cam0.distortion_model" in capsys.readouterr().err
 
 
+def test_images_without_a_pose_of_the_robot_are_left_out(scene, tmp_path, capsys):
+    lines = (scene / "poses.csv").read_text().splitlines(keepends=True)
+    poses, none = tmp_path / "some.csv", tmp_path / "none.csv"
+    poses.write_text("".join(line for line in lines if not line.startswith(("view2", "view5"))))
+    none.write_text("".join(line.replace("view", "image") for line in lines))
+    robot = ("--eye-in-hand", "--order", "xyzw", "--robot")
+    assert calibrate(scene / "images", tmp_path / "results", *robot, poses) == 0
+    assert f"{poses}: no pose for 2 of 8 images, which are left out: view2, view5" in capsys.readouterr().out
+    kept = (tmp_path / "results" / "observations.json").read_text()
+    assert [i for i in range(8) if f"view{i}" in kept] == [0, 1, 3, 4, 6, 7]
+    assert calibrate(scene / "images", tmp_path / "other", *robot, none) == 1
+    assert f"{none}: has no pose for any of the images view0, view1, view2" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "target", "told"),
     [

@@ -18,9 +18,12 @@ def with_wrists(problem, rotations):
     return replace(problem, wrist_rotations=rotations)
 
 
-def with_quaternions(problem, order):
+def with_quaternions(problem, own, read):
+    """Rotations whose quaternions were written in one order and read in another."""
     quaternions = Rotation.from_matrix(problem.wrist_rotations).as_quat()
-    return with_wrists(problem, Rotation.from_quat(quaternions[:, order]).as_matrix())
+    written = quaternions[:, ["xyzw".index(letter) for letter in own]]
+    taken = written[:, [read.index(letter) for letter in "xyzw"]]
+    return with_wrists(problem, Rotation.from_quat(taken).as_matrix())
 
 
 def with_angles(problem, own, read):
@@ -35,8 +38,8 @@ def inverted(problem):
 
 SLIPS = {
     "rotations are the wrong way round": lambda p: with_wrists(p, np.swapaxes(p.wrist_rotations, 1, 2)),
-    "quaternions are x, y, z, w and were read as w, x, y, z": lambda p: with_quaternions(p, [3, 0, 1, 2]),
-    "quaternions are w, x, y, z and were read as x, y, z, w": lambda p: with_quaternions(p, [1, 2, 3, 0]),
+    "quaternions are x, y, z, w and were read as w, x, y, z": lambda p: with_quaternions(p, "xyzw", "wxyz"),
+    "quaternions are w, x, y, z and were read as x, y, z, w": lambda p: with_quaternions(p, "wxyz", "xyzw"),
     "Euler angles are about moving z, y, x and were read as about moving x, y, z": lambda p: with_angles(
         p, "ZYX", "XYZ"
     ),
@@ -83,7 +86,7 @@ def test_each_slip_is_named_with_what_it_gives(make, seed, words):
 def test_the_nominal_offset_is_turned_with_the_rotations():
     """Positions of which 0.2 m are by rotations that were read wrongly."""
     problem = replace(overhead(65), noise_to_estimate=BOTH)
-    wrong = with_quaternions(problem, [3, 0, 1, 2])
+    wrong = with_quaternions(problem, "xyzw", "wxyz")
     nominal = np.array([0.0, 0.05, 0.2])
     moved = (wrong.wrist_rotations - problem.wrist_rotations) @ nominal
     wrong = replace(wrong, positions=problem.positions + moved, led_offset_nominal=tuple(nominal))

@@ -50,9 +50,12 @@ def _of(_named: str | None) -> Mapping[str, object]:
 
 
 def _turned(cell: Cell, arm: str) -> list[float]:
-    """Return the home of an arm with the first joint turned to the side with room."""
-    joints, home = cell.joints_of(arm), list(cell.groups[arm].home)
-    rank = joints.index(cell.arm_of(arm)[0])
-    upper = next(joint.limits.upper for joint in cell.joints if joint.name == joints[rank])
-    home[rank] += TURN if home[rank] + TURN < upper else -TURN
+    """Return the home of an arm with the first turning (else sliding) joint moved to the side with room."""
+    own = [joint for joint in cell.joints if joint.name in cell.joints_of(arm)]
+    carriers = cell.carriers_of(cell.groups[arm].base)
+    first = min(own, key=lambda joint: (joint.name in carriers, joint.kind == "prismatic"))
+    rank, home = cell.joints_of(arm).index(first.name), list(cell.groups[arm].home)
+    above, below = first.limits.upper - home[rank], home[rank] - first.limits.lower
+    way = TURN if max(above, below) > TURN else max(above, below) / 2.0
+    home[rank] += way if above > way else -way
     return home

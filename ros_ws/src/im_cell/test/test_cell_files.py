@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from im_cell.net_parameters import net_parameters
 from im_cell.robot import load_cell, urdf
 from im_core.errors import ConfigError
 
@@ -138,7 +139,7 @@ def test_what_torques_need_is_told_apart(read):
     assert read(bare, CELL + "drives: {a: {torque: 7.0}}\n").unknown == ()
 
 
-MIMIC = LIMIT + '<mimic joint="b"/>'
+MIMIC = LIMIT + '<mimic joint="a"/>'
 MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></collision>'
 
 
@@ -155,16 +156,22 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot(second=joint("b", "one", "two", "planar")), CELL, "joint b is of type 'planar', not one of revolute"),
     (robot(second=joint("b", "one", "two", content=MIMIC)), CELL, "1 joints: a"),
     (robot(second=joint("b", "one", "two", content=MIMIC)),
-     CELL.replace("tip: tool,", "tip: tool, joints: [a, b],"), "joint b follows b .mimic.; such joints"),
+     CELL.replace("tip: tool,", "tip: tool, joints: [a, b],"), "joint b follows a .mimic.; such joints"),
     (robot(second=joint("b", "one", "two", "prismatic", '<limit velocity="1" effort="1"/>')), CELL,
      "joint b slides without a range; drives.b.range can say one"),
     (robot(second=joint("b", "one", "two", content='<limit lower="0" upper="0" velocity="1" effort="1"/>')), CELL,
      "joint b has the range 0 to 0; drives.b.range can say one"),
-    (robot(second=joint("b", "one", "two", xyz="0 0 300")), CELL, "joint b is 300 m off its parent: .*millimetres"),
+    (robot(second=joint("b", "one", "two", xyz="0 0 300")), CELL, "b is 300 m off: .*millimetres"),
     (robot(second=joint("b", "one", "two", content='<limit lower="-90" upper="120" velocity="1" effort="1"/>')), CELL,
      "joint b turns from -90 to 120 rad: its limits are degrees, it seems"),
     (robot(second=joint("b", "one", "two", content=LIMIT + '<mimic joint="x"/>')), CELL,
      "joint b follows 'x' .mimic., which is not there"),
+    (robot(second=joint("b", "one", "two", content=LIMIT + '<mimic joint="b"/>')), CELL, "joint b follows itself"),
+    (robot().replace("<mass", '<origin xyz="0 0 80"/><mass'), CELL, "base has its <inertial> 80 m off: .*millimetres"),
+    (robot(link("hand", '<collision><geometry><box size="300 300 20"/></geometry></collision>'),
+           joint("h", "two", "hand", "fixed", "")), CELL, "hand: a shape for collision is 300 m large: .*millimetres"),
+    (robot().replace('ixy="0"', 'ixy="0.3"'), CELL, "base: its principal moments of inertia, .* -0.2, cannot be"),
+    (robot().replace("two", "R&amp;D"), CELL, "link 'R&D': no name may have the sign &"),
     (robot(second=joint("b", "one", "two", xyz="0 zero 0")), CELL, "b: '0 zero 0' is not 3 numbers below 1e9"),
     (robot(second=joint("b-1", "one", "two")), CELL, "joint 'b-1': ROS takes no such name; letters, digits and _"),
     (robot(link("hand", MESH), joint("h", "two", "hand", "fixed", "")), CELL,
@@ -173,6 +180,10 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot(*(link(f"l{n}") for n in range(500))), CELL, r"it has \d+ links; 500 are allowed"),
     (robot(second=joint("b", "one", "two", content='<limit lower="2" upper="1" velocity="1" effort="1"/>')), CELL,
      "joint b: its limit lower 2.0 is above upper 1.0"),
+    (robot(second=joint("b", "one", "two", content='<limit lower="0" upper="1" velocity="1" effort="-5"/>')), CELL,
+     "joint b: its limit of effort is -5; more than 0 is needed"),
+    (robot(second=joint("b", "one", "two", content='<limit lower="0" upper="1" velocity="-1" effort="5"/>')), CELL,
+     "joint b: its limit of velocity is -1; more than 0 is needed"),
     (robot(link("hand", '<collision><geometry><box size="1 -1 1"/></geometry></collision>'),
            joint("h", "two", "hand", "fixed", "")), CELL, "hand: a shape for collision has the size -1; more than 0"),
     (robot(link("hand", MESH.replace("package://x/y.stl", "")), joint("h", "two", "hand", "fixed", "")), CELL,
@@ -183,8 +194,20 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot(), CELL.replace("tip: tool", "tip: tol"), r"cell.yaml:3: groups.arm.tip: .*'tol' is not a link .*'tool'"),
     (robot(), CELL + "drives:\n  aa: {jerk: 3.0}\n", r"cell.yaml:5: drives.aa: .*'aa' is not a joint of the URDF"),
     (robot(), CELL + "standing: {c: 0.0}\n", r"cell.yaml:4: standing.c: .*'c' is not a joint of the URDF"),
+    (robot(), CELL.replace("tip", "joints: [a, b], tip") + "standing: {a: 0.0}\n",
+     r"cell.yaml:4: standing.a: joint a is in group 'arm', and moves"),
+    (robot(second=joint("b", "one", "two", content=MIMIC)), CELL.replace("[0.1, 0.2]", "[0.1]") + "standing: {b: 3}\n",
+     r"cell.yaml:4: standing.b: 3 is outside the range -1 to 1"),
+    (robot(), CELL + "presets: {p: {x: {joints: [c]}}}\n", r"cell.yaml:4: presets.p.x.joints\[0\]: 'c' is not a joint"),
+    (robot(), CELL + "presets: {p: {x: {joints: [a], wrist: tol}}}\n", r"p.x.wrist: 'tol' is not a link .*'tool'"),
+    (robot(), CELL + "presets: {p: {x: {joints: [a], pair: [tool, oe]}}}\n", r"pair\[1\]: 'oe' is not a link"),
+    (robot().replace("one", "arm_led"), CELL.replace("tip", "light: true, tip"), "'arm_led' would be a part at"),
+    (robot().replace("one", "arm_jaw_1"), CELL.replace("tip", "gripper: true, tip"), "'arm_jaw_1' would be a part at"),
+    (robot(), CELL + "boxes: [{link: world, name: two, size: [1, 1, 1], center: [0, 0, -3], color: [1, 1, 1]}]\n",
+     r"boxes\[0\].name: another box, or a link, has the same name, 'two'"),
     (robot(), CELL.replace("[0.1, 0.2]", "[0.1]"), r"groups.arm.home: .*1 positions for 2 joints: a, b"),
-    (robot(), CELL.replace("[0.1, 0.2]", "[0.1, 2.0]"), "home of b, 2.0, is outside its limits"),
+    (robot(), CELL.replace("[0.1, 0.2]", "[0.1, 2.0]"),
+     r"cell.yaml:3: groups.arm.home\[1\]: 2 of b is outside its range, -1 to 1"),
     (robot(), CELL.replace("  arm:", "  my-arm:"), "'my-arm' names topics"),
     (robot(), CELL.replace("robot.urdf", "robbot.urdf"), r"cell.yaml:1: urdf: .*robbot.urdf: cannot be read"),
     (robot(), CELL + "never: [[two, floor2]]\n", r"never\[0\]: .*'floor2' is not a link"),
@@ -192,6 +215,23 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
 def test_what_no_machine_can_use_is_refused_in_a_sentence(read, text, cell, message):
     with pytest.raises(ConfigError, match=message):
         read(text, cell)
+
+
+def test_a_torso_that_is_the_joint_of_one_arm_turns_in_no_other(tmp_path, monkeypatch):
+    """``demo`` turns the first joint of each arm that turns: neither a lift, nor a joint of the other arm."""
+    text = robot(link("other"), joint("c", "one", "other"), first=joint("a", "base", "one", "prismatic"))
+    (tmp_path / "robot.urdf").write_text(text)
+    other = "  second: {tip: other, joints: [c], home: [0.7]}\n"
+    (tmp_path / "cell.yaml").write_text(CELL + other)
+    monkeypatch.setenv("IM_CELL", str(tmp_path / "cell.yaml"))
+    assert net_parameters()["turned"] == [[0.1, pytest.approx(0.6)], [pytest.approx(0.3)]]
+
+
+def test_limits_of_0_are_limits_that_the_file_does_not_know(read):
+    text = robot(second=joint("b", "one", "two", content='<limit lower="0" upper="1" velocity="0" effort="0"/>'))
+    cell = read(text, CELL)
+    assert "joint b has no limit of effort" in cell.unknown
+    assert any(told.startswith("b: no limit of velocity") for told in cell.assumed), cell.assumed
 
 
 def test_a_name_that_no_cell_has_is_refused_with_the_nearest_one():

@@ -193,7 +193,7 @@ def test_cameras_look_at_their_target_with_the_right_side_up(name):
      r":\d+: groups.left.tip: .*'left_wrst' is not a link of the URDF \(did you mean 'left_wrist'"),
     (lambda data: data["groups"]["left"].update(base="lft_base"), r"groups.left.base: .*'lft_base' .*'left_base'"),
     (lambda data: data["drives"].update(left_j7={}), r":\d+: drives.left_j7: .*'left_j7' is not a joint of the URDF"),
-    (lambda data: data["groups"]["left"].update(home=[9.0] + [0.0] * 8), r"home of left_track, 9.0, is outside"),
+    (lambda data: data["groups"]["left"].update(home=[9.0] + [0.0] * 8), r"home\[0\]: 9 of left_track is outside"),
     (lambda data: data["groups"]["left"].update(home=[0.0] * 6),
      r"groups.left.home: 6 positions for 9 joints: left_track"),
     (lambda data: data.update(period=1e-10), r":\d+: period: .*greater than or equal to 0.0001"),

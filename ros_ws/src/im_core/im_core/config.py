@@ -6,7 +6,7 @@ request, a net file put together) tells what is wrong with :func:`faults`.
 
 import importlib.resources
 import types
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -136,10 +136,28 @@ def parse_model(text: str, model: type[ModelT], name: str) -> ModelT:
     except YamlError as error:
         raise _config_error(model, (error.place, error.location, error.sentence)) from error
     try:
-        return model.model_validate(data, context={"file": name})
+        checked = model.model_validate(data, context={"file": name})
     except pydantic.ValidationError as error:
         told = ((find(root, fault.location).value, fault.location, fault) for fault in faults(error, model))
         raise _config_error(model, *told) from error
+    if wrong := list(_truths_for_numbers(data, checked, ())):
+        raise _config_error(model, *((find(root, place).value, place, sentence) for place, sentence in wrong))
+    return checked
+
+
+def _truths_for_numbers(given: object, checked: object, location: Location) -> Iterator[tuple[Location, str]]:
+    """Yield where a file has true or false for a number, which pydantic takes for 1 or 0."""
+    if isinstance(given, bool):
+        if isinstance(checked, int | float) and not isinstance(checked, bool):
+            yield location, f"{str(given).lower()}: a number is needed"
+    elif isinstance(given, Mapping):
+        names = {each.alias or name: name for name, each in getattr(type(checked), "model_fields", {}).items()}
+        for key, value in given.items():
+            below = checked.get(key) if isinstance(checked, Mapping) else getattr(checked, names.get(key, ""), None)
+            yield from _truths_for_numbers(value, below, (*location, key))
+    elif isinstance(given, list) and isinstance(checked, list | tuple) and len(given) == len(checked):
+        for rank, (value, below) in enumerate(zip(given, checked, strict=True)):
+            yield from _truths_for_numbers(value, below, (*location, rank))
 
 
 def fault_in(path: Path, location: Location, sentence: str) -> ConfigError:

@@ -47,6 +47,7 @@ def test_a_good_file_becomes_a_frozen_model(tmp_path: Path) -> None:
     ("change", "message"),
     [
         (("velocity: 1.5", "velocity: -1"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity: -1: .*greater than 0$"),
+        (("velocity: 1.5", "velocity: true"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity: true: a number is needed$"),
         (("velocity: 1.5", "velocity: .inf"), r"mcs\.yaml:5: slots\[0\]\.limits\.velocity"),
         (("velocity: 1.5", "speed: 1.5"), r"mcs\.yaml:5: slots\[0\]\.limits\.(speed|velocity)"),
         ((GOOD[GOOD.index("slots") :], "slots: []"), r"^mcs\.yaml:2: slots: .*at least 1 item .*not 0$"),

@@ -7,8 +7,11 @@ from contextlib import ExitStack
 import pytest
 
 from im_core import dead_ports
-from im_core.dead_ports import MOST_HELD, has_ports, passed_over
+from im_core.dead_ports import MOST_HELD, UNFINISHED_S, end_unfinished, own_ports, passed_over
 from im_core.shm_names import SHM, lock, mapped
+
+#: First word of a port as boost leaves it.
+FINISHED = b"\2\0\0\0"
 
 
 @pytest.fixture
@@ -22,7 +25,7 @@ def port(tmp_path, monkeypatch):
         def make(number, lives=False, in_memory=True):
             path = tmp_path / f"fastrtps_port{number}_el"
             path.touch()
-            (tmp_path / f"fastrtps_port{number}").touch()
+            (tmp_path / f"fastrtps_port{number}").write_bytes(FINISHED)
             if lives:
                 held.callback(os.close, lock(path))
             if in_memory:
@@ -77,9 +80,9 @@ def test_the_last_made_are_held_where_there_are_too_many(tmp_path, port):
 
 def test_a_process_that_reads_a_port_is_seen(tmp_path, port):
     port(7411)
-    assert not has_ports()
+    assert not own_ports()
     descriptor = lock(port(7413))
-    assert has_ports()
+    assert own_ports() == {"fastrtps_port7413"}
     os.close(descriptor)
 
 
@@ -91,3 +94,25 @@ def test_a_removed_file_in_memory_is_seen():
         path.unlink()
         assert name in mapped()
     assert name not in mapped()
+
+
+@pytest.mark.parametrize("content", [b"", b"\0", b"\0" * 8, b"\1" + b"\0" * 7], ids=["empty", "marked", "new", "begun"])
+def test_a_port_whose_maker_was_killed_is_marked_as_failed_and_removed(tmp_path, port, content):
+    port(7411)
+    path = tmp_path / "fastrtps_port7413"
+    path.write_bytes(content)
+    with path.open("rb") as waits:
+        assert end_unfinished(), "its maker may live"
+        old = path.stat().st_mtime - UNFINISHED_S
+        os.utime(path, (old, old))
+        assert not end_unfinished()
+        assert waits.read() == (b"\3\0\0\0" + content[4:] if content[1:] else b"\0")
+    assert not path.exists()
+    assert (tmp_path / "fastrtps_port7411").read_bytes() == FINISHED
+
+
+def test_a_process_begins_once_an_unfinished_port_is_removed(tmp_path, port, monkeypatch):
+    monkeypatch.setattr(dead_ports, "UNFINISHED_S", 0.2)
+    (tmp_path / "fastrtps_port7413").touch()
+    with passed_over():
+        assert not (tmp_path / "fastrtps_port7413").exists()

@@ -7,6 +7,7 @@ from im_core.errors import DataError, NotFoundError, StateError
 from im_core.rate_groups import LATENESS_S, Overrun, RateGroups, RateLoop
 from im_core.rate_groups import loop as loop_module
 from im_core.rate_groups import pacer as pacer_module
+from im_core.rate_groups.budget import Budget
 
 PERIOD_S = 0.004
 
@@ -189,6 +190,16 @@ def test_names():
         groups.remove("g")
     with pytest.raises(DataError, match="base period"):
         RateGroups(0.0)
+
+
+def test_an_alarm_that_comes_after_the_call_arms_no_other():
+    """It would find the handler of before the call: none, which ends the process."""
+    budget = Budget()
+    budget.call(lambda time_s: None, 0.0, 1.0)
+    before, _ = signal.getitimer(signal.ITIMER_REAL)  # of the tests, if any
+    budget._on_alarm(signal.SIGALRM, None)
+    after, _ = signal.getitimer(signal.ITIMER_REAL)
+    assert 0.0 <= before - after < 600.0
 
 
 def test_a_budget_needs_the_main_thread():

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from im_core.clock import stamp_name
-from im_core.errors import DataError
+from im_core.errors import DataError, StoreError
 from im_core.files import MEBIBYTE, make_folder, move
 from im_core.store_mark import StoreMark
 from im_dom.object_record import Damage
@@ -78,6 +78,10 @@ class StoreFile:
             self._number, self._store = self.db.execute("SELECT number, store FROM last").fetchone()
             damaged = self.db.execute("SELECT name, version, why FROM damaged")
             self.damaged = {name: Damage(version, why) for name, version, why in damaged}
+            # after `db`: where nobody closes this, Python lets go of its attributes in this order
+            self._reader = None if self._path is None else _read_only(self._path)
+            if self._reader is not None:
+                self._reader.execute("SELECT number FROM last").fetchall()
         except sqlite3.Error as error:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         self.move_log()
@@ -132,21 +136,19 @@ class StoreFile:
     def close(self) -> None:
         """Close the file.
 
+        SQLite moves the log, unlisted, with the end of its last connection if that one may write. So one that may only
+        read ends after the other one, also where a process ends without this.
+
         Raises:
             sqlite3.Error: It cannot be closed.
         """
-        if self.move_log():
-            self.db.close()
-        else:
-            self._close_unmoved()
+        if self._reader is not None and self.move_log():
+            self._reader.close()
+        self.db.close()
+        if self._reader is not None:
+            self._reader.close()
         if self._list is not None:
             self._list.close()
-
-    def _close_unmoved(self) -> None:
-        """Close the file, and keep SQLite from moving the log, unlisted: its last connection that may write would."""
-        with suppress(sqlite3.Error), closing(_read_only(self._path or Path())) as reader:
-            reader.execute("SELECT number FROM last").fetchone()
-            self.db.close()
 
     def _check(self, path: Path) -> Salvage | None:
         """Look for damage; if there is any, set the files aside and return the intact content.
@@ -157,13 +159,18 @@ class StoreFile:
         """
         try:
             _undo_begun(path)
-            listed = read_list(path.with_name(path.name + _LIST))
-            fault = _fault(path, listed)
+            listed, fault = _look(path)
+            if fault.text:  # a disk that has failed once has damaged nothing
+                listed, fault = _look(path)
         except OSError as error:
             raise DataError(f"the object store {path} cannot be opened: {error}", file=str(path)) from error
         if not fault.text:
             return None
-        aside = _set_aside(path)
+        try:
+            aside = _set_aside(path)
+        except OSError as error:
+            text = f"the object store {path} {fault.text}, and cannot be moved aside: {error}"
+            raise StoreError(text, file=str(path), reason=str(error), errno=error.errno) from error
         self.aside = f"the object store {path} {fault.text}; it is kept in {aside}"
         if fault.foreign:
             self.aside += ", and a new one is begun: no object is known"
@@ -218,12 +225,18 @@ class _Fault:
     foreign: bool = False
 
 
-def _fault(path: Path, listed: Listed | None) -> _Fault:
+def _look(path: Path) -> tuple[Listed | None, _Fault]:
     """Look for damage; the files are only read.
 
     Raises:
         DataError: It cannot be opened.
+        OSError: A file cannot be read.
     """
+    listed = read_list(path.with_name(path.name + _LIST))
+    return listed, _fault(path, listed)
+
+
+def _fault(path: Path, listed: Listed | None) -> _Fault:
     if not path.exists() or not path.stat().st_size:
         return _Fault("is missing, but its list of transactions exists") if listed else _Fault()
     told = listed.file if listed else None
@@ -240,7 +253,7 @@ def _fault(path: Path, listed: Listed | None) -> _Fault:
 
 
 def _read_only(path: Path) -> sqlite3.Connection:
-    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, check_same_thread=False)
 
 
 def _difference(told: tuple[int, int], path: Path) -> str:

@@ -112,3 +112,14 @@ def test_a_flipped_bit_anywhere_is_said_and_nothing_wrong_is_given(killed, tmp_p
         said = judged(killed, tmp_path / "store", flipped(file, bit))
         assert said or file.endswith("-shm"), f"bit {bit} of {file}"
         assert not said or "dom-damaged-" in said
+
+
+def test_a_store_that_nobody_closed_is_whole(tmp_path):
+    """A process that ends by an error leaves its connections to Python, and SQLite moves the log with the last."""
+    store = ObjectStore(tmp_path / "dom.sqlite")
+    store.put("a", "t/msg/T", b"one", "", "", 0)
+    del store
+    again = ObjectStore(tmp_path / "dom.sqlite")
+    assert again.aside == ""
+    assert again.get("a")[1] == b"one"
+    again.close()

@@ -217,6 +217,24 @@ def test_a_jaw_by_its_name_is_no_joint_of_the_arm_and_links_need_no_shapes(tmp_p
     assert load_cell(tmp_path / "cell.yaml").joint_names == ("a", "b")
 
 
+@pytest.mark.parametrize(("stroke", "joints"), [(0.6, 3), (0.08, 2)])
+def test_a_last_joint_that_slides_is_an_axis_unless_its_stroke_is_that_of_a_jaw(tmp_path, stroke, joints):
+    """Names that YAML reads as numbers, words or signs are in quotes."""
+    links = ["on", "1e3", "null", "a, b"]
+    text = "".join(f'<link name="{name}"/>' for name in links) + "".join(
+        f'<joint name="{name}" type="prismatic"><parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+        f'<limit lower="0" upper="{stroke if name == "n" else 1}" velocity="1" effort="9"/></joint>'
+        for name, axis, parent, child in zip(
+            ("y", "off", "n"), ("1 0 0", "0 1 0", "0 0 1"), links, links[1:], strict=False
+        )
+    )
+    (tmp_path / "robot: 1.urdf").write_text(f'<robot name="r">{text}</robot>')
+    (tmp_path / "cell.yaml").write_text(first_cell(tmp_path / "robot: 1.urdf"))
+    cell = load_cell(tmp_path / "cell.yaml")
+    assert cell.joint_names == ("y", "off", "n")[:joints]
+    assert cell.groups["arm"].tip == links[joints]
+
+
 def test_links_that_are_in_the_way_everywhere_are_named(tmp_path):
     text = cell_file("ur5").with_name("ur5.urdf").read_text()
     for link, size in (("base_link", 0.3), ("forearm_link", 0.3), ("wrist_3_link", 2.0)):
@@ -266,7 +284,7 @@ def test_links_of_a_shipped_cell_that_are_not_compared_touch_always_or_are_close
         assert np.median(found) < 0.03 or min(found) > 0.0, pair
 
 
-def test_pairs_of_an_srdf_are_taken(robot):
+def test_pairs_of_an_srdf_are_taken(robot, capsys):
     srdf = robot.with_name("robot.srdf")
     srdf.write_text(
         '<robot name="r"><disable_collisions link1="base_link" link2="upper_arm_link" reason="Never"/></robot>'
@@ -275,6 +293,13 @@ def test_pairs_of_an_srdf_are_taken(robot):
     file.write_text(first_cell(robot, srdf))
     assert "srdf: robot.srdf" in file.read_text()
     assert load_cell(file).untouching == {frozenset(("base_link", "upper_arm_link"))}
+    srdf.write_text(srdf.read_text().replace("base_link", "bass_link"))
+    file.write_text(file.read_text() + "poses: poses.yaml\n")
+    capsys.readouterr()
+    assert main(["check", str(file)]) == 0
+    told = capsys.readouterr().out
+    assert "missing: links that the SRDF names: bass_link" in told
+    assert "missing: the file of poses, " in told
     srdf.write_text("<robot")
     with pytest.raises(ConfigError, match=r"srdf: .*robot.srdf: is not XML"):
         load_cell(shutil.copy(file, robot.with_name("broken.yaml")))

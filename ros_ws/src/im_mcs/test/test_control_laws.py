@@ -1,6 +1,7 @@
 """The laws that use the whole model: what they say, not how well the arm follows."""
 
 import re
+import sys
 
 import numpy as np
 import pydantic
@@ -140,6 +141,7 @@ class Faulty:
             "nan": lambda: np.where(np.arange(len(given.q)) == 3, np.nan, 0.0),
             "shape": lambda: np.zeros(3),
             "text": lambda: "strong",
+            "exit": sys.exit,
         }.get(self.fault, lambda: given.gravity)()
 
 
@@ -153,6 +155,7 @@ FAULTY = f"{__name__}:Faulty"
         ("nan", "returned nan as torque of joint 4 of 9"),
         ("shape", r"torque returned shape \(3,\), not \(9,\)"),
         ("text", "torque raised ValueError"),
+        ("exit", "torque raised SystemExit"),
         ("hold_integral", "hold_integral raised KeyError"),
     ],
 )

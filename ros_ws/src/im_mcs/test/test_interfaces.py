@@ -252,6 +252,33 @@ def test_groups_of_both_kinds_move_at_once_and_stop_each_in_its_way(tmp_path, ma
     np.testing.assert_array_equal(bench.driver.drive.command[9:], here[9:])
 
 
+def test_a_reading_that_has_leapt_is_no_place_to_stand(bench_of, cell):
+    """A robot that keeps its last command would go there."""
+    bench = bench_of("position")
+    bench.to_motion("left")
+    read, off = bench.driver.read, np.zeros(18)
+
+    def leapt():
+        measured = read()
+        return measured._replace(q=measured.q + off)
+
+    bench.driver.read = leapt
+    off[4] = 0.5
+    for _ in range(5):
+        bench.mcs.tick([])
+        np.testing.assert_allclose(bench.driver.drive.command[LEFT], cell.home[LEFT], atol=1e-6)
+    assert not bench.driver.drive.power
+    off[4] = 0.0
+    bench.driver.q[4] += 0.03  # by hand
+    for _ in range(50):
+        bench.mcs.tick([])
+    assert bench.driver.drive.command[4] == pytest.approx(cell.home[4] + 0.03, abs=1e-6)
+    off[4] = 30.0
+    assert "there is a reading of left_j2, " in str(bench.ask("reset"))
+    off[4] = 0.0
+    assert bench.ask("reset")["success"]
+
+
 def test_a_joint_without_a_reading_keeps_its_position(bench_of, cell):
     bench = bench_of("position")
     bench.to_motion("left")

@@ -111,7 +111,7 @@ def make_monitor(answer):
     return Monitor
 
 
-@pytest.mark.parametrize("answer", [lambda: 1 / 0, lambda: None, lambda: "far"])
+@pytest.mark.parametrize("answer", [lambda: 1 / 0, lambda: None, lambda: "far", sys.exit])
 def test_a_monitor_that_fails_is_an_emergency_stop_with_its_name(config, make_bench, monkeypatch, answer):
     monkeypatch.setattr("im_mcs.collision.monitor.CollisionMonitor", make_monitor(answer))
     bench = make_bench(config)

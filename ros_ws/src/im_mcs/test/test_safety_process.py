@@ -76,10 +76,11 @@ def raising(error):
     return call
 
 
+@pytest.mark.parametrize("fault", [RuntimeError, SystemExit])
 @pytest.mark.parametrize("method", ["wait", "read", "write"])
-def test_a_driver_that_fails_is_an_estop_and_requests_are_refused_until_it_is_back(turns, method):
+def test_a_driver_that_fails_is_an_estop_and_requests_are_refused_until_it_is_back(turns, method, fault):
     to_motion(turns)
-    setattr(turns.driver, method, raising(RuntimeError("a bug")))
+    setattr(turns.driver, method, raising(fault("a bug")))
     turn(turns)
     snapshot = turns.owner.snapshot.read()
     assert STATES[int(snapshot["state"])] is State.ESTOPPED

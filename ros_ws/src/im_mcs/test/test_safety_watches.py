@@ -92,6 +92,7 @@ def wrong_setpoint(bench):
         (cut_power, "the testbed cut the power at tick"),
         (read(q=math.nan), "left_j2 gave no reading at tick"),
         (read(q=lambda q: q + 0.3), "left_j2: velocity"),
+        (read(q=lambda q: np.degrees(q) + 90.0), " rad, far outside its range, -0.7854 to 3.927 rad"),
         (fall_silent(0.2), "the reading of left_j2 is 0.2 s old"),
         (read(q=lambda q: q + 0.01), None),
         (wrong_law, "returned nan as torque of joint 1 of 9"),

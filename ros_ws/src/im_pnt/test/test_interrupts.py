@@ -221,7 +221,6 @@ def test_rules_may_stand_in_a_file_beside_the_net_and_the_net_is_flat(tmp_path):
         ("if: alarmed", "if: alarmed, watch: {name: /a, type: std_msgs/msg/Bool}", "is not a condition"),
         ("if: alarmed", "if: '${message.data}'", "there is no value 'message'"),
         ("action: reach, on_failure: failed", "on_failure: failed", "has no action that an interrupt could end"),
-        ("action: reach,", "action: reach, keeps_failure: true,", "is for a transition without action"),
         ("in: there, out: idle", "in: there, out: idle, cancels: begin", "'begin' is no transition with an action"),
         ("in: there, out: idle", "in: there, out: idle, cancels: raech", r"is no transition \(did you mean 'reach'"),
         ("in: there, out: idle", "in: there, out: idle, cancels: reach, delay: 1", "not go together with 'delay'"),

@@ -50,3 +50,54 @@ def test_a_failure_that_decides_where_tokens_go_is_the_reason_there():
     process.command("n", "go")
     (result,) = process.results
     assert result.error.message == "stuck"
+
+
+MENDED = """
+net: n
+templates:
+  put_back:
+    ports: {in: wanted, out: done, on_failure: lost}
+    places: {felt: }
+    transitions:
+      feel: {in: wanted, out: felt, action: feel, on_failure: lost}
+      put: {in: felt, out: done, action: put, on_failure: lost, tries: 2}
+places: {arm: 1, there: , missed: , back: , lost: }
+transitions:
+  go: {symbol: go, in: arm, out: there, action: go, on_failure: missed}
+  stay: {in: there, out: arm, emit: go_done}
+  mend: {use: put_back, in: missed, out: back, on_failure: lost, keeps_failure: true}
+  end: {in: back, out: arm, emit: go_failed}
+  end_lost: {in: lost, out: arm, emit: go_failed}
+"""
+
+
+@pytest.mark.parametrize(
+    ("feels", "puts", "message"),
+    [
+        (None, [None], "no way"),
+        ("no hand", [None], "no way; mend.feel failed, too: no hand"),
+        (None, ["stuck", None], "no way"),
+        (None, ["stuck", "fast"], "no way; mend.put_2 failed, too: fast"),
+    ],
+)
+def test_a_failure_in_mending_is_told_behind_the_one_that_is_mended(feels, puts, message):
+    def put(ctx):
+        failing(answers.pop(0))(ctx)
+
+    answers = [each and DataError(each) for each in puts]
+    functions = {"go": failing(ImError("no way", code="path")), "feel": failing(feels and DataError(feels)), "put": put}
+    process = Process([parse_net(MENDED)], functions)
+    process.command("n", "go")
+    (result,) = process.results
+    assert (result.error.code, result.error.message) == ("path", message)
+
+
+def test_a_failure_that_is_not_kept_is_not_told():
+    functions = {
+        "go": failing(ImError("no way", code="path")),
+        "feel": failing(None),
+        "put": failing(DataError("fast")),
+    }
+    process = Process([parse_net(MENDED.replace(", keeps_failure: true", ""))], functions)
+    process.command("n", "go")
+    assert process.results[0].error.message == "fast"

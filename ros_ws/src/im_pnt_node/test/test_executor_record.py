@@ -49,7 +49,7 @@ transitions:
   halt: {in: armed, out: armed, cancels: move, guard: again}
   plan: {in: ready, out: path, action: now, on_failure: bad}
   move: {in: [path, tool], out: [done, tool], action: act, on_failure: [bad, tool], on_doubt: [lost, tool], timeout: 1}
-  found: {in: lost, out: bad, keeps_failure: true}
+  found: {in: lost, out: bad, action: now, on_failure: bad, keeps_failure: true}
   again: {in: done, out: ready, guard: again}
   finish: {in: done, out: idle, guard: not again, emit: go_done}
   give_up: {in: [bad, idle], out: [idle, idle], emit: go_failed}

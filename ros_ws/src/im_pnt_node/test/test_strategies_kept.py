@@ -1,3 +1,4 @@
+import errno
 import fcntl
 import json
 import os
@@ -6,6 +7,7 @@ import re
 import pytest
 
 from im_core.errors import StoreError
+from im_core.files import FileError
 from im_pnt.execution.strategies import DONE, StrategyOutcome
 from im_pnt.model.net import Strategy
 from im_pnt.netfile import parse_net
@@ -92,6 +94,25 @@ def test_a_damaged_file_is_named_and_moved_aside_and_learning_goes_on(tmp_path, 
     assert [file.read_text() for file in aside] == [content, content]
     assert len(told) == 2
     assert store(path).learned["n.t"].counts == (3.0, 1.0)
+
+
+def test_a_file_that_the_disk_does_not_read_once_is_not_damaged(tmp_path, monkeypatch):
+    path = tmp_path / "strategies.json"
+    book = store(path)
+    book.outcome(outcome("n.t", True))
+
+    def fails(path):
+        raise FileError(path, "cannot be read: Input/output error") from OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as disk:
+        disk.setattr("im_pnt_node.journal.strategies.load_json", fails)
+        for attempt in (lambda: book.outcome(outcome("n.t", True)), lambda: store(path), lambda: book.forget("n.t")):
+            with pytest.raises(FileError, match="Input/output error"):
+                attempt()
+    book.outcome(outcome("n.t", False))
+    assert store(path).learned == book.learned
+    assert book.learned["n.t"].counts == (3.0, 2.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["strategies.json"]
 
 
 def test_a_book_that_cannot_be_saved_is_a_trouble_and_no_more(tmp_path):

@@ -1,6 +1,6 @@
 """Fiducial plates in an image: the corners by the edges, and the poses by the corners."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -277,12 +277,16 @@ class FiducialFit:
 
 
 def find_fiducials(
-    image: Image, camera: CameraModel, noise: SensorNoise, wanted: Mapping[int, Target], calibration: Array
+    images: Sequence[Image],
+    camera: CameraModel,
+    noise: SensorNoise,
+    wanted: Mapping[int, Target],
+    calibration: Array,
 ) -> tuple[list[FiducialFit], dict[int, str]]:
-    """Find plates in an image.
+    """Find plates in images that a camera at rest took one after another.
 
     Args:
-        image: Pixels, shape (h, w) [DN].
+        images: Pixels, shape (h, w) [DN] each.
         camera: Intrinsics and lens.
         noise: Noise of the sensor.
         wanted: Plates by number of their code.
@@ -293,22 +297,42 @@ def find_fiducials(
     """
     found: list[FiducialFit] = []
     missed = dict.fromkeys(wanted, "not seen: it is out of view, hidden or too small")
-    quads, numbers, _ = cv2.aruco.ArucoDetector(_DICTIONARY).detectMarkers(image)
-    for quad, number in zip(quads, [] if numbers is None else numbers.ravel(), strict=True):
-        target = wanted.get(int(number))
-        if target is None or target.id not in missed:
-            continue
-        try:
-            corners = refine_corners(image, camera, quad.reshape(4, 2).astype(float), target.id, noise)
-        except DataError as error:
-            missed[target.id] = error.message
-            continue
+    seen: dict[int, list[Corners]] = {}
+    detector = cv2.aruco.ArucoDetector(_DICTIONARY)
+    for image in images:
+        quads, numbers, _ = detector.detectMarkers(image)
+        once: dict[int, Corners] = {}
+        for quad, code in zip(quads, [] if numbers is None else numbers.ravel(), strict=True):
+            number = int(code)
+            if number in wanted and number not in once:
+                try:
+                    once[number] = refine_corners(image, camera, quad.reshape(4, 2).astype(float), number, noise)
+                except DataError as error:
+                    missed[number] = error.message
+        for number, corners in once.items():
+            seen.setdefault(number, []).append(corners)
+    for number, each in sorted(seen.items()):
+        target, corners = wanted[number], mean_corners(each)
         poses = plate_poses(corners, camera.K, target.size)
         if not poses:
-            missed[target.id] = _UNCLEAR
+            missed[number] = _UNCLEAR
             continue
         ambiguity = float(np.sqrt(poses[0].chi2 / max(poses[1].chi2, 1e-12))) if len(poses) > 1 else 0.0
         pose = with_calibration(poses[0], corners, camera, target.size, calibration)
         found.append(FiducialFit(target, pose, _in_image(camera, corners.uv), ambiguity))
-        del missed[target.id]
-    return sorted(found, key=lambda fit: fit.target.id), missed
+        del missed[number]
+    return found, missed
+
+
+def mean_corners(seen: Sequence[Corners]) -> Corners:
+    """Return the mean of the corners in several images, by their covariances.
+
+    Images that disagree by more than noise, as of a camera that is not at rest, widen the covariance.
+    """
+    information = [np.linalg.inv(each.covariance) for each in seen]
+    covariance = np.linalg.inv(np.sum(information, axis=0))
+    weighted = [by @ each.uv.ravel() for by, each in zip(information, seen, strict=True)]
+    uv = covariance @ np.sum(weighted, axis=0)
+    off = [each.uv.ravel() - uv for each in seen]
+    misfit = sum(float(each @ by @ each) for by, each in zip(information, off, strict=True))
+    return Corners(uv.reshape(4, 2), covariance * max(1.0, misfit / max(1, 8 * (len(seen) - 1))))

@@ -63,6 +63,12 @@ class StereoSettings(Model):
     epipolar: Annotated[float, Field(gt=0.0)]
 
 
+class FiducialSettings(Model):
+    """Fiducials: the number of images for the mean corners of a plate."""
+
+    images: Annotated[int, Field(ge=1, le=20)]
+
+
 class ControlRange(Model):
     """Smallest and largest value of a control of the cameras."""
 
@@ -148,6 +154,7 @@ class VssSettings(Model):
     stereo: StereoSettings
     lines: LineGates
     circles: CircleGates
+    fiducials: FiducialSettings
     laser: LaserSettings
     waits: Waits
     frame_source: FrameSourceEntry

@@ -43,8 +43,8 @@ def test_a_camera_on_an_arm_sees_the_same_from_its_mount():
 class Arm:
     """Holds the camera somewhere; its pose is known but at some times [ns]."""
 
-    def __init__(self):
-        self.x, self.unknown = 0.3, set()
+    def __init__(self, cameras=None):
+        self.x, self.unknown, self.cameras = 0.3, set(), cameras
 
     def now(self, frame, stamp_ns):
         assert frame == WRIST
@@ -52,13 +52,16 @@ class Arm:
 
 
 class Cameras:
-    """Expose at once, at 1000 ns, 2000 ns, ..."""
+    """Expose at once, at 1000 ns, 2000 ns, ...; what moves before the images are there is in none."""
 
     def __init__(self):
-        self.shut = 0
+        self.shut, self.tells, self.move_on = 0, True, lambda: None
 
     def take_frames(self, order, exposed=nobody):
         self.shut += 1
+        if self.tells:
+            exposed((1000 * self.shut,))
+        self.move_on()
         black = np.zeros((480, 640), np.uint8)
         frames = {camera: (Frame(camera, black, 1000 * self.shut, False),) for camera in order.cameras}
         return FrameSet(frames, {}, order.exposure_s)
@@ -70,9 +73,10 @@ def held(tmp_path, monkeypatch):
 
     The solver finds it at the origin of the world.
     """
-    arm, settings = Arm(), load_settings(CELL)
+    arm, settings = Arm(Cameras()), load_settings(CELL)
     screen = SimpleNamespace(raw=lambda frame: None, display=lambda *_: None, residuals=lambda *_: None)
-    rig = Rig(settings, CELL, CameraBook(CELL, settings.cameras, tmp_path), Cameras(), screen, mounts=Mounts(arm.now))
+    book, mounts = CameraBook(CELL, settings.cameras, tmp_path), Mounts(arm.now)
+    rig = Rig(settings, CELL, book, arm.cameras, screen, mounts=mounts)
     vsm = VisionServicesManager(rig, load_catalogue())
     model = CameraModel(640, 480, rig.book[CAMERA].model.K, np.zeros(5), np.eye(3), np.zeros(3))
     known = CameraCovariance(tuple(f"{CAMERA}.{name}" for name in PARAMETERS), np.eye(len(PARAMETERS)))
@@ -100,6 +104,24 @@ def test_the_mount_counts_where_it_was_at_the_exposures(held):
     for x in (0.3, 0.3, 0.7):
         snap(x)
     assert calibrated(1000, 2000) == pytest.approx(0.3)
+
+
+def test_the_mount_counts_though_the_arm_goes_on_before_the_images_are_there(held):
+    arm, snap, calibrated = held
+
+    def move_on():
+        arm.x, arm.unknown = 0.7, {1000}
+
+    arm.cameras.move_on = move_on
+    snap(0.3)
+    assert calibrated(1000) == pytest.approx(0.3)
+
+
+def test_the_mount_is_known_of_images_whose_exposures_nobody_tells(held):
+    arm, snap, calibrated = held
+    arm.cameras.tells = False
+    snap(0.3)
+    assert calibrated(1000) == pytest.approx(0.3)
 
 
 def test_a_mount_that_moved_between_the_exposures_is_refused(held):

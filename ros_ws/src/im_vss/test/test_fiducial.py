@@ -38,7 +38,7 @@ def test_pose_is_within_its_covariance(plates, encode):
     nees, chi2, errors = [], [], []
     for number in range(TRIALS):
         found, missed = find_fiducials(
-            encode(plates.image(number)), plates.camera, plates.settings.sensor, wanted(plates.cell), EXACT
+            [encode(plates.image(number))], plates.camera, plates.settings.sensor, wanted(plates.cell), EXACT
         )
         assert list(missed) == [11]
         assert "not seen" in missed[11]
@@ -54,12 +54,44 @@ def test_pose_is_within_its_covariance(plates, encode):
     assert np.linalg.norm(np.mean(errors, axis=0)[:3]) < 0.004
 
 
+def test_the_mean_of_four_images_is_twice_as_certain(plates):
+    tag = wanted(plates.cell)[7]
+    true_place = plates.camera.to_camera(tag.pose()[1])
+    nees, shares = [], []
+    for first in range(0, 4 * TRIALS, 4):
+        images = [plates.image(number) for number in range(first, first + 4)]
+        (one,), _ = find_fiducials(images[:1], plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+        (mean,), _ = find_fiducials(images, plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+        error, covariance = mean.pose.translation - true_place, mean.pose.covariance[:3, :3]
+        nees.append(error @ np.linalg.solve(covariance, error) / 3.0)
+        shares.append(np.trace(covariance) / np.trace(one.pose.covariance[:3, :3]))
+    assert 0.6 < np.mean(nees) < 1.4
+    assert 0.2 < np.mean(shares) < 0.4
+
+
+def test_images_that_disagree_widen_the_covariance(plates):
+    tag = wanted(plates.cell)[7]
+    images = [plates.image(1), np.roll(plates.image(2), 2, axis=1)]
+    (one,), _ = find_fiducials(images[:1], plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+    (mean,), _ = find_fiducials(images, plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+    assert np.trace(mean.pose.covariance) > 10.0 * np.trace(one.pose.covariance)
+
+
+def test_a_plate_seen_in_one_of_the_images_is_found(plates):
+    tag = wanted(plates.cell)[7]
+    images = [np.full_like(plates.image(1), 80), plates.image(1)]
+    (fit,), missed = find_fiducials(images, plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+    (alone,), _ = find_fiducials(images[1:], plates.camera, plates.settings.sensor, {7: tag}, EXACT)
+    assert not missed
+    np.testing.assert_allclose(fit.pose.translation, alone.pose.translation, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "blurred", [cv2.GaussianBlur, lambda image, *_: cv2.blur(image, (9, 1))], ids=["focus", "motion"]
 )
 def test_what_is_blurred_too_much_has_no_pose(plates, blurred):
     image = blurred(plates.image(1), (0, 0), 2.0)
-    found, missed = find_fiducials(image, plates.camera, plates.settings.sensor, wanted(plates.cell), EXACT)
+    found, missed = find_fiducials([image], plates.camera, plates.settings.sensor, wanted(plates.cell), EXACT)
     assert not found
     assert re.search(r"blurred by \d\.\d px, too much for cells of \d\.\d px|not straight|not seen", missed[7])
 

@@ -113,11 +113,14 @@ def test_of_a_camera_on_an_arm_it_is_told_where_the_light_should_be(vsm, cameras
     assert "searched within" not in found.cause, "and it is searched everywhere"
 
 
-def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vsm, cameras):
-    cameras.failure = LinkError("the cameras are gone")
+@pytest.mark.parametrize(
+    ("failure", "told"), [(LinkError("the cameras are gone"), LinkError), (SystemExit("are gone"), RuntimeError)]
+)
+def test_what_fails_after_the_exposure_is_told_to_whoever_asks_for_the_result(vsm, cameras, failure, told):
+    cameras.failure = failure
     name = vsm.request("spot_look", SpotFindRequest((CAMERA,)))
     cameras.go.set()
-    with pytest.raises(LinkError, match="the cameras are gone"):
+    with pytest.raises(told, match="are gone"):
         vsm.request("spot_find", SpotFindRequest((CAMERA,), look=name))
 
 

@@ -1,5 +1,6 @@
 """The spot's centre, its covariance, and the causes of failure."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -33,9 +34,9 @@ def spot(u, v, amplitude, sigma, shape=SHAPE):
     return flux * np.outer(along_v, along_u)
 
 
-def frame(rng, mean):
+def frame(rng, mean, read_noise=NOISE.read_noise):
     """An exposure: Poisson photons, Gaussian read noise, quantisation."""
-    electrons = rng.poisson((mean - NOISE.black_level) * NOISE.gain) + rng.normal(0.0, NOISE.read_noise, mean.shape)
+    electrons = rng.poisson((mean - NOISE.black_level) * NOISE.gain) + rng.normal(0.0, read_noise, mean.shape)
     return np.clip(np.rint(electrons / NOISE.gain + NOISE.black_level), 0, 255).astype(np.uint8)
 
 
@@ -117,6 +118,56 @@ def test_few_saturated_pixels_do_no_harm():
         assert finding.spot.saturated > 0
         errors.append((finding.spot.u - u, finding.spot.v - v))
     assert np.sqrt(np.mean(np.square(errors))) < 0.03
+
+
+def flat(u, v, half_axes, turn, fine=8):
+    """Image of an evenly bright ellipse, a little out of focus, with a peak of 130."""
+    rows, columns = (np.mgrid[: SHAPE[0] * fine, : SHAPE[1] * fine] + 0.5) / fine - 0.5
+    along = (columns - u) * np.cos(turn) + (rows - v) * np.sin(turn)
+    across = (rows - v) * np.cos(turn) - (columns - u) * np.sin(turn)
+    sharp = ((along / half_axes[0]) ** 2 + (across / half_axes[1]) ** 2 < 1.0).astype(float)
+    blurred = cv2.GaussianBlur(sharp, (0, 0), 0.8 * fine).reshape(SHAPE[0], fine, SHAPE[1], fine).mean(axis=(1, 3))
+    return 130.0 * blurred / blurred.max()
+
+
+def smeared(u, v, length, turn):
+    """Image of a light that moves while it is exposed."""
+    places = np.linspace(-length / 2.0, length / 2.0, 33)
+    return sum(spot(u + np.cos(turn) * s, v + np.sin(turn) * s, 200.0, 1.2) for s in places) / 33.0
+
+
+@pytest.mark.parametrize("noisier", [1.0, 2.0])
+@pytest.mark.parametrize(
+    "image",
+    [
+        lambda u, v, turn: spot(u, v, 130.0, 1.2),
+        lambda u, v, turn: flat(u, v, (3.0, 3.0), turn),
+        lambda u, v, turn: flat(u, v, (4.0, 2.0), turn),
+        lambda u, v, turn: smeared(u, v, 4.0, turn),
+    ],
+    ids=["gaussian", "disc", "ellipse", "smear"],
+)
+def test_spots_of_other_shapes_and_noisier_frames_have_their_centre(image, noisier):
+    rng, normalised = np.random.default_rng(11), []
+    for _ in range(40):
+        (u, v), room = rng.uniform((14, 14), (50, 34)), background(rng)
+        lit = room + image(u, v, rng.uniform(0.0, np.pi))
+        read = noisier * NOISE.read_noise
+        if (found := find_spot(frame(rng, lit, read), frame(rng, room, read), NOISE, GATES).spot) is not None:
+            error = np.array([found.u - u, found.v - v])
+            normalised.append(error @ np.linalg.solve(found.covariance, error) / 2.0)
+    assert len(normalised) >= 38
+    assert 0.5 < np.mean(normalised) < 1.7
+
+
+def test_a_camera_that_shakes_shows_no_light():
+    rng = np.random.default_rng(5)
+    for _ in range(60):
+        texture = np.clip(background(rng) + 120.0 * cv2.GaussianBlur(rng.normal(size=SHAPE), (0, 0), 1.5), 10, 240)
+        move = np.float32([[1, 0, rng.uniform(-0.5, 0.5)], [0, 1, rng.uniform(-0.5, 0.5)]])
+        moved = cv2.warpAffine(texture, move, SHAPE[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        moved = np.clip(moved, 10, 240)
+        assert find_spot(frame(rng, moved), frame(rng, texture), NOISE, GATES).spot is None
 
 
 @given(st.floats(-3, 3), st.floats(0.4, 4.0))

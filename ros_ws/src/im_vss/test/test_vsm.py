@@ -145,7 +145,8 @@ def test_calibrations_take_turns_and_the_second_does_not_wait_for_ever(system, m
         raise DataError("solved, after a fashion")
 
     monkeypatch.setattr("im_vss.modules.solver.calibrate_possible", slow)
-    monkeypatch.setattr(vsm.managers["image_processing"], "wait_s", 0.2)
+    for manager in vsm.managers.values():
+        monkeypatch.setattr(manager, "wait_s", 0.2)
 
     def run():
         try:

@@ -136,7 +136,11 @@ class Bootstrap:
         self._agent, self._host, self._nets = agent, host, nets
         self._digests = digests or {}
         self._unlike: dict[str, str] = {}  # sentence on each host that has other files than this one
-        self._unheard = {placed.host for placed in tasks} - {host}
+        #: Hosts whose agents were not heard, each with what is wrong with what was.
+        self._unheard = {
+            each: f"no agent was heard; on it: start.sh FILE --host {each}"
+            for each in {placed.host for placed in tasks} - {host}
+        }
         self._silence = SilentTasks()
         self._changed = True
         #: How long the parts of the start have taken, in their order [s].
@@ -189,7 +193,7 @@ class Bootstrap:
         """
         self.registry.agent_heard(host, now)
         self._changed |= host in self._unheard
-        self._unheard.discard(host)
+        self._unheard.pop(host, None)
         unlike = differences(self._digests, digests)
         self._changed |= bool(unlike) != (host in self._unlike)
         if not unlike:
@@ -199,6 +203,12 @@ class Bootstrap:
             f"host {host} differs from host {self._host} in: {', '.join(unlike)}; give both the same files"
         )
         return self._unlike[host]
+
+    def stranger_heard(self, host: str, sentence: str) -> None:
+        """Note a message by a stranger to the agents; a start without an agent of the host names the message."""
+        if host in self._unheard:
+            self._changed |= self._unheard[host] != sentence
+            self._unheard[host] = sentence
 
     @property
     def awaits_nets(self) -> bool:
@@ -259,7 +269,7 @@ class Bootstrap:
             return missing(StartupPhase.START, bad)
         if absent := sorted(self._unheard):
             rest = [record for record in records if record.placed.host not in self._unheard]
-            agents = [f"host {host}: no agent was heard; on it: start.sh FILE --host {host}" for host in absent]
+            agents = [f"host {host}: {self._unheard[host]}" for host in absent]
             return agents + missing(self.phase, rest)
         return missing(StartupPhase.START, records)
 
@@ -290,7 +300,7 @@ class Bootstrap:
     def _end_part(self, part: str, now: float) -> None:
         """Record the duration of a part of the start; later calls keep the first value."""
         if part not in self.took:
-            self.took[part], self._part_began = now - self._part_began, now
+            self.took[part], self._part_began, self._changed = now - self._part_began, now, True
 
     def _may_start(self, records: Sequence[TaskRecord]) -> bool:
         """Check whether the nets of all tasks may run together; if not, fail the start."""

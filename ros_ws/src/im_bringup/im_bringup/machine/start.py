@@ -18,7 +18,7 @@ from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks import upkeep
 from im_bringup.tasks.agent import environment
 from im_bringup.tasks.deployment import Deployment
-from im_bringup.tasks.middleware import reach
+from im_bringup.tasks.middleware import reach, require_addresses
 from im_core import clock, config, names, unfinished_commands
 from im_core.errors import ConfigError, ImError, NotFoundError, StateError, StoreError
 from im_core.executables import INTERRUPTED, path_of
@@ -141,6 +141,7 @@ def main() -> int:
         whole = deployments.load(path)
         deployment = deployments.with_options(whole, arguments)
         check_programs(deployment, path)
+        require_addresses(deployment, path)
         check_cell(deployment, arguments.cell, whole)
         deployments.require_calibration_here(deployment, arguments.calibration)
         check_calibration(deployment, path)
@@ -333,10 +334,12 @@ def await_ready(
             stop.stop(say=lambda _: None)
             return 1
         if record is not None:
-            if record.phase != shown:
+            verifies = record.phase == "CONFIGURE" and "configure" in record.took
+            step = "verify the nets together" if verifies else f"{record.phase.lower()} {record.tasks} tasks"
+            if step != shown:
                 took.setdefault("bootstrap", clock.monotonic() - began - took["preflight"])
-                shown = record.phase
-                say(f"start: {shown.lower()} {record.tasks} tasks")
+                shown = step
+                say(f"start: {shown}")
             if record.state == machine.READY:
                 at_ready()
                 print_ready(record, clock.monotonic() - began)
@@ -346,7 +349,7 @@ def await_ready(
                 why = "its nets may not run together" if record.refused else "not every task could be started"
                 return give_up(why, record, goes_on)
         clock.sleep(_POLL_S)
-    return give_up(f"not every task was ready after {timeout_s:g} s", machine.read(), goes_on)
+    return give_up(f"not every task was ready after {timeout_s:g} s (--timeout allows more)", machine.read(), goes_on)
 
 
 def attend(process: ChildProcess) -> int:

@@ -17,16 +17,15 @@ from im_bringup.machine import run_state
 from im_bringup.security.permissions import AGENT, ENCLAVE_OVERRIDE, enclave_arguments
 from im_bringup.tasks import deployment as deployments
 from im_bringup.tasks.agent import Agent, Died, commands, environment
-from im_bringup.tasks.deployment import Deployment, with_options_text
+from im_bringup.tasks.deployment import Deployment, agent_name, with_options_text
 from im_bringup.tasks.host_digest import digests
 from im_bringup.tasks.memory_limit import limit_memory
-from im_bringup.tasks.middleware import has_link, middleware
+from im_bringup.tasks.middleware import has_link, middleware, require_addresses
 from im_bringup.tasks.registry import Progress
 from im_bringup.tasks.signed_link import (
     HostOrder,
     HostReport,
     SignedLink,
-    agent_name,
     orders_topic,
     read_secret,
     reports_topic,
@@ -76,7 +75,7 @@ class AgentNode(GuardedNode):
         self._incarnations: dict[str, int] = {}
         self._digests = digests(deployment)
         self._report_at = 0.0
-        self._started = False
+        self._started, self._run = False, ""
         self.finished = False
         self._publisher = self.create_publisher(String, reports_topic(host), qos.EVENTS)
         self.create_subscription(String, orders_topic(host), self._hear, qos.EVENTS)
@@ -87,6 +86,9 @@ class AgentNode(GuardedNode):
     def shut_down(self) -> None:
         """Stop all tasks of the local host, the last started first."""
         self._upkeep.stop()
+        self._end_tasks()
+
+    def _end_tasks(self) -> None:
         for name in self._agent.shut_down():
             self.log.warning(f"process {name} did not end and was killed")
 
@@ -102,6 +104,12 @@ class AgentNode(GuardedNode):
         if phase is StartupPhase.SHUTDOWN:
             self.finished = self._started
             return
+        if self._started and told.run != self._run:  # it has not heard of the end of the former run
+            self.log.warning("another run of the machine has begun: the tasks of the former one end")
+            self._end_tasks()
+            self._reports.clear()
+            self._incarnations.clear()
+            self._started = False
         if not self._started:
             deployment = with_options_text(self._deployment, told.options)
             # clients of this host hand files over in its run folder, and not in that of its tasks
@@ -112,7 +120,7 @@ class AgentNode(GuardedNode):
             fresh = not told.run or run_state.run_of(self._run_dir) != told.run
             run_state.prepare(self._run_dir, fresh, self.log.info)
             run_state.begin(self._run_dir, told.run)
-            self._started = True
+            self._started, self._run = True, told.run
             self._agent = Agent(commands(deployment, self._host, self._run_dir), given)
             for event in self._agent.start():
                 self.log.info(str(event))
@@ -157,6 +165,7 @@ def main() -> int:
     def make_node() -> AgentNode:
         deployment, secret = deployments.load(arguments.deployment), read_secret(os.environ)
         _await_link(deployment.addresses.get(arguments.host, ""))
+        require_addresses(deployment, Path(arguments.deployment))
         limit_memory(deployment.memory_mib)
         os.environ.update(middleware(os.environ, deployment))  # read when the first node is made
         return AgentNode(deployment, arguments.host, secret)

@@ -242,6 +242,7 @@ def load_status(record: TaskRecord, load: Load) -> DiagnosticStatus:
         "callbacks_per_s": f"{load.rate:.1f}",
         "open_requests": load.requests,
         "oldest_request_s": f"{load.oldest_s:.1f}",
+        "refused_requests": load.refused,
         "process_cpu": f"{load.cpu:.3f}",
         "process_memory_mib": f"{load.memory_mib:.1f}",
     }

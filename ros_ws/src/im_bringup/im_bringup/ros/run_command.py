@@ -36,7 +36,7 @@ from im_core.output import complain
 from im_core.processes.end_signals import handle_end_signals
 from im_core.ros.peers.servers import reason
 from im_msgs.action import ExecuteCommand
-from im_msgs.msg import CommandState
+from im_msgs.msg import CommandState, Status
 
 CONTROLS = {
     "cancel": "have a command end early",
@@ -164,7 +164,7 @@ def _do(machine: Machine, options: argparse.Namespace, texts: Sequence[str]) -> 
     command = machine.run(options.name, wait=False, priority=max(-10, min(10, given.priority)), **taken)
     who = f"im run {options.name}"
     follow(command, given.json)
-    if not command.begun and (under_way := same_under_way(machine, options.name)):
+    if under_way := None if command.begun else same_under_way(machine.under_way, options.name, command.outcome.status):
         print(f"{who}: {command.outcome.status.message}", file=sys.stderr)
         if not offered(under_way):
             return FAILED
@@ -222,9 +222,10 @@ def handed_over(arguments: Mapping[str, object]) -> dict[str, object]:
     }
 
 
-def same_under_way(machine: Machine, symbol: str) -> CommandState | None:
-    """Return the oldest unfinished command of a symbol, None if there is none."""
-    return next((state for state in machine.under_way if state.symbol == symbol), None)
+def same_under_way(under_way: Sequence[CommandState], symbol: str, refusal: Status) -> CommandState | None:
+    """Return the oldest unfinished command of a symbol, None if there is none or the refusal is about an argument."""
+    same = (state for state in under_way if state.symbol == symbol and refusal.code == StateError.default_code)
+    return next(same, None)
 
 
 def offered(state: CommandState) -> bool:

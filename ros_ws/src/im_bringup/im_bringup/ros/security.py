@@ -23,7 +23,7 @@ from im_bringup.security.permissions import (
     enclave_of,
     permissions_of,
 )
-from im_bringup.tasks.signed_link import agent_name
+from im_bringup.tasks.deployment import agent_name
 from im_core.errors import StateError, WaitTimeoutError
 from im_core.options import NumberParser
 from im_core.ros.peers.servers import node_of

@@ -10,11 +10,13 @@ from im_core.ros.failures import few
 from im_core.ros.guard import GuardedNode
 from im_core.ros.heartbeats import LEASE_S
 from im_core.ros.messages.stamps import wall_stamp
+from im_core.ros.peers.client_identity import UNKNOWN_NODE
 from im_core.ros.peers.servers import servers_of
 
 #: How often the graph is looked at [s].
 LOOK_S = 5.0
 #: Two nodes of one name may be one that was killed and the one in its place, for as long as the lease and a look [s].
+#: The graph may have forgotten the name of a killed one.
 _SUCCESSION_S = LEASE_S + 2.0 * LOOK_S
 
 
@@ -41,7 +43,10 @@ class SharedNames:
         self._since = {name: self._since.get(name, now) for name in doubled}
         by_servers: dict[tuple[str, ...], list[str]] = {}
         for name, servers in sorted(doubled.items()):
-            if len(set(servers)) > 1 or now - self._since[name] > _SUCCESSION_S:
+            if (
+                len({server for server in servers if UNKNOWN_NODE not in server}) > 1
+                or now - self._since[name] > _SUCCESSION_S
+            ):
                 by_servers.setdefault(tuple(servers), []).append(name)
         sentences = {
             server: f"{len(servers)} nodes serve {few(served)}: {few(servers)}; which of them answers is chance"

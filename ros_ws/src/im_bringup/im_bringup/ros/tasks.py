@@ -29,6 +29,7 @@ _COLUMNS = {
     "calls/s": "callbacks_per_s",
     "open": "open_requests",
     "oldest s": "oldest_request_s",
+    "refused": "refused_requests",
     "CPU": "process_cpu",
     "MiB": "process_memory_mib",
 }

@@ -17,6 +17,16 @@ CLIENT = "/im/client"
 BOOTSTRAP, AGENT = "bootstrap", "agent"
 #: Topic on which participants tell each other their nodes; no topic of ROS.
 _GRAPH = "ros_discovery_info"
+#: Services that every node of rclpy has, also that of a client; without them it would not come to be.
+_OF_EACH_NODE = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
 _GOVERNANCE = {
     "allow_unauthenticated_participants": "false",
     "enable_join_access_control": "true",
@@ -62,10 +72,17 @@ class NodeInterfaces:
 
 @dataclass(frozen=True)
 class Permissions:
-    """DDS topics that an enclave may write and read; ``*`` stands for any characters."""
+    """DDS topics that an enclave may write and read; ``*`` stands for any characters.
+
+    Attributes:
+        publish: What it may write.
+        subscribe: What it may read.
+        others_serve: Services in whose place it may not answer, whatever the other two say.
+    """
 
     publish: Sequence[str]
     subscribe: Sequence[str]
+    others_serve: Sequence[str] = ()
 
 
 def permissions_of(own: NodeInterfaces) -> Permissions:
@@ -74,22 +91,32 @@ def permissions_of(own: NodeInterfaces) -> Permissions:
     Tokens cross between nets on ``/<node>/tokens``: whoever sends the first one begins to publish there.
     """
     publish = [_GRAPH, "rq/*Request", "rt/*/tokens", *(f"rt{topic}" for topic in own.published)]
-    replies = [f"rr{service}Reply" for service in own.served]
-    requests = [f"rq{service}Request" for service in own.served]
+    replies, requests = _ends(own.served)
     return Permissions(sorted({*publish, *replies}), sorted({_GRAPH, "rt/*", "rr/*Reply", *requests}))
 
 
 def client_permissions(machine: Iterable[NodeInterfaces]) -> Permissions:
     """Return the permissions of clients: hear and call everything, publish where a process only listens.
 
-    A client offers no service, and publishes no topic of a process: neither heartbeats nor tokens.
+    A client publishes no topic of a process, neither heartbeats nor tokens, and offers no service but those that each
+    node has, under names that no process of the machine serves.
     """
     offers = list(machine)
     published = {topic for own in offers for topic in own.published}
     waiting = {topic for own in offers for topic in own.heard} - published
     commands = {f"rt{topic}" for topic in waiting if not topic.endswith("/tokens")}
     common = {_GRAPH, "rq/*Request", "rt/rosout", "rt/parameter_events"}
-    return Permissions(sorted(common | commands), sorted({_GRAPH, "rt/*", "rr/*Reply"}))
+    replies, requests = _ends(f"/*/{name}" for name in _OF_EACH_NODE)
+    served = {service for own in offers for service in own.served if service.endswith(_OF_EACH_NODE)}
+    return Permissions(
+        sorted({*common, *commands, *replies}), sorted({_GRAPH, "rt/*", "rr/*Reply", *requests}), sorted(served)
+    )
+
+
+def _ends(services: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Return the topics written by a server of services, and the topics read."""
+    named = list(services)
+    return [f"rr{name}Reply" for name in named], [f"rq{name}Request" for name in named]
 
 
 def permissions_document(enclave: str, allowed: Permissions, domain: int, valid: Sequence[str]) -> bytes:
@@ -105,12 +132,16 @@ def permissions_document(enclave: str, allowed: Permissions, domain: int, valid:
     grant = ET.SubElement(ET.SubElement(root, "permissions"), "grant", name=enclave)
     _text(grant, "subject_name", f"CN={enclave}")
     _texts(ET.SubElement(grant, "validity"), dict(zip(("not_before", "not_after"), valid, strict=True)))
-    rule = ET.SubElement(grant, "allow_rule")
-    _text(ET.SubElement(rule, "domains"), "id", str(domain))
-    for kind, topics in (("publish", allowed.publish), ("subscribe", allowed.subscribe)):
-        listed = ET.SubElement(ET.SubElement(rule, kind), "topics")
-        for topic in topics:
-            _text(listed, "topic", topic)
+    rules = {"allow_rule": (allowed.publish, allowed.subscribe)}
+    if allowed.others_serve:
+        rules = {"deny_rule": _ends(allowed.others_serve), **rules}  # the first that fits counts
+    for kind, topics in rules.items():
+        rule = ET.SubElement(grant, kind)
+        _text(ET.SubElement(rule, "domains"), "id", str(domain))
+        for way, names in zip(("publish", "subscribe"), topics, strict=True):
+            listed = ET.SubElement(ET.SubElement(rule, way), "topics")
+            for topic in names:
+                _text(listed, "topic", topic)
     _text(grant, "default", "DENY")
     return _bytes(root)
 

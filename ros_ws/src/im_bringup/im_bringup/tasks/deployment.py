@@ -16,16 +16,25 @@ from im_bringup.tasks.memory_limit import DEFAULT_MIB
 from im_bringup.tasks.upkeep import Keep
 from im_core import config
 from im_core.config import FieldError, Model
-from im_core.errors import ConfigError, DataError, NotFoundError
+from im_core.errors import ConfigError, DataError, NotFoundError, nearest
 from im_core.names import CELL
 from im_core.text.bounded_json import read_json
 
 Scalar = bool | int | float | str
-ParameterValue = Scalar | list[Scalar]
+
+
+def _parameter(value: object, check: pydantic.ValidatorFunctionWrapHandler) -> object:
+    try:
+        return check(value)
+    except pydantic.ValidationError as error:
+        raise ValueError("a parameter is a text, a finite number, true or false, or a list of these") from error
+
+
+ParameterValue = Annotated[Scalar | list[Scalar], pydantic.WrapValidator(_parameter)]
 Name = Annotated[str, pydantic.StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 HostName = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=253)]
 Address = Annotated[str, pydantic.StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]*$", max_length=253)]
-NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_/]*$", max_length=200)]
+NodeName = Annotated[str, pydantic.StringConstraints(pattern=r"^/[a-z][a-z0-9_]*$", max_length=65)]
 
 MOST_TASKS = 100
 """Of a machine."""
@@ -57,7 +66,7 @@ class Task(Model):
     Attributes:
         package: ROS package of the executable.
         executable: Its console script.
-        node: Fully qualified name of the node.
+        node: Fully qualified name of the node, ``/`` and the task's name.
         needs: Parts that the cell must have, or kinds of parts, as ``lights``; else the task is left out.
         parameters: ROS parameters; ``${clock_factor}``, ``${period}``, ``${seed}``, ``${perfect_arm}``, ``${port}``,
             ``${control}``, ``${calibration}`` and ``${commands}`` stand for those of the deployment, in lists, too.
@@ -92,16 +101,27 @@ class PlacedTask:
     task: Task
 
 
-def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], nodes: Mapping[str, str]) -> str:
+def _misplaced(name: str, task: Task, place: str, names: Mapping[str, str], own: Mapping[str, str]) -> str:
     """Return the reason against a task at a place; empty if there is none."""
     if name in names:
         return f"task '{name}' is in {names[name]} and in {place}"
-    if task.node == _OWN_NODE:
-        return f"task '{name}' has the node {task.node}, which is the machine's own"
-    if task.node in nodes:
-        return f"node {task.node} belongs to task '{nodes[task.node]}' and to '{name}'"
-    if task.node.rpartition("/")[2] != name:
-        return f"task '{name}' has the node {task.node}, which must end in the task's name"
+    if task.node in own:
+        return f"task '{name}' has the node {task.node}, which is {own[task.node]}"
+    if task.node != f"/{name}":
+        return f"task '{name}' has the node {task.node}, which must be /{name}"
+    return ""
+
+
+def _runs_twice(tasks: Mapping[str, Task]) -> str:
+    """Return the reason against one executable for two tasks of a process: both nodes would get one name."""
+    runs: dict[tuple[str, str], str] = {}
+    for name, task in tasks.items():
+        other = runs.setdefault((task.package, task.executable), name)
+        if other != name:
+            return (
+                f"tasks '{other}' and '{name}' of one process run the same executable, {task.executable} of "
+                f"{task.package}; give each a process of its own"
+            )
     return ""
 
 
@@ -157,28 +177,49 @@ class Deployment(Model):
         count = sum(len(tasks) for processes in self.hosts.values() for tasks in processes.values())
         if count > MOST_TASKS:
             raise ValueError(f"the deployment has {count} tasks; at most {MOST_TASKS} are allowed")
+        own = self._own_nodes()
         names: dict[str, str] = {}
-        nodes: dict[str, str] = {}
         for host, processes in self.hosts.items():
+            if not processes:
+                raise FieldError(("hosts", host), f"host '{host}' has no process")
             for process, tasks in processes.items():
                 here, place = ("hosts", host, process), f"process '{process}' of host '{host}'"
                 if not tasks:
                     raise FieldError(here, f"{place} has no task")
                 if process in _OWN_PROCESSES:
                     raise FieldError(here, f"{place}: this name is reserved for the machine; choose another")
+                if sentence := _runs_twice(tasks):
+                    raise FieldError(here, sentence)
                 for name, task in tasks.items():
-                    if sentence := _misplaced(name, task, place, names, nodes) or self._unknown_reference(name, task):
+                    if sentence := _misplaced(name, task, place, names, own) or self._wrong_parameter(name, task):
                         raise FieldError((*here, name), sentence)
-                    names[name], nodes[task.node] = place, name
+                    names[name] = place
         self._check_shared_memory()
         self._check_addresses()
         return self
 
+    def _own_nodes(self) -> dict[str, str]:
+        """Return the nodes of the machine itself, with the owners; refuse two hosts with one name for both agents."""
+        own = {_OWN_NODE: "the machine's own"}
+        for host in self.hosts:
+            node = f"/{agent_name(host)}"
+            if node in own:
+                raise FieldError(("hosts", host), f"node {node} is {own[node]}, and that of host '{host}'; rename one")
+            own[node] = f"the agent of host '{host}'"
+        return own
+
     def _check_addresses(self) -> None:
-        """Refuse addresses of unknown hosts, and hosts without one where others have one."""
-        for host in self.addresses:
+        """Refuse addresses of unknown hosts, and hosts without an address of their own where others have one."""
+        hosts: dict[str, str] = {}
+        for host, address in self.addresses.items():
+            here = ("addresses", host)
             if host not in self.hosts:
-                raise FieldError(("addresses", host), f"there is no host '{host}'; there are {', '.join(self.hosts)}")
+                raise FieldError(here, f"there is no host '{host}'{nearest(host, self.hosts)}")
+            if other := hosts.get(address):
+                raise FieldError(here, f"{address} is the address of host '{other}'")
+            if address == "localhost" or address.startswith("127."):
+                raise FieldError(here, f"{address} means each host itself; give the address at which others reach it")
+            hosts[address] = host
         if self.addresses and (without := [host for host in self.hosts if host not in self.addresses]):
             raise FieldError(("addresses",), f"host '{without[0]}' has no address; give one to every host, or to none")
 
@@ -197,8 +238,8 @@ class Deployment(Model):
                 f"other hardware by the parameter '{own}'",
             )
 
-    def _unknown_reference(self, name: str, task: Task) -> str:
-        """Return the fault of a reference among the parameters of a task; empty if there is none."""
+    def _wrong_parameter(self, name: str, task: Task) -> str:
+        """Return the fault of a parameter of a task: an unknown reference, a mixed list; empty if there is none."""
         known = sorted(self._variables())
         for parameter, text in task.texts():
             for written in _WRITTEN.findall(text):
@@ -207,6 +248,12 @@ class Deployment(Model):
                         f"parameter '{parameter}' of task '{name}' refers to '{written[:60]}'; "
                         f"known are {', '.join(known)}"
                     )
+        for parameter, value in self.parameters_of(task).items():
+            kinds = sorted({type(one).__name__ for one in value}) if isinstance(value, list) else []
+            if len(kinds) > 1:
+                return (
+                    f"parameter '{parameter}' of task '{name}' is a list of {' and '.join(kinds)}; ROS takes one type"
+                )
         return ""
 
     def _variables(self) -> dict[str, Scalar]:
@@ -274,6 +321,18 @@ class Deployment(Model):
             fault = config.faults(error, Deployment)[0]
             shown = f"{fault.value:g}" if isinstance(fault.value, float) else fault.value
             raise ConfigError(f"{fault.field}: {shown}: {fault.words}", field=fault.field) from error
+
+
+def _require_cell(path: Path, cell: str) -> None:
+    """Refuse a deployment file whose cell is neither a file nor shipped."""
+    from im_cell.robot import cell_file  # half a second that few starts need
+
+    try:
+        there = cell_file(cell).is_file()
+    except ConfigError as error:
+        raise config.fault_in(path, ("cell",), error.message) from error
+    if not there:
+        raise config.fault_in(path, ("cell",), f"{cell}: there is no such file")
 
 
 EVERYWHERE = ("clock_factor", "seed", "perfect_arm", "port", "period", "control", "unproved", "foxglove")
@@ -372,6 +431,11 @@ def require_calibration_here(deployment: Deployment, folder: str | None) -> None
             )
 
 
+def agent_name(host: str) -> str:
+    """Return the name of the agent node of a host."""
+    return "agent_" + re.sub(r"\W", "_", host)
+
+
 def is_name(text: str) -> bool:
     """Return whether a text names something shipped, and no file."""
     return "/" not in text and "." not in text
@@ -386,7 +450,7 @@ def load(path: str | Path) -> Deployment:
     """Read a deployment file; cell, folder of calibrations and net files are relative to the deployment file.
 
     Raises:
-        ConfigError: It cannot be read or is not a deployment; names file, line and field.
+        ConfigError: It cannot be read or is not a deployment, or there is no such cell; names file, line and field.
     """
     deployment = config.load_model(path, Deployment)
     here = Path(path).resolve().parent
@@ -395,5 +459,7 @@ def load(path: str | Path) -> Deployment:
         if "," in name:
             raise config.fault_in(Path(path), ("commands", rank), f"{name}: {_NO_COMMA}")
     cell = deployment.cell if is_name(deployment.cell) else str((here / deployment.cell).resolve())
+    if cell:
+        _require_cell(Path(path), cell)
     calibration = deployment.calibration and str((here / deployment.calibration).resolve())
     return deployment.model_copy(update={"commands": tuple(named), "cell": cell, "calibration": calibration})

@@ -20,6 +20,7 @@ class Load:
         oldest_s: Age of the oldest of them [s].
         cpu: Share of one processor that its process and the children of that use; 1.0: all of one.
         memory_mib: Their private memory [MiB].
+        refused: How many requests of its services were answered without success, since its start.
     """
 
     rate: float = 0.0
@@ -27,6 +28,7 @@ class Load:
     oldest_s: float = 0.0
     cpu: float = 0.0
     memory_mib: float = 0.0
+    refused: int = 0
 
 
 class ProcessLoad:
@@ -81,7 +83,11 @@ class TaskLoads:
             begun, base = now, report
         self._base[report.task] = begun, base
         self._loads[report.task] = replace(
-            load, requests=report.requests, oldest_s=report.oldest_s, memory_mib=report.memory_mib
+            load,
+            requests=report.requests,
+            oldest_s=report.oldest_s,
+            memory_mib=report.memory_mib,
+            refused=report.refused,
         )
 
     def of(self, task: str) -> Load:

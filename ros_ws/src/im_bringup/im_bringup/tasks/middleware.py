@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from im_bringup.tasks.deployment import Deployment
-from im_core.config import package_file
+from im_core.config import fault_in, package_file
 
 #: Environment variable that names the profile.
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -53,6 +53,20 @@ def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str
     if own := own_profile(base):
         return {PROFILE: own, **_SKIP, **peers}
     return {PROFILE: str(ours), QOS_FROM_PROFILE: "1", **_SKIP, **peers}
+
+
+def require_addresses(deployment: Deployment, path: Path) -> None:
+    """Refuse addresses of hosts that no participant of DDS could look at.
+
+    Raises:
+        ConfigError: One is neither an IPv4 address nor a name that this host knows.
+    """
+    for host, address in deployment.addresses.items():
+        try:
+            socket.getaddrinfo(address, None, socket.AF_INET)
+        except OSError as error:
+            sentence = f"{address}: neither an IPv4 address nor a name that this host knows: {error.strerror}"
+            raise fault_in(path, ("addresses", host), sentence) from error
 
 
 def reach(base: Mapping[str, str], deployment: Deployment) -> str:

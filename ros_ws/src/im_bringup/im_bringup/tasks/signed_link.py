@@ -7,13 +7,13 @@ receiver, and has a number: a recorded message, of this run or of a former one, 
 import hmac
 import json
 import os
-import re
 import secrets
 import stat
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from im_bringup.tasks.deployment import agent_name
 from im_core.errors import ConfigError, DataError
 from im_core.files import FileError, read_bytes
 from im_core.processes.agent_socket import AgentOrder, TaskReport
@@ -71,11 +71,6 @@ def orders_topic(host: str) -> str:
 def reports_topic(host: str) -> str:
     """The topic on which the agent of a host tells the bootstrap :class:`HostReport`."""
     return f"/{agent_name(host)}/reports"
-
-
-def agent_name(host: str) -> str:
-    """Return the name of the agent node of a host."""
-    return "agent_" + re.sub(r"\W", "_", host)
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,9 @@ def problem_of_images(options: argparse.Namespace) -> tuple[CalibrationProblem, 
         if motion is not None and seen.stamps is not None:
             poses = motion(seen.stamps)
         else:
-            poses = read_poses(options.robot, seen.names, options.order, UNITS[options.unit])
+            by_name = read_poses(options.robot, seen.names, options.order, UNITS[options.unit])
+            seen = seen.with_poses(by_name, options.robot)
+            poses = np.array([by_name[name] for name in seen.names])
         mm, mrad = options.sd_robot or (1.0, 2.0)
         robot = RobotPoses(poses, options.eye_in_hand, 1e-3 * mm, 1e-3 * mrad)
     known = {name: (values, covariance) for name, (_, values, covariance) in given.items()}

@@ -51,7 +51,7 @@ def with_usual_arm(problem: CalibrationProblem) -> CalibrationProblem:
     """Return the problem with a usual error of the arm, where the arm's kinematics are given: gates need some size."""
     if problem.arm_jacobians is None:
         return problem
-    return replace(problem, arm_error=ArmError.largest(problem.positions, problem.arm_jacobians).times(_USUAL))
+    return replace(problem, arm_error=_largest(problem).times(_USUAL))
 
 
 def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bool = True) -> Explanation:
@@ -70,7 +70,7 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         # a target's own place takes up what is alike at neighbours
         return Explanation(problem, ParameterLayout.of(problem), gated)
     robot_known = robot_known and problem.arm_jacobians is None
-    whole = ArmError.largest(problem.positions, problem.arm_jacobians)
+    whole = _largest(problem)
     factor = 0.0 if problem.arm_error is None else problem.arm_error.standard_deviation / whole.standard_deviation
     found = Explanation(problem, ParameterLayout.of(problem), gated)
     for _ in range(_ROUNDS):
@@ -91,6 +91,11 @@ def with_arm_error(gated: Gated, problem: CalibrationProblem, *, robot_known: bo
         pass  # cameras so wrong that they hide the noise of the spots tell nothing of an arm
     plain = replace(problem, arm_error=None)
     return Explanation(plain, ParameterLayout.of(plain), gated)
+
+
+def _largest(problem: CalibrationProblem) -> ArmError:
+    """Return the largest error that the arm of a problem may have."""
+    return ArmError.largest(problem.positions, problem.wrist_rotations, problem.arm_jacobians)
 
 
 def _preferred(found: Explanation) -> bool:

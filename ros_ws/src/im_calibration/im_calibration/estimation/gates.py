@@ -9,9 +9,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_limit, chi2_median
 from im_calibration.estimation.residuals import camera_blocks, linearise, projectable
 from im_calibration.estimation.solve import Fit, maximise_likelihood, spot_distances
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
@@ -230,7 +230,7 @@ def _noise_scale(prediction: Prediction, used: Mask) -> float:
     ratios = []
     for pose in poses:
         cameras = np.flatnonzero(used[:, pose])
-        ratios.append(prediction.distance(int(pose), cameras) / scipy.stats.chi2.median(2 * len(cameras)))
+        ratios.append(prediction.distance(int(pose), cameras) / chi2_median(2 * len(cameras)))
     scale = float(np.median(ratios))
     return scale if scale > 1.0 + 3.0 / np.sqrt(len(poses)) else 1.0
 
@@ -240,8 +240,8 @@ def _first_gate(unknowns: Unknowns, problem: CalibrationProblem, layout: Paramet
     seen = problem.detected & projectable(unknowns, problem)
     unknowns = replace(unknowns, displacements=np.zeros_like(problem.positions))
     distances = spot_distances(linearise(unknowns, problem, layout, seen))
-    typical = float(np.median(distances[seen])) / scipy.stats.chi2.median(2)
-    gate = scipy.stats.chi2.isf(FALSE_ALARM, 2) * max(1.0, typical)
+    typical = float(np.median(distances[seen])) / chi2_median(2)
+    gate = chi2_limit(FALSE_ALARM, 2) * max(1.0, typical)
     chosen = np.asarray(seen & (distances <= gate))
     return chosen if _enough(chosen, problem, layout) else seen
 
@@ -260,4 +260,4 @@ def _enough(chosen: Mask, problem: CalibrationProblem, layout: ParameterLayout) 
 @cache
 def _gate(dof: int) -> float:
     """Return the value exceeded by chi-square with probability :data:`FALSE_ALARM`."""
-    return float(scipy.stats.chi2.isf(FALSE_ALARM, dof))
+    return float(chi2_limit(FALSE_ALARM, dof))

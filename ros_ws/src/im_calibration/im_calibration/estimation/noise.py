@@ -18,6 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_beyond, chi2_limit
 from im_calibration.estimation.residuals import linearise
 from im_calibration.estimation.unknowns import ParameterLayout, Unknowns
 from im_calibration.problem.problem import NOISE_SOURCES, CalibrationProblem
@@ -341,7 +342,7 @@ def _deviations(logs: Array) -> tuple[float, float]:
 
 def _chance(gained: float, parameters: int) -> float:
     """Return the probability of a given gain in deviance from unnecessary parameters."""
-    return float(scipy.stats.chi2.sf(max(0.0, gained), parameters))
+    return float(chi2_beyond(max(0.0, gained), parameters))
 
 
 def _profile(best: float, least: float, deviance: Callable[[float], float]) -> _Profile:
@@ -352,7 +353,7 @@ def _profile(best: float, least: float, deviance: Callable[[float], float]) -> _
         least: Deviance there.
         deviance: Of a logarithm.
     """
-    allowed = least + float(scipy.stats.chi2.ppf(_CHANCE, 1))
+    allowed = least + float(chi2_limit(1.0 - _CHANCE, 1))
 
     def bracket(side: float) -> tuple[float, float] | None:
         inner, stride = best, 0.1

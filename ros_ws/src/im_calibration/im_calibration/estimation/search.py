@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.chi_squared import chi2_limit
 from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE, Gated, fit_with_gates
 from im_calibration.estimation.residuals import projectable
 from im_calibration.estimation.solve import robust_cost, robust_fit
@@ -75,7 +75,7 @@ def unexplained(gated: Gated, problem: CalibrationProblem) -> float:
     seen, used = problem.detected.sum(axis=0), gated.used.sum(axis=0)
     whole = (used == 0) & (seen > 0)
     blamed = np.where(whole, 0, seen - used).sum()
-    gates = scipy.stats.chi2.isf(FALSE_ALARM, 2 * seen[whole]).sum() + blamed * scipy.stats.chi2.isf(FALSE_ALARM, 2)
+    gates = chi2_limit(FALSE_ALARM, 2 * seen[whole]).sum() + blamed * chi2_limit(FALSE_ALARM, 2)
     return float(gated.fit.chi2 + gates) if np.isfinite(gated.fit.chi2) else float("inf")
 
 
@@ -83,7 +83,7 @@ def plausible(gated: Gated, problem: CalibrationProblem, layout: ParameterLayout
     """Check whether most spots are believed and explained by the noise; if not, a further search is worthwhile."""
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
     freedom = max(1, 2 * int(gated.used.sum()) - layout.free_size)
-    return bool(believed and gated.fit.chi2 < scipy.stats.chi2.isf(_UNLIKELY, freedom))
+    return bool(believed and gated.fit.chi2 < chi2_limit(_UNLIKELY, freedom))
 
 
 def robust_start(problem: CalibrationProblem, layout: ParameterLayout) -> Unknowns:

@@ -8,10 +8,10 @@ components go on in turns.
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from im_calibration.estimation.arm import Explanation, with_arm_error
+from im_calibration.estimation.chi_squared import chi2_median
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, fit_with_gates
 from im_calibration.estimation.noise import NoiseFactors, noise_factors, noise_scale
 from im_calibration.estimation.residuals import linearise, projectable
@@ -118,4 +118,4 @@ def _median_factor(unknowns: Unknowns, problem: CalibrationProblem, layout: Para
     seen = problem.detected & projectable(unknowns, problem)
     typical = float(np.median(spot_distances(linearise(unknowns, problem, layout, seen))[seen]))
     freedom = max(0.2, 1.0 - layout.size / (2.0 * float(seen.sum())))
-    return float(np.sqrt(typical / scipy.stats.chi2.median(2) / freedom))
+    return float(np.sqrt(typical / chi2_median(2) / freedom))

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_beyond
 from im_calibration.estimation.residuals import Linearisation
 from im_calibration.estimation.unknowns import ParameterLayout
 
@@ -33,7 +33,8 @@ class CameraAgreement:
     @property
     def log_chance(self) -> float:
         """Logarithm of the probability of a `chi2` equally large or larger."""
-        return float(scipy.stats.chi2.logsf(self.chi2, self.dof))
+        with np.errstate(divide="ignore"):
+            return float(np.log(chi2_beyond(self.chi2, self.dof)))
 
 
 def camera_agreements(line: Linearisation, used: Mask, layout: ParameterLayout) -> tuple[CameraAgreement, ...]:

@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_beyond
 from im_calibration.judgement.checks import Checks
 from im_calibration.judgement.expected import ImageError
 from im_calibration.judgement.neighbours import Neighbours
@@ -270,7 +271,7 @@ class Calibration:
 
 def chance_of(chi2: float, dof: int) -> float:
     """Return the probability of a chi-square equally large or larger, NaN without redundancy."""
-    return float(scipy.stats.chi2.sf(chi2, dof)) if dof > 0 else float("nan")
+    return float(chi2_beyond(chi2, dof)) if dof > 0 else float("nan")
 
 
 def _told(kind: str, verdicts: tuple[Verdict, ...]) -> str:

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.chi_squared import chi2_median
 from im_calibration.estimation.projection import image
 from im_calibration.estimation.residuals import linearise, projectable
 from im_calibration.estimation.search import robust_start
@@ -242,7 +242,7 @@ def _fit(problem: CalibrationProblem, rounds: int = _ROUNDS, *, thoroughly: bool
     seen = list(problem.detected)
     px, share = (max(_median(row[c]) for row, c in zip(values, seen, strict=True)) for values in (lengths, shares))
     median = max(_median(row[c]) for row, c in zip(_distances(problem, unknowns), seen, strict=True))
-    return _Fitted(unknowns, float(np.sqrt(median / scipy.stats.chi2.median(2))), px, share, stated)
+    return _Fitted(unknowns, float(np.sqrt(median / chi2_median(2))), px, share, stated)
 
 
 def _median(values: Array) -> float:

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_beyond
 from im_calibration.estimation.gates import Gated, predict_from_others
 from im_calibration.estimation.unknowns import ParameterLayout
 from im_calibration.problem.problem import CalibrationProblem
@@ -84,5 +84,5 @@ def _half(gated: Gated, problem: CalibrationProblem, predicted: Mask) -> tuple[f
     first = float(np.trace(noise, axis1=1, axis2=2).sum() + np.trace(by_cameras))
     second = float((noise**2).sum() + 2.0 * (covariance * common).sum() + (by_cameras * by_cameras.T).sum())
     squared, spots = float((errors[rows] ** 2).sum()), float(rows.sum()) / 2.0
-    chance = float(scipy.stats.chi2.sf(squared * first / second, first**2 / second))
+    chance = float(chi2_beyond(squared * first / second, first**2 / second))
     return chance, float(np.sqrt(squared / spots)), float(np.sqrt(first / spots))

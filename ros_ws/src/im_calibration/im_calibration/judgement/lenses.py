@@ -10,10 +10,10 @@ it may be significant, other lens models are fitted, and the poses predicted fro
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from im_calibration.errors import DegenerateDataError, InconsistentDataError
+from im_calibration.estimation.chi_squared import chi2_beyond
 from im_calibration.estimation.covariance import covariance_of
 from im_calibration.estimation.gates import TRUSTED_SHARE, Gated, predict_from_others
 from im_calibration.estimation.projection import image
@@ -107,7 +107,7 @@ def _patterns(
         kept = values > _LOST
         projected = (vectors.T @ (scale * score))[kept]
         statistic = float((projected**2 / values[kept]).sum()) / noise
-        chances.append((float(scipy.stats.chi2.sf(statistic, kept.sum())) if kept.any() else 1.0, against))
+        chances.append((float(chi2_beyond(statistic, kept.sum())) if kept.any() else 1.0, against))
     return tuple(chances)
 
 
@@ -174,4 +174,4 @@ def _explains(gated: Gated, problem: CalibrationProblem) -> bool:
     prior = layout.prior(gated.fit.unknowns).lens_chi2
     dof = 2 * int(gated.used.sum()) - layout.free_size
     believed = np.all(gated.used.sum(axis=1) >= TRUSTED_SHARE * problem.detected.sum(axis=1))
-    return bool(believed and dof > 0 and scipy.stats.chi2.sf(gated.fit.chi2 - prior, dof) > _UNLIKELY)
+    return bool(believed and dof > 0 and chi2_beyond(gated.fit.chi2 - prior, dof) > _UNLIKELY)

@@ -78,4 +78,4 @@ def compare_neighbours(line: Linearisation, used: Mask, positions: NDArray[np.fl
         variance += float((near + near.T).power(2).sum())
     if not weight:
         return Neighbours(float("nan"), float("nan"))
-    return Neighbours(together / weight, float(scipy.stats.norm.isf(_CHANCE)) * variance**0.5 / weight)
+    return Neighbours(together / weight, -float(scipy.special.ndtri(_CHANCE)) * variance**0.5 / weight)

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_beyond, chi2_limit
 from im_calibration.estimation.gates import FALSE_ALARM
 from im_calibration.estimation.projection import project
 from im_calibration.estimation.unknowns import Unknowns
@@ -105,10 +105,10 @@ def measure_scale(unknowns: Unknowns, covariance: Array, lengths: KnownLengths, 
     return Scale(
         error=error,
         standard_deviation=precision**-0.5,
-        p_value=float(scipy.stats.chi2.sf(error**2 * precision, 1)),
+        p_value=float(chi2_beyond(error**2 * precision, 1)),
         lengths_used=n,
         lengths_given=k,
-        agreement=float(scipy.stats.chi2.sf(left @ weights @ left, n - 1)) if n > 1 else float("nan"),
+        agreement=float(chi2_beyond(left @ weights @ left, n - 1)) if n > 1 else float("nan"),
     )
 
 
@@ -156,5 +156,5 @@ def _agree(
     spread = spread + errors @ cameras @ np.swapaxes(errors, 1, 2) + rows @ np.swapaxes(rows, 1, 2)
     stacked = np.swapaxes(residuals, 0, 1).reshape(m, 2 * c, 1)
     distance = (stacked * np.linalg.solve(spread, stacked)).sum(axis=(1, 2))
-    limits = scipy.stats.chi2.isf(FALSE_ALARM, np.maximum(1, 2 * seen.sum(axis=0) - 3))
+    limits = chi2_limit(FALSE_ALARM, np.maximum(1, 2 * seen.sum(axis=0) - 3))
     return np.asarray(distance <= limits)

@@ -82,7 +82,7 @@ def _slips_of_wrists(problem: CalibrationProblem) -> Iterator[Slip]:
     text = "The wrist's rotations are the wrong way round: with their inverses (wrist -> base)"
     yield Slip(text, _with_wrists(problem, np.swapaxes(given, 1, 2)))
     turns = Rotation.from_matrix(given)
-    for order, read, right in (([3, 0, 1, 2], "x, y, z, w", "w, x, y, z"), ([1, 2, 3, 0], "w, x, y, z", "x, y, z, w")):
+    for order, read, right in (([1, 2, 3, 0], "x, y, z, w", "w, x, y, z"), ([3, 0, 1, 2], "w, x, y, z", "x, y, z, w")):
         text = f"The wrist's quaternions are {right} and were read as {read}: in their own order"
         yield Slip(text, _with_wrists(problem, Rotation.from_quat(turns.as_quat()[:, order]).as_matrix()))
     for read, own in _EULER:

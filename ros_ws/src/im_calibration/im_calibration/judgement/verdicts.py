@@ -1,9 +1,9 @@
 """Verdicts: unknowns not determined by the data, and residuals not explained by the stated noise."""
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
+from im_calibration.estimation.chi_squared import chi2_limit
 from im_calibration.estimation.covariance import Covariance
 from im_calibration.estimation.gates import FALSE_ALARM, TRUSTED_SHARE
 from im_calibration.estimation.start import FLAT, core_extent, robust_extent
@@ -289,7 +289,7 @@ def _outside(spots: Array, size: tuple[int, ...]) -> NDArray[np.bool_]:
 
 def _beyond_arms(calibration: Calibration, problem: CalibrationProblem) -> str:
     """Report a smooth error as large as that of no arm; empty if it is smaller."""
-    largest = _NEAR_LARGEST * ArmError.largest(problem.positions).standard_deviation
+    largest = _NEAR_LARGEST * ArmError.largest(problem.positions, problem.wrist_rotations).standard_deviation
     if calibration.arm_error_m < min(largest, _LARGEST_ERROR_M):
         return ""
     return (
@@ -333,7 +333,7 @@ def _moved_alike(calibration: Calibration, problem: CalibrationProblem, c: int) 
     if len(residuals) < _FEWEST_MOVED:
         return ""
     shift = np.median(residuals, axis=0)
-    gate = scipy.stats.chi2.isf(FALSE_ALARM, 2)
+    gate = chi2_limit(FALSE_ALARM, 2)
     alike = (_squared(residuals, spread) > gate) & (_squared(residuals - shift, spread) < gate)
     enough = max(_FEWEST_MOVED, TRUSTED_SHARE * len(residuals), _MOVED_SHARE * problem.detected[c].sum())
     if alike.sum() < enough:

@@ -2,8 +2,9 @@
 
 An arm repeats a position far better than it knows it. Where its kinematics are given, its error is mostly that of
 joints that are turned and shifted a little from where the drawing has them; beneath, and where they are not given, it
-is a polynomial of third order of the place with random coefficients, a random field of few terms. Terms that shift or
-turn all positions alike are left out: the frame of the cameras is the one that the arm's readings have as a whole.
+is a polynomial of third order of the place, and of first order of the wrist's rotation, with random coefficients: a
+random field of few terms. Terms that shift or turn all positions alike are left out: the frame of the cameras is the
+one that the arm's readings have as a whole.
 Sources: Rasmussen and Williams, "Gaussian Processes for Machine Learning" (2006), sections 2.7 and 4.2; B. Mooring,
 Z. Roth, M. Driels, "Fundamentals of Manipulator Calibration" (1991), chapter 3.
 """
@@ -22,8 +23,10 @@ Array = NDArray[np.float64]
 LARGEST_SHARE = 4e-3
 """Largest standard deviation of each coordinate of an arm's error, as a share of the extent of its positions [-]."""
 
-_SHARES = {1: 0.6, 2: 1.0, 3: 0.5}
-"""Size of the terms of each order, of one another: most of what the first order has of an arm's error is rigid."""
+_SHARES = {1: 1.0, 2: 1.0, 3: 0.5}
+"""Size of the terms of each order, of one another."""
+_WRIST_SHARE = 0.6
+"""Size of the terms of the wrist's rotation, likewise: its joints are off as well, and the tool swings on them."""
 _KEPT = 2e-3
 """Least size of a combination of errors that counts, of the largest [-]."""
 _BENEATH = 0.1
@@ -41,11 +44,12 @@ class ArmError:
     jacobians: Array
 
     @staticmethod
-    def largest(positions: Array, kinematics: Array | None = None) -> "ArmError":
+    def largest(positions: Array, wrists: Array, kinematics: Array | None = None) -> "ArmError":
         """Return the largest error of an arm.
 
         Args:
             positions: Where it goes, shape (n, 3) [m].
+            wrists: Rotations of its wrist there, shape (n, 3, 3).
             kinematics: Derivatives of them by errors of its kinematics, each of its usual size, shape (n, 3, m) [m].
         """
         away = positions - positions.mean(axis=0)
@@ -68,10 +72,11 @@ class ArmError:
             terms = np.stack([np.prod(away[:, list(power)], axis=1) for power in powers], axis=1) * np.sqrt(counts)
             beneath = 1.0 if kinematics is None else _BENEATH
             add(beneath * share, np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1))
-        whole = np.concatenate(blocks, axis=1)
-        if kinematics is not None:  # many joints do nearly the same; the error is that of few combinations of them
-            left, values, _ = np.linalg.svd(whole, full_matrices=False)
-            whole = (left * values)[:, values > _KEPT * values[0]]
+        if kinematics is None:
+            terms = (wrists - wrists.mean(axis=0)).reshape(len(away), 9)
+            add(_WRIST_SHARE, np.einsum("nk,ij->nikj", terms, np.eye(3)).reshape(len(rigid), -1))
+        left, values, _ = np.linalg.svd(np.concatenate(blocks, axis=1), full_matrices=False)
+        whole = (left * values)[:, values > _KEPT * values[0]]  # many terms do nearly the same
         whole = whole * (LARGEST_SHARE * extent * np.sqrt(len(rigid)) / max(float(np.linalg.norm(whole)), 1e-300))
         return ArmError(whole.reshape(len(away), 3, -1))
 

@@ -1,8 +1,9 @@
 """Images of a folder or a recording, and the views of a target in the images."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 _LARGEST_IMAGE, _MOST_IMAGES = 200 * MEBIBYTE, 5_000
-_BLANK, _FEWEST_VIEWS, _TRIED = 6.0, 3, 6
+_BLANK, _FEWEST_VIEWS, _TRIED, _MOST_NAMES = 6.0, 3, 6, 10
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,23 @@ class SeenTarget:
     told: Sequence[str]
     shown: ShownViews
     stamps: NDArray[np.int64] | None = None
+
+    def with_poses(self, posed: Collection[str], source: Path) -> Self:
+        """Return the views for which a file has a pose of the robot; the others are told.
+
+        Args:
+            posed: Names of views.
+            source: The file.
+        """
+        known = np.array([name in posed for name in self.names])
+        if known.all():
+            return self
+        names = tuple(name for name in self.names if name in posed)
+        absent = [name for name in self.names if name not in posed]
+        first = ", ".join(absent[:_MOST_NAMES]) + "..." * (len(absent) > _MOST_NAMES)
+        told = f"{source}: no pose for {len(absent)} of {len(self.names)} images, which are left out: {first}"
+        spots, deviations = self.spots[:, known], self.deviations[:, known]
+        return replace(self, names=names, spots=spots, deviations=deviations, told=[*self.told, told])
 
 
 def read_image(path: Path) -> Image:

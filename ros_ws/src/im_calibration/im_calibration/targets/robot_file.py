@@ -46,7 +46,7 @@ class _Poses(Model):
     poses: Annotated[list[_Pose], Field(min_length=1)]
 
 
-def read_poses(path: Path, names: Sequence[str], order: str | None, metres: float) -> Array:
+def read_poses(path: Path, names: Sequence[str], order: str | None, metres: float) -> dict[str, Array]:
     """Return the poses of the robot for images.
 
     Lines hold, after the name of the image or without any name, ``x y z`` and a quaternion, or 12 or 16 numbers of a
@@ -61,11 +61,11 @@ def read_poses(path: Path, names: Sequence[str], order: str | None, metres: floa
         metres: Length of the unit of places [m].
 
     Returns:
-        The poses, shape (k, 4, 4) [-], [m].
+        The poses of the images that have one, by name, shape (4, 4) each [-], [m].
 
     Raises:
         ConfigError: It is YAML, and not of this form.
-        DataError: It cannot be read, a line is none of these, or an image has no pose; file and line are named.
+        DataError: It cannot be read, a line is none of these, or no image has a pose; file and line are named.
     """
     if path.suffix in (".yaml", ".yml"):
         content = load_model(path, _Poses).poses
@@ -76,15 +76,16 @@ def read_poses(path: Path, names: Sequence[str], order: str | None, metres: floa
     given = [name for name, _, _ in rows]
     if all(given):
         by_name = dict(zip((Path(name).stem for name in given), poses, strict=True))
-        if absent := [name for name in names if name not in by_name]:
-            raise DataError(f"{path}: has no pose for the image {absent[0]} ({len(absent)} such).", file=str(path))
-        return np.array([by_name[name] for name in names])
+        found = {name: by_name[name] for name in names if name in by_name}
+        if not found:
+            raise DataError(f"{path}: has no pose for any of the images {', '.join(names[:3])}...", file=str(path))
+        return found
     if len(poses) != len(names):
         raise DataError(
             f"{path}: has {len(poses)} poses for {len(names)} images; begin the lines with the images' names.",
             file=str(path),
         )
-    return np.array(poses)
+    return dict(zip(names, poses, strict=True))
 
 
 def _lines(path: Path, order: str | None) -> list[tuple[str, list[float], str]]:

@@ -44,6 +44,7 @@ from im_core.text.yamltext import Location
 _GREY = (0.72, 0.73, 0.75)
 DEFAULT_CELL = "puma_pair"
 _LARGEST_URDF = 8 * MEBIBYTE
+_GRIPPER_PARTS = ("gripper", "palm", "jaw", "jaw_1", "jaw_2")
 _TOPIC = re.compile("[A-Za-z][A-Za-z0-9_]{0,63}")
 
 _SHORTEST_S = 1e-4
@@ -106,9 +107,13 @@ class Cell(ObjectsFile):
         """Check names of groups, frames and joints, and the positions at home."""
         joints = {joint.name: joint for joint in description.joints if joint.kind != "fixed"}
         links = (*description.links, WORLD)
-        for name in (*self.drives, *self.standing):
-            field = "drives" if name in self.drives else "standing"
-            _require(name, joints, (field, name), "a joint of the URDF")
+        for name in self.drives:
+            _require(name, joints, ("drives", name), "a joint of the URDF")
+        for name, position in self.standing.items():
+            _require(name, joints, ("standing", name), "a joint of the URDF")
+            lower, upper = joints[name].lower, joints[name].upper or 0.0
+            if lower is not None and joints[name].kind != "continuous" and not lower <= position <= upper:
+                raise FieldError(("standing", name), f"{position:g} is outside the range {lower:g} to {upper:g}")
         taken: dict[str, str] = {}
         for name, group in self.groups.items():
             if not _TOPIC.fullmatch(name):
@@ -119,6 +124,8 @@ class Cell(ObjectsFile):
                 _require(joint, joints, ("groups", name, "joints", rank), "a joint of the URDF")
             moved = self.joints_of(name)
             for joint in moved:
+                if joint in self.standing:
+                    raise FieldError(("standing", joint), f"joint {joint} is in group '{name}', and moves")
                 if joint in taken:
                     raise FieldError(("groups", name), f"joint {joint} is in group '{taken[joint]}' already")
                 if not _TOPIC.fullmatch(joint):
@@ -131,6 +138,19 @@ class Cell(ObjectsFile):
             if len(group.home) != len(moved):
                 text = f"{len(group.home)} positions for {len(moved)} joints: {', '.join(moved)}"
                 raise FieldError(("groups", name, "home"), text)
+            parts = [f"{name}_led"] * group.light + [f"{name}_{part}" for part in _GRIPPER_PARTS] * group.gripper
+            if same := next((part for part in parts if part in links or part in joints), ""):
+                text = f"'{same}' would be a part at its tip, and is in the URDF; the group needs another name"
+                raise FieldError(("groups", name), text)
+        for preset, groups in self.presets.items():
+            for name, part in groups.items():
+                where: Location = ("presets", preset, name)
+                for rank, joint in enumerate(part.joints):
+                    _require(joint, taken, (*where, "joints", rank), "a joint of a group")
+                if part.wrist is not None:
+                    _require(part.wrist, links, (*where, "wrist"), "a link of the URDF")
+                for rank, wrist in enumerate(part.pair or ()):
+                    _require(wrist, links, (*where, "pair", rank), "a link of the URDF")
 
     def _check_joints(self) -> None:
         for given, _ in self.tree.joints:
@@ -144,9 +164,13 @@ class Cell(ObjectsFile):
             if fault:
                 text = f"joint {given.name} {fault}; drives.{given.name}.range can say one"
                 raise FieldError(("urdf",), text)
-        for joint, position in zip(self.joints, self.home, strict=True):
-            if not joint.limits.lower <= position <= joint.limits.upper:
-                raise ValueError(f"home of {joint.name}, {position}, is outside its limits")
+        limits = {joint.name: joint.limits for joint in self.joints}
+        for name, group in self.groups.items():
+            for rank, (joint, position) in enumerate(zip(self.joints_of(name), group.home, strict=True)):
+                lower, upper = limits[joint].lower, limits[joint].upper
+                if not lower <= position <= upper:
+                    text = f"{position:g} of {joint} is outside its range, {lower:g} to {upper:g}"
+                    raise FieldError(("groups", name, "home", rank), text)
         if not self.capsules:
             for name, link in self.description.links.items():
                 for mesh in (shape.mesh for shape in link.shapes if shape.kind == "mesh"):
@@ -177,10 +201,13 @@ class Cell(ObjectsFile):
                 raise FieldError(("cameras", name), f"'{name}' names topics: letters, digits and _, a letter first")
             if camera.check:
                 _require(camera.check.arm, lit, ("cameras", name, "check", "arm"), "a group with a light")
-        names = [box.name for box in self.boxes if box.link == WORLD]
-        for rank, name in enumerate(names):
-            if name in names[:rank]:
-                raise FieldError(("boxes", rank, "name"), f"two boxes have the same name, '{name}'")
+            if f"{name}_body" in frames:
+                raise FieldError(("cameras", name), f"'{name}_body' would be its body, and is a link of the URDF")
+        names = [*frames]
+        for rank, box in enumerate(self.boxes):
+            if box.link == WORLD and box.name in names:
+                raise FieldError(("boxes", rank, "name"), f"another box, or a link, has the same name, '{box.name}'")
+            names += [box.name] * (box.link == WORLD)
 
     def at_period(self, period: float) -> Self:
         """Return the same cell with another tick [s]; the number of physics steps keeps the step length.
@@ -399,14 +426,14 @@ def resolved(named: str, beside: Path) -> Path:
     """Return the path of a URDF or mesh: absolute, beside another file, or in a package of ROS.
 
     Args:
-        named: As written; `package://` begins one in a package.
+        named: As written; `package://` begins one in a package, `file://` an absolute one.
         beside: File that names it; the folders above it are looked at too where a package is not installed.
 
     Raises:
         ValueError: The package is not there.
     """
     if not named.startswith("package://"):
-        return beside.parent / named
+        return beside.parent / named.removeprefix("file://")
     package, _, below = named.removeprefix("package://").partition("/")
     installed = [
         Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix

@@ -6,13 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
+import numpy as np
+
 from im_cell.robot.parameters import Vector
 from im_core.errors import ConfigError, shortened
 
 MOVING = ("revolute", "continuous", "prismatic")
 _MOST_LINKS = 500
 _LARGEST_M = 50.0
-"""Of an offset between joints: no cell is that large, but one in millimetres is."""
+"""Of an offset in a link, or half a shape: no cell is that large, but one in millimetres is."""
+_ROUNDING = 1e-6
 _LARGEST_RAD = 30.0
 """Of a limit of an angle: no joint with limits makes five turns to a side, but one in degrees seems to."""
 
@@ -98,10 +101,8 @@ def parse_description(text: str, name: str) -> UrdfTree:
     Raises:
         ConfigError: It is not XML or no URDF, a number is none, or links and joints are no tree.
     """
-    robot = _xml(text, name)
+    robot = _robot(text, name)
     try:
-        if robot.tag != "robot":
-            raise ValueError(f"its outermost element is <{shortened(robot.tag)}>, not <robot>")
         links: dict[str, UrdfLink] = {}
         for link in map(_link, robot.findall("link")):
             if link.name in links:
@@ -119,17 +120,20 @@ def disabled_pairs(text: str, name: str) -> frozenset[frozenset[str]]:
     """Return the pairs of links switched off by an SRDF (MoveIt's).
 
     Raises:
-        ConfigError: It is not XML.
+        ConfigError: It is not XML or no SRDF.
     """
-    pairs = _xml(text, name).findall("disable_collisions")
+    pairs = _robot(text, name).findall("disable_collisions")
     return frozenset(frozenset((each.get("link1", ""), each.get("link2", ""))) for each in pairs)
 
 
-def _xml(text: str, name: str) -> ET.Element:
+def _robot(text: str, name: str) -> ET.Element:
     try:
-        return ET.fromstring(text)
+        robot = ET.fromstring(text)
     except ET.ParseError as error:
         raise ConfigError(f"{name}: is not XML: {error}", file=name) from error
+    if robot.tag != "robot":
+        raise ConfigError(f"{name}: its outermost element is <{shortened(robot.tag)}>, not <robot>", file=name)
+    return robot
 
 
 def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
@@ -151,8 +155,9 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
         carried[joint.child] = joint.name
         below[joint.parent].append(joint)
     for joint in joints:
-        if joint.mimic and joint.mimic not in names:
-            raise ValueError(f"joint {joint.name} follows '{shortened(joint.mimic)}' (mimic), which is not there")
+        if joint.mimic and joint.mimic not in names - {joint.name}:
+            why = "itself" if joint.mimic == joint.name else f"'{shortened(joint.mimic)}' (mimic), which is not there"
+            raise ValueError(f"joint {joint.name} follows {why}")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
         told = f"{len(roots)} links are roots: {', '.join(roots)}" if roots else "no link is the root"
@@ -181,6 +186,10 @@ def _link(element: ET.Element) -> UrdfLink:
         inertia = tuple(_number(moments, key, name) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
         if min(mass, inertia[0], inertia[3], inertia[5]) < 0.0:
             raise ValueError(f"link {name} has a mass or a moment of inertia below 0")
+        xx, xy, xz, yy, yz, zz = inertia
+        least = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])[0]
+        if least < -_ROUNDING * max(inertia):
+            raise ValueError(f"link {name}: its principal moments of inertia, of which one is {least:.3g}, cannot be")
     return UrdfLink(name, mass, xyz, rpy, inertia, tuple(_shape(each, name) for each in element.findall("collision")))
 
 
@@ -205,6 +214,8 @@ def _shape(element: ET.Element, link: str) -> UrdfGeometry:
 def _sizes(size: tuple[float, ...], link: str) -> tuple[float, ...]:
     if min(size) <= 0.0:
         raise ValueError(f"{link}: a shape for collision has the size {min(size):g}; more than 0 is needed")
+    if max(size) > 2.0 * _LARGEST_M:
+        raise ValueError(f"{link}: a shape for collision is {max(size):g} m large: lengths are millimetres, it seems")
     return size
 
 
@@ -214,8 +225,6 @@ def _joint(element: ET.Element) -> UrdfJoint:
         known = ", ".join((*MOVING, "fixed"))
         raise ValueError(f"joint {name} is of type '{shortened(kind)}', not one of {known}")
     xyz, rpy = _origin(element, name)
-    if max(map(abs, xyz)) > _LARGEST_M:
-        raise ValueError(f"joint {name} is {max(xyz, key=abs):g} m off its parent: lengths are millimetres, it seems")
     axis_element, limit, mimic = element.find("axis"), element.find("limit"), element.find("mimic")
     axis: Vector = (1.0, 0.0, 0.0)
     if axis_element is not None:
@@ -226,6 +235,9 @@ def _joint(element: ET.Element) -> UrdfJoint:
         axis = (x, y, z) if abs(length - 1.0) < 1e-12 or length < 1e-9 else (x / length, y / length, z / length)
     values = {key: _number(limit, key, name) if limit is not None and limit.get(key) is not None else None
               for key in ("lower", "upper", "velocity", "effort")}  # fmt: skip
+    for key in ("velocity", "effort"):
+        if (values[key] or 0.0) < 0.0:
+            raise ValueError(f"joint {name}: its limit of {key} is {values[key]:g}; more than 0 is needed")
     if (values["lower"] or 0.0) > (values["upper"] or 0.0):
         raise ValueError(f"joint {name}: its limit lower {values['lower']} is above upper {values['upper']}")
     if kind == "revolute" and max(abs(values["lower"] or 0.0), abs(values["upper"] or 0.0)) > _LARGEST_RAD:
@@ -241,6 +253,8 @@ def _joint(element: ET.Element) -> UrdfJoint:
 def _name(element: ET.Element, what: str) -> str:
     if not (name := element.get("name", "")):
         raise ValueError(f"a {what} has no name")
+    if sign := next((sign for sign in name if sign in "<>&\"'"), ""):
+        raise ValueError(f"{what} '{shortened(name)}': no name may have the sign {sign}")
     return shortened(name)
 
 
@@ -252,9 +266,12 @@ def _child(element: ET.Element, tag: str, of: str) -> ET.Element:
 
 def _origin(element: ET.Element | None, of: str) -> tuple[Vector, Vector]:
     origin = None if element is None else element.find("origin")
-    if origin is None:
+    if element is None or origin is None:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     (x, y, z), (roll, pitch, yaw) = (_numbers(origin.get(key, "0 0 0"), 3, of) for key in ("xyz", "rpy"))
+    if (far := max(x, y, z, key=abs)) > _LARGEST_M or far < -_LARGEST_M:
+        what = "is" if element.tag == "joint" else f"has its <{element.tag}>"
+        raise ValueError(f"{of} {what} {far:g} m off: lengths are millimetres, it seems")
     return (x, y, z), (roll, pitch, yaw)
 
 

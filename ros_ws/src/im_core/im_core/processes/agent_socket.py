@@ -64,6 +64,7 @@ class TaskReport:
         oldest_s: Age of the oldest of them [s].
         cpu_s: CPU time of its process and the children of that, told by the agent [s].
         memory_mib: Their private memory, told by the agent [MiB].
+        refused: How many requests of its services were answered without success.
     """
 
     task: str
@@ -76,6 +77,7 @@ class TaskReport:
     oldest_s: float = 0.0
     cpu_s: float = 0.0
     memory_mib: float = 0.0
+    refused: int = 0
 
 
 class AgentSocket:

@@ -51,11 +51,11 @@ class Budget:
         Raises:
             BudgetError: It took longer.
         """
-        handler = signal.signal(signal.SIGALRM, self._on_alarm)
+        handler, timer = signal.signal(signal.SIGALRM, self._on_alarm), signal.getitimer(signal.ITIMER_REAL)
         self._began, self._queued, self._seconds = clock.monotonic(), self._queued_s(), seconds
-        timer = signal.setitimer(signal.ITIMER_REAL, seconds + _SHORTEST_S)
         try:
             self._called = True
+            signal.setitimer(signal.ITIMER_REAL, seconds + _SHORTEST_S)
             function(time_s)
         except _Timeout:
             pass
@@ -70,9 +70,11 @@ class Budget:
             raise BudgetError(told, seconds=taken_s, allowed=seconds)
 
     def _on_alarm(self, number: int, frame: FrameType | None) -> None:
+        if not self._called:  # one more alarm would find the handler of before, and could end the process
+            return
         left_s = self._seconds - self._taken_s()
         signal.setitimer(signal.ITIMER_REAL, max(left_s, 0.0) + _SHORTEST_S)
-        if self._called and left_s < 0.0:
+        if left_s < 0.0:
             raise _Timeout
 
     def _taken_s(self) -> float:

@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.dead_ports import has_ports, passed_over
+from im_core.dead_ports import own_ports, passed_over
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
 from im_core.ros.failures import Failures, few, sentence
@@ -69,6 +69,7 @@ class GuardedNode(Node):
         failures: What they raised.
         late_answers: Answers whose clients are not reached yet.
         open_requests: Requests of its services that wait for their answers.
+        refused: How many requests of its services were answered without success.
         urgent: Requests taken before waiting callbacks; one for all nodes of a loop.
         turns: How many callbacks have begun; it stands still with the loop.
         standstill_s: How long the loop may stand still now [s]; see :class:`im_core.processes.loop_watch.LoopWatch`.
@@ -93,10 +94,11 @@ class GuardedNode(Node):
         self.failures = Failures(self)  # before the node: rclpy makes services and subscriptions of its own in it
         self.late_answers = LateAnswers(self, self._note_lost)
         self.open_requests = OpenRequests()
+        self.refused = 0
         self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
-        with nullcontext() if has_ports() else passed_over():
+        with nullcontext() if own_ports() else passed_over():
             super().__init__(name, **options)
         self._logger: RcutilsLogger = Logger(Node.get_logger(self).name)
 
@@ -503,6 +505,7 @@ class _Answers:
             self._node.open_requests.end(ticket)
 
     def _deliver(self, response: Any, header: Any) -> None:
+        self._node.refused += getattr(response, "success", True) is False
         self._node.late_answers.send(self._what, header, partial(self._send, response, header))
 
     def _refuse(self, error: Exception, header: Any) -> None:

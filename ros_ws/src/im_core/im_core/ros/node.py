@@ -16,6 +16,7 @@ from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
+from im_core import clock, dead_ports
 from im_core.errors import ImError
 from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 from im_core.processes.process import dismiss_prepared
@@ -85,7 +86,8 @@ class ManagedNode(GuardedNode):
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self.urgent.add(self._coroutines.step)  # an urgent request may wait for a disk before the answer
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.LATCHED)
-        self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
+        self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._beat, clock=self.steady_clock)
+        self._renewed = clock.monotonic()
         alone = "pass through the start-up phases without a bootstrap"
         self._alone = self.declared.declare("standalone", False, alone)
         if self._alone:
@@ -244,6 +246,12 @@ class ManagedNode(GuardedNode):
             gc.freeze()  # what was loaded and made until now stays: the collector need not go through it again
         self._publish_status()
 
+    def _beat(self) -> None:
+        self._publish_status()
+        if clock.monotonic() - self._renewed >= dead_ports.RENEWAL_S:
+            dead_ports.renew_ports()
+            self._renewed = clock.monotonic()
+
     def _publish_status(self) -> None:
         message = TaskStatus(
             name=self.task_name,
@@ -261,6 +269,6 @@ class ManagedNode(GuardedNode):
             self._agent.report(
                 TaskReport(
                     self.task_name, self.incarnation, self._phase, self._detail, self.nets,
-                    self.turns, len(waiting), waiting.oldest_s(),
+                    self.turns, len(waiting), waiting.oldest_s(), refused=self.refused,
                 )
             )  # fmt: skip

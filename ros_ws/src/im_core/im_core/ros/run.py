@@ -98,7 +98,8 @@ class Spinner:
 
     def __init__(self, nodes: Sequence[rclpy.node.Node]) -> None:
         self.nodes = list(nodes)
-        faulthandler.enable()  # a fault in C leaves the stack of all threads, too
+        if not faulthandler.is_enabled():
+            faulthandler.enable()  # a fault in C leaves the stack of all threads, too
         self.executor: Any = GuardedExecutor(self.nodes[0].context, self._note)
         self.nodes[0].context.on_shutdown(self.executor.wake)
         self._share_urgent()

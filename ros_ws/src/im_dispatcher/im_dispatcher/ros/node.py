@@ -207,7 +207,7 @@ class Dispatcher(PntNode):
     ) -> CommandOutcome:
         """Run a command; without free resources the command waits or is refused, by the declaration.
 
-        Of a command that needs nothing, a second one is refused.
+        Of a command that needs nothing, a second one is refused, but beside those of a former version of the net.
 
         Raises:
             StateError: It is refused; says who holds what, or that the cell does not hand it out yet.
@@ -218,9 +218,9 @@ class Dispatcher(PntNode):
                 file = await run_in_thread(self, load_named_poses, named, timeout_s=READ_S)
                 arguments = {**arguments, "group": file.group}
         if symbol not in self._needs:
-            running = self.commands.running(symbol)
-            if running is not None:
-                raise self._already_running(symbol, running)
+            for each in self.commands.open():
+                if each.job.command.symbol == symbol and not each.net.written.former:
+                    raise self._already_running(symbol, each.job)
             return await self.commands.run(symbol, arguments, listener, started, priority)
         declared = self._needs.declared(symbol)
         taken = declared.arguments.check(arguments, f"command {symbol}")

@@ -74,10 +74,7 @@ def extended(name: str, kind: str, data: bytes, more: bytes) -> bytes:
         if most is not None and length > int(most):
             text = f"data object '{name}': {field} would have {length} elements; at most {most} are allowed"
             raise DataError(text, object=name, field=field, length=length, allowed=int(most))
-        if isinstance(present, bytes):
-            setattr(message, field, present + further)
-        else:
-            present.extend(further)
+        present.extend(further)
     longer: bytes = serialize_message(message)
     return longer
 

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from im_cell.robot import Cell, cell_file, load_cell
 from im_core.errors import ImError
 from im_core.files import write_whole
 from im_core.options import NumberParser
+from im_core.output import complain, say
 from im_mcs.cell.capsules import capsule_volume
 from im_mcs.cell.semantics import moveit_files
 from im_mcs.cell.template import first_cell, touching_pairs
@@ -21,13 +23,17 @@ from im_mcs.inverse.closed_form import ClosedForm
 from im_mcs.limits.configuration import load_config
 from im_mcs.model import CellModel
 
-_FEW = "straight lines keep the position, and the orientation but for turns about one axis of the tip"
+_KEPT = {
+    5: "straight lines keep the position, and the orientation but for turns about one axis of the tip",
+    4: "straight lines keep the position, and turns about one axis of the tip",
+    3: "straight lines keep the position alone",
+}
 _BUILD = {
     None: "by iteration",
     True: "in closed form, by a spherical wrist",
     False: "in closed form, by three parallel axes",
 }
-_FEWER = f"no straight lines: they need {FEWEST_JOINTS} joints or more"
+_NO_LINES = f"no straight lines: they need {FEWEST_JOINTS} joints or more"
 _EPILOG = """\
 exit codes: 0 done; 1 the cell cannot be used, and why; 2 wrong arguments
 
@@ -45,23 +51,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.command == "new":
             text = first_cell(options.urdf, options.srdf)
             if options.output is None:
-                print(text, end="")
+                say(text.removesuffix("\n"))
                 return 0
             write_whole(options.output, text)
-            print(f"{options.output}: a first cell file; `im cell check {options.output}` says what it leaves open")
+            say(f"{options.output}: a first cell file; `im cell check {options.output}` says what it leaves open")
             return 0
         if options.command == "export":
             for file in exported(load_cell(options.cell), options.mcs, options.output):
-                print(file)
+                say(str(file))
             return 0
-        print("\n".join(findings(load_cell(options.cell), str(cell_file(options.cell)))))
+        say("\n".join(findings(load_cell(options.cell), str(cell_file(options.cell)))))
         if options.picture is not None:
             from im_mcs.cell.picture import draw  # matplotlib takes half a second
 
             draw(load_cell(options.cell), options.picture)
-            print(f"picture: {options.picture}")
+            say(f"picture: {options.picture}")
     except (ImError, OSError) as error:
-        print(f"im cell: {error}", file=sys.stderr)
+        complain(f"im cell: {error}")
         return 1
     return 0
 
@@ -119,7 +125,7 @@ def findings(cell: Cell, file: str) -> list[str]:
         with_ = f", with {' and '.join(devices)}" if devices else ""
         lines.append(f"group {name}: {len(cell.joints_of(name))} joints to {group.tip}{with_}")
         if (count := len(cell.carriers_of(group.tip))) < ARM_JOINTS:
-            lines.append(f"group {name}: {_FEW if count == FEWEST_JOINTS else _FEWER}")
+            lines.append(f"group {name}: {_KEPT.get(count, _NO_LINES)}")
         closed = ClosedForm.of(model, group.tip, model.joints_below(group.tip))
         lines.append(f"group {name}: inverse kinematics {_BUILD[None if closed is None else closed.spherical]}")
     lines += [f"missing: {sentence}; torques cannot be computed" for sentence in cell.unknown]
@@ -148,6 +154,9 @@ def _shapes(cell: Cell) -> list[str]:
 
 
 def _optional(cell: Cell) -> dict[str, bool]:
+    strangers = sorted(
+        {*chain(*cell.untouching)} - {*cell.description.links, "world", *(box.name for box in cell.boxes)}
+    )
     return {
         "cameras": bool(cell.cameras),
         "a laser scanner": cell.laser is not None,
@@ -155,6 +164,8 @@ def _optional(cell: Cell) -> dict[str, bool]:
         "grippers": bool(cell.devices("gripper")),
         "force-torque sensors": bool(cell.devices("force")),
         "obstacles, such as a floor": bool(cell.obstacles),
+        f"the file of poses, {cell.poses}": not cell.poses or Path(cell.poses).is_file(),
+        f"links that the SRDF names: {', '.join(strangers)}": not strangers,
     }
 
 

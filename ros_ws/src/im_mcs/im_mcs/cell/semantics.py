@@ -212,7 +212,7 @@ def _trajectories(group: Group) -> dict[str, object]:
 
 
 def _gripper_commands(name: str) -> dict[str, object]:
-    """Return the settings of a gripper: an effort of 0 is all that it can give."""
+    """Return the settings of a gripper: an effort of 0 means the full force."""
     return {
         "type": "GripperCommand",
         "action_ns": "gripper_cmd",

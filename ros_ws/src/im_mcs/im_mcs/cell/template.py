@@ -1,5 +1,6 @@
 """The first cell file of a URDF: groups, homes, capsules and hulls, asking nothing that the URDF shows."""
 
+import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,12 @@ from im_cell.robot.cell import robot_text
 from im_cell.robot.description import UrdfJoint, UrdfTree, parse_description
 from im_core.config import faults
 from im_core.errors import ConfigError, DataError
+from im_core.text.yamltext import write_yaml
 from im_mcs.cell.capsules import enclosing_capsules
 from im_mcs.cell.hulls import enclosing_hulls
 from im_mcs.collision.bodies import NEIGHBOURS, Bodies
+from im_mcs.inverse import Arm, ArmTracker
+from im_mcs.inverse.arm import FEWEST_JOINTS
 from im_mcs.model import CellModel
 
 _SAMPLES, _SEED_KEY = 400, 20261127
@@ -25,8 +29,11 @@ _HELD_M, _BUILT_M = 0.08, 0.03
 """Distances of pairs that are always closer and never touch, and the usual one of links two joints apart that may."""
 _TOOL = re.compile("tcp|tool|ee|eef|gripper_frame|flange")
 _FINGER = re.compile("gripper|finger|jaw", re.IGNORECASE)
-_FLOOR = {"link": "world", "name": "floor", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
+_WORD = re.compile(r"[A-Za-z_][\w./-]*", re.ASCII)
+_FLOOR = {"link": "world", "size": (4.0, 4.0, 0.1), "center": (0.0, 0.0, -0.05),
           "color": (0.52, 0.50, 0.47)}  # fmt: skip
+_JAW_M = 0.1
+"""A last sliding joint of a shorter stroke is a jaw, one of a longer stroke an axis, as of a gantry."""
 _HOME_MARGIN = 0.2
 _CLEAR_M = (0.05, 0.02)
 
@@ -47,6 +54,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     if not tips:
         raise ConfigError(f"{urdf}: no chain of two joints or more moves, so there is no arm", file=str(urdf))
     grouped: dict[str, Sequence[UrdfJoint]] = _chains(description, tips)
+    floor = Box.model_validate({**_FLOOR, "name": "ground" if "floor" in description.links else "floor"})
     data = {
         "urdf": str(urdf.absolute()),
         "groups": {
@@ -54,7 +62,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
             for (name, joints), joints_tip in zip(grouped.items(), tips, strict=True)
         },
         "capsules": [{"link": description.root, "p0": (0, 0, 0), "p1": (0, 0, 0.01), "radius": 0.01}],
-        "boxes": [_FLOOR],
+        "boxes": [floor],
         "srdf": "" if srdf is None else str(srdf.absolute()),
     }
     try:
@@ -65,7 +73,7 @@ def first_cell(urdf: Path, srdf: Path | None = None) -> str:
     cell = bare.model_copy(update={"capsules": tuple(capsules), "hulls": tuple(hulls)})
     never = () if srdf is not None else _never(cell)
     home = _home(cell.model_copy(update={"never": never}))
-    return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never)
+    return _written(urdf, srdf, grouped, tips, home, capsules, hulls, never, floor)
 
 
 def _chains(description: UrdfTree, tips: Sequence[str]) -> dict[str, Sequence[UrdfJoint]]:
@@ -116,9 +124,10 @@ def _tips(description: UrdfTree) -> list[str]:
 
 
 def _is_finger(description: UrdfTree, joint: UrdfJoint, below: Mapping[str, Sequence[UrdfJoint]]) -> bool:
-    """Whether a last joint moves a jaw: by its name, or a tool frame beside it that stays where it is."""
+    """Whether a last joint moves a jaw: by name, by a short stroke, or by a tool frame beside the jaw."""
     beside = [other.child for other in below[joint.parent] if other.kind == "fixed"]
-    return joint.kind == "prismatic" or bool(_FINGER.search(joint.name)) or any(_TOOL.search(frame) for frame in beside)
+    short = joint.kind == "prismatic" and (joint.upper or 0.0) - (joint.lower or 0.0) < _JAW_M
+    return short or bool(_FINGER.search(joint.name)) or any(_TOOL.search(frame) for frame in beside)
 
 
 def _middle(joint: UrdfJoint) -> float:
@@ -162,6 +171,8 @@ def _home(cell: Cell) -> list[float]:
     """Return positions that are free of collisions and far from singular, among the middle and some others."""
     model = CellModel(cell)
     bodies = Bodies(model)
+    tips = [group.tip for group in cell.groups.values() if len(cell.carriers_of(group.tip)) >= FEWEST_JOINTS]
+    arms = [ArmTracker(model, Arm(model, tip), tip) for tip in tips]
     best, found, met = 0.0, cell.home, Counter[tuple[str, str]]()
     tried = []
     for q in (cell.home, *_samples(cell, _HOME_MARGIN)):
@@ -172,10 +183,7 @@ def _home(cell: Cell) -> list[float]:
         if near.distance < clear_m:
             met[near.first, near.second] += 1
             continue
-        worst = min(
-            float(np.linalg.svd(model.jacobian(q, group.tip)[:, model.joints_below(group.tip)], compute_uv=False)[-1])
-            for group in cell.groups.values()
-        )
+        worst = min((arm.singular_value(q) for arm in arms), default=1.0)
         if worst > best:
             best, found = worst, q
     if best == 0.0 and met:
@@ -194,33 +202,51 @@ def _written(
     capsules: Sequence[Capsule],
     hulls: Sequence[Hull],
     never: Sequence[tuple[str, str]],
+    floor: Box,
 ) -> str:
     names = [joint.name for joint in _ordered(grouped)]
     at = dict(zip(names, home, strict=True))
-    lines = [f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.", f"urdf: {urdf.name}"]
-    lines += [*([] if srdf is None else [f"srdf: {srdf.name}"]), "", "groups:"]
+    lines = [
+        f"# First cell file of {urdf.name}; `im cell check` says what it leaves open.",
+        f"urdf: {_plain(urdf.name)}",
+    ]
+    lines += [*([] if srdf is None else [f"srdf: {_plain(srdf.name)}"]), "", "groups:"]
     for (name, joints), tip in zip(grouped.items(), tips, strict=True):
-        lines += [f"  {name}:", f"    tip: {tip}", f"    joints: [{', '.join(joint.name for joint in joints)}]"]
+        lines += [
+            f"  {name}:",
+            f"    tip: {_plain(tip)}",
+            f"    joints: [{', '.join(_plain(each.name) for each in joints)}]",
+        ]
         lines.append(f"    home: [{', '.join(str(at[joint.name]) for joint in joints)}]")
     lines += ["", "capsules:               # around the shapes of the links"] if capsules else []
     for each in capsules:
         ends = (f"[{', '.join(map(str, end))}]" for end in (each.p0, each.p1))
-        lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(each.link, *ends, each.radius))
+        lines.append("  - {{link: {}, p0: {}, p1: {}, radius: {:g}}}".format(_plain(each.link), *ends, each.radius))
     if hulls:
         lines += ["", "hulls:                  # around meshes; compared in place of the capsules of their links"]
     for hull in hulls:
         corners = ", ".join(f"[{', '.join(f'{value:g}' for value in point)}]" for point in hull.points)
-        lines.append(f"  - {{link: {hull.link}, radius: {hull.radius:g}, points: [{corners}]}}")
+        lines.append(f"  - {{link: {_plain(hull.link)}, radius: {hull.radius:g}, points: [{corners}]}}")
     if never:
         lines += [
             "",
             "never:                  # pairs of links that are not looked at: they touch or are close by construction",
         ]
-        lines += [f"  - [{first}, {second}]" for first, second in never]
-    box = Box.model_validate(_FLOOR)
-    size, centre, color = (f"[{', '.join(map(str, each))}]" for each in (box.size, box.center, box.color))
-    lines += ["", "boxes:", f"  - {{link: world, name: floor, size: {size}, center: {centre}, color: {color}}}", ""]
+        lines += [f"  - [{_plain(first)}, {_plain(second)}]" for first, second in never]
+    size, centre, color = (f"[{', '.join(map(str, each))}]" for each in (floor.size, floor.center, floor.color))
+    lines += [
+        "",
+        "boxes:",
+        f"  - {{link: world, name: {floor.name}, size: {size}, center: {centre}, color: {color}}}",
+        "",
+    ]
     return "\n".join(lines)
+
+
+def _plain(name: str) -> str:
+    """Return a name as YAML reads the name back, in quotes where signs, or words such as ``on``, need them."""
+    is_plain = _WORD.fullmatch(name) and write_yaml([name]) == f"- {name}\n"
+    return name if is_plain else json.dumps(name, ensure_ascii=False)
 
 
 def _ordered(grouped: Mapping[str, Sequence[UrdfJoint]]) -> list[UrdfJoint]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core import plugins
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError
 from im_mcs.collision.braking_distance import Ahead
 from im_mcs.collision.monitor import CollisionMonitor, Proximity
 from im_mcs.collision.surroundings import CollisionScene
@@ -56,7 +56,7 @@ class GuardedMonitor:
         """
         try:
             self._monitor.surround(around)
-        except Exception as error:  # a monitor of the user's may raise anything, and lack the method
+        except FOREIGN as error:  # a monitor of the user's may raise anything, and lack the method
             told = f"collision monitor '{self._name}' takes no free bodies: {type(error).__name__}: {error}"
             raise CollisionMonitorError(told, monitor=self._name) from error
 
@@ -75,7 +75,7 @@ class GuardedMonitor:
                 raise ValueError(f"it returned {near}")
         except ImError:
             raise
-        except Exception as error:  # a monitor of the user's may raise anything
+        except FOREIGN as error:  # a monitor of the user's may raise anything
             told = f"collision monitor '{self._name}': {type(error).__name__}: {error}"
             raise CollisionMonitorError(told, monitor=self._name) from error
         return near

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from im_core import plugins
-from im_core.errors import ImError
+from im_core.errors import FOREIGN, ImError
 from im_mcs.control.controller import ControlInput, Controller, ControllerSetup
 from im_mcs.limits.slots import LAW_METHODS, interface_of
 from im_mcs.limits.vectors import all_finite
@@ -39,14 +39,14 @@ class GuardedLaw:
         self._fault = None
         try:
             self._law.reset()
-        except Exception as error:
+        except FOREIGN as error:
             raise self._failed("reset", error) from error
 
     def hold_integral(self, hold: bool) -> None:
         """Freeze or free accumulated terms; an error of the law is raised by the next :meth:`command`."""
         try:
             self._law.hold_integral(hold)
-        except Exception as error:
+        except FOREIGN as error:
             self._fault = self._failed("hold_integral", error)
 
     def command(self, given: ControlInput) -> NDArray[np.float64]:
@@ -59,7 +59,7 @@ class GuardedLaw:
             raise self._fault
         try:
             answer = np.asarray(getattr(self._law, self._method)(given), dtype=np.float64)
-        except Exception as error:
+        except FOREIGN as error:
             raise self._failed(self._method, error) from error
         if answer.shape != given.q.shape:
             raise ControlLawError(
@@ -74,7 +74,7 @@ class GuardedLaw:
             )
         return answer
 
-    def _failed(self, method: str, error: Exception) -> ControlLawError:
+    def _failed(self, method: str, error: BaseException) -> ControlLawError:
         told = f"control law '{self._name}': {method} raised {type(error).__name__}: {error}"
         return ControlLawError(told, controller=self._name)
 

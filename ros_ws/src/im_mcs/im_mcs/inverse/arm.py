@@ -1,4 +1,4 @@
-"""Singularities and reach of an arm of five or six joints: by name where it is a PUMA 560's, else by its Jacobian."""
+"""Singularities and reach of an arm of three to six joints: by name where it is a PUMA 560's, else by its Jacobian."""
 
 import math
 
@@ -10,14 +10,15 @@ from im_core.errors import StateError
 from im_mcs.model import CellModel
 
 ARM_JOINTS = 6
-FEWEST_JOINTS = 5
+FEWEST_JOINTS = 3
 # places at which the factors are compared with the determinant [rad], and how well they agree
 _PLACES = 0.3 + 0.7 * np.outer(np.arange(1.0, 5.0), [1.0, 0.7, -0.6, 0.9, -0.8, 0.5])
 _AGREE = 1e-6
+_SHORTEST_M = 1e-3
 
 
 class Arm:
-    """Last six joints before a frame; of a chain of five, these.
+    """Last six joints before a frame; of a shorter chain, all.
 
     Where these are two intersecting axes, an elbow parallel to the second, and a spherical wrist, the determinant of
     the Jacobian is the product of three factors (R.P. Paul, C.N. Stevenson, "Kinematics of robot wrists", 1983): how
@@ -25,13 +26,14 @@ class Arm:
     (wrist). Each factor is 0 in the singularity of that name. Whether an arm is built so is found by comparing both.
     Of any other arm the one factor is the determinant, and nothing is known of its reach but the lengths of its links.
 
-    An arm of five joints gives up turns about one axis of the frame: the one about which it cannot turn the frame in
-    its place. The axis counts as a sixth joint, and all else is as of six joints.
+    An arm of fewer joints keeps the place of the frame, and as many turns as joints are left: those by which it turns
+    the frame in its place. Turns about the other axes are given up: about one axis with five joints, about two with
+    four, about all with three.
 
     Attributes:
         singularities: Names of the factors.
-        joints: Ranks of the joints among all, shape (6,) or (5,).
-        given_up: The axis of the frame for turns that are given up, shape (3, 1); of six joints none, shape (3, 0).
+        joints: Ranks of the joints among all, shape (n,), up to six.
+        kept: Axes of the frame for turns that are kept, shape (3, n - 3).
         carriers: Ranks of the joints that carry the arm, in order.
         reach: From the second axis to the centre of the wrist with the arm stretched out; of an arm of another build to
             the frame, no less than that [m].
@@ -39,50 +41,47 @@ class Arm:
 
     def __init__(self, model: CellModel, frame: str) -> None:
         self._model = model
-        chain = [int(model.pin.frames[model.frame_id(frame)].parentJoint)]
-        while chain[-1] != 0:
-            chain.append(int(model.pin.parents[chain[-1]]))
-        ranks = np.array(chain[-2::-1], dtype=np.intp) - 1
+        ranks = model.joints_below(frame)
         if len(ranks) < FEWEST_JOINTS:
             text = f"{frame} hangs on {len(ranks)} joints; an arm of {FEWEST_JOINTS} or more is needed"
             raise StateError(text, frame=frame)
         self.joints, self.carriers = ranks[-ARM_JOINTS:], ranks[:-ARM_JOINTS]
-        placements = [model.pin.jointPlacements[int(rank) + 1] for rank in self.joints]
-        shoulder, elbow, forearm, wrist = placements[1:5]
-        centre = forearm.act(wrist.translation)  # of the wrist, in the frame of joint 3
-        self._upper = float(np.hypot(*elbow.translation[:2]))
-        self._fore = float(np.hypot(*centre[:2]))
-        self._bend = math.atan2(centre[1], centre[0]) - math.atan2(elbow.translation[1], elbow.translation[0])
-        self._offset = float(centre[2] + elbow.translation[2])
-        self._upright = shoulder.rotation.T[:2, 2]  # the first axis, in the plane of the upper arm
-        self._shoulder = shoulder.translation
         self._data = model.pin.createData()
-        self.reach = self._upper + self._fore
         self._frame = model.frame_id(frame)
+        self.kept: NDArray[np.float64] = np.eye(3)
+        self.give_up(model.cell.home)
         self.singularities: tuple[str, ...] = ("shoulder", "elbow", "wrist")
-        self.given_up: NDArray[np.float64] = np.zeros((3, 0))
         if len(self.joints) < ARM_JOINTS or not self._has_wrist():
             self.singularities = ("arm",)
-            last = model.pin.frames[self._frame].placement
-            self.reach = float(sum(np.linalg.norm(place.translation) for place in (*placements[2:], last)))
-        self.give_up(model.cell.home)
+            self.reach = max(stretched(model, self.joints[1:], frame), _SHORTEST_M)
+            self._length = stretched(model, self.joints, frame)
 
     def give_up(self, q_all: NDArray[np.float64]) -> None:
-        """Choose the axis to give up at ``q_all``, shape (n,): across all turns of the frame in its place."""
+        """Choose the turns to keep at ``q_all``, shape (n,): those of the frame in its place."""
         if len(self.joints) == ARM_JOINTS:
             return
-        jacobian = self._jacobian(q_all)
+        jacobian, turns = self._jacobian(q_all), len(self.joints) - 3
         in_place = np.linalg.svd(jacobian[:3])[2][3:].T
-        self.given_up = np.linalg.svd(jacobian[3:] @ in_place)[0][:, 2:]
+        self.kept = np.linalg.svd(jacobian[3:] @ in_place)[0][:, :turns] if turns else np.zeros((3, 0))
 
-    def square(self, jacobian: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the columns of the arm, with one of the axis that is given up, shape (6, 6).
+    def kept_apart(self, apart: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the axes along which the frame turns as a target does, in the frame, shape (3, n - 3).
+
+        One kept turn is the angle about its axis in the rotation from the frame to the target. Its derivative belongs
+        to an axis that leans as far as the target is turned away.
 
         Args:
-            jacobian: Of all joints, shape (6, n): linear, angular.
-            turn: Rotation from the frame to the axes of the Jacobian, shape (3, 3).
+            apart: Orientation of the target in the frame but for the turns that are kept: half tangents, shape (3,).
         """
-        return np.hstack([jacobian[:, self.joints], _column(turn @ self.given_up)])
+        return self.kept + np.cross(apart, self.kept.T).T if self.kept.shape[1] == 1 else self.kept
+
+    def rows(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the map from twists to their kept parts, shape (n, 6), for kept axes in the frame of the twists."""
+        if len(self.joints) == ARM_JOINTS:
+            return np.eye(6)
+        rows = np.zeros((len(self.joints), 6))
+        rows[:3, :3], rows[3:, 3:] = np.eye(3), axes.T
+        return rows
 
     def factors(self, q: NDArray[np.float64]) -> tuple[float, ...]:
         """Shoulder, elbow and wrist factor, each signed and at most 1 in size; or the determinant alone.
@@ -127,9 +126,9 @@ class Arm:
         """
         pin.forwardKinematics(self._model.pin, self._data, q_all)
         base = self._data.oMi[int(self.joints[0]) + 1]
-        to = base.rotation.T @ (wrist - base.translation) - self._shoulder
         if len(self.singularities) == 1:
-            return max(float(np.linalg.norm(to)) - self.reach, 0.0)
+            return max(float(np.linalg.norm(wrist - base.translation)) - self._length, 0.0)
+        to = base.rotation.T @ (wrist - base.translation) - self._shoulder
         off_axis = math.hypot(to[0], to[1])
         in_plane = math.sqrt(max(float(to @ to) - self._offset**2, 0.0))
         nearest = abs(self._upper - self._fore)
@@ -139,19 +138,35 @@ class Arm:
         """Determinant of the arm's Jacobian, lengths divided by the reach."""
         whole = np.zeros(self._model.n)
         whole[self.joints] = q
-        return float(np.linalg.det(np.hstack([self._jacobian(whole), _column(self.given_up)]))) / self.reach**3
+        return float(np.linalg.det(self.rows(self.kept) @ self._jacobian(whole))) / self.reach**3
 
     def _jacobian(self, q_all: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Columns of the arm's joints along the axes of the frame, shape (6, 6) or (6, 5)."""
+        """Columns of the arm's joints along the axes of the frame, shape (6, n)."""
         frame = pin.ReferenceFrame.LOCAL
         return np.asarray(
             pin.computeFrameJacobian(self._model.pin, self._data, q_all, self._frame, frame)[:, self.joints]
         )
 
     def _has_wrist(self) -> bool:
-        """Whether the determinant is the product of the three factors."""
-        ratios = [self._determinant(q) / math.prod(self.factors(q)) for q in _PLACES]
-        return max(ratios) - min(ratios) <= _AGREE * max(map(abs, ratios))
+        """Whether the determinant is the product of the three factors, but for a constant one."""
+        placements = [self._model.pin.jointPlacements[int(rank) + 1] for rank in self.joints]
+        shoulder, elbow, forearm, wrist = placements[1:5]
+        centre = forearm.act(wrist.translation)  # of the wrist, in the frame of joint 3
+        self._upper = float(np.hypot(*elbow.translation[:2]))
+        self._fore = float(np.hypot(*centre[:2]))
+        self._bend = math.atan2(centre[1], centre[0]) - math.atan2(elbow.translation[1], elbow.translation[0])
+        self._offset = float(centre[2] + elbow.translation[2])
+        self._upright = shoulder.rotation.T[:2, 2]  # the first axis, in the plane of the upper arm
+        self._shoulder = shoulder.translation
+        self.reach = self._upper + self._fore
+        if self.reach < _SHORTEST_M:
+            return False
+        determinants = np.array([self._determinant(q) for q in _PLACES])
+        products = np.array([math.prod(self.factors(q)) for q in _PLACES])
+        if not products.any():
+            return False
+        others = determinants - products * (determinants @ products) / (products @ products)
+        return bool(np.abs(others).max() < _AGREE * np.abs(determinants).max())
 
     def _centre(self, q: NDArray[np.float64]) -> tuple[float, float]:
         """Centre of the wrist in the plane of the upper arm, from the second axis [m]."""
@@ -165,6 +180,14 @@ def _lack(factor: float, wanted: float) -> float:
     return math.copysign(max(wanted - abs(factor), 0.0), factor)
 
 
-def _column(axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return twists about axes through the origin, shape (6, n)."""
-    return np.vstack([np.zeros_like(axes), axes])
+def stretched(model: CellModel, chain: NDArray[np.intp], frame: str) -> float:
+    """Return a length that the way from the first joint of a chain to a frame never exceeds [m]."""
+    joints = [model.cell.joints[joint] for joint in chain]
+    strokes = [
+        max(abs(joint.limits.lower), abs(joint.limits.upper), joint.limits.upper - joint.limits.lower)
+        for joint in joints
+        if joint.kind == "prismatic"
+    ]
+    last = model.pin.frames[model.frame_id(frame)].placement
+    places = [*(model.pin.jointPlacements[joint + 1] for joint in chain[1:].tolist()), last]
+    return float(sum(np.linalg.norm(place.translation) for place in places) + sum(strokes))

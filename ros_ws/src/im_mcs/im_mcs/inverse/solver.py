@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from im_core.errors import DataError, ImError
 from im_mcs.collision import CollisionChecker
-from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS, Arm
+from im_mcs.inverse.arm import ARM_JOINTS, FEWEST_JOINTS, Arm, stretched
 from im_mcs.inverse.closed_form import ClosedForm
 from im_mcs.inverse.redundancy import Redundancy
 from im_mcs.inverse.tracking import ArmTracker
@@ -28,7 +28,7 @@ _DAMPING, _LAST_DAMPING = 1e-3, 1e-6
 _STEP = 0.5
 _NULL_GAIN = 0.1
 _NULL_ITERATIONS = 40
-# The largest turn about an axis that an arm of five joints gives up: what is asked for is then met in all but name.
+# The largest turn about axes that an arm of few joints gives up: what is asked for is then met in all but name.
 _GIVEN_UP_RAD = 0.0175
 _SEEDS = 32
 # Starts after the first ones end where so many steps have not brought the error below that share.
@@ -66,7 +66,7 @@ class InverseKinematics:
     limits and singularities, carts near their nominal place. Several starts are tried, always the same ones in the same
     order.
 
-    Five joints meet the place of a pose, and its orientation but for a turn of at most a degree about the axis that
+    Fewer joints meet the place of a pose, and its orientation but for a turn of at most a degree about the axes that
     they give up (:class:`Arm`): of a pose written in decimals, for instance.
 
     Args:
@@ -87,7 +87,9 @@ class InverseKinematics:
         self._redundancy = Redundancy(model, limits, index, frame, self._preferred)
         self._closed: ClosedForm | None = None
         self._short: Arm | None = None
-        self._first, self._reach = _chain_reach(model, limits, index, frame)
+        below = model.joints_below(frame)
+        chain = below[np.maximum.accumulate(np.isin(below, index))]
+        self._first, self._reach = model.names[chain[0]] if len(chain) else frame, stretched(model, chain, frame)
         if len(index) >= FEWEST_JOINTS and set(model.joints_below(frame)[-ARM_JOINTS:].tolist()) == set(index.tolist()):
             arm = Arm(model, frame)
             self._joints, self._tracker = arm.joints, ArmTracker(model, arm, frame)
@@ -224,10 +226,11 @@ class InverseKinematics:
             stalled = least[k] < _POSITION_TOLERANCE_M or least[k] > _SHARE * least[max(k - _STALLED, 0)]
             if stalled and k >= _STALLED and not (patient or attempt.reached):
                 return
-            jacobian = self._jacobian(self._whole(q_all, q))
+            whole = self._whole(q_all, q)
+            rows, jacobian = self._rows(whole), self._model.jacobian(whole, self._frame)[:, self._index]
             pull = _NULL_GAIN * max(0.0, 1.0 - k / _NULL_ITERATIONS)  # ends, so that the last steps converge
             damping = _DAMPING if k < _UNDAMPED else _LAST_DAMPING
-            q = self._step(jacobian, error, q, pull, damping)
+            q = self._step(rows @ jacobian, rows @ error, q, pull, damping)
             error = self._error(target, q_all, q)
 
     def _step(
@@ -238,12 +241,12 @@ class InverseKinematics:
         pull: float,
         damping: float,
     ) -> NDArray[np.float64]:
-        """One damped step within the limits; columns beyond those of the joints are turns that are given up."""
+        """One damped step within the limits."""
         free = np.ones(len(q), dtype=np.bool_)
         wish = pull * self._redundancy.wish(q) if pull > 0.0 else np.zeros(len(q))
         for _ in range(2):
-            j, given_up = jacobian[:, : len(q)] * free, jacobian[:, len(q) :]
-            inverse = j.T @ np.linalg.inv(j @ j.T + given_up @ given_up.T + damping**2 * np.eye(6))
+            j = jacobian * free
+            inverse = j.T @ np.linalg.inv(j @ j.T + damping**2 * np.eye(len(j)))
             step = inverse @ error
             step += (wish - inverse @ (j @ wish)) * free
             step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-12))
@@ -272,28 +275,13 @@ class InverseKinematics:
         rotation = pin.log3(target.rotation @ pose.rotation.T)
         return np.concatenate([target.translation - pose.translation, rotation])
 
-    def _jacobian(self, whole: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the columns of the group's joints, and of turns that are given up, shape (6, n) or (6, n + 1)."""
-        columns = self._model.jacobian(whole, self._frame)
+    def _rows(self, whole: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the map from twists to the parts kept by the arm, shape (6, 6), or (n, 6) of n joints."""
         if self._short is None:
-            return columns[:, self._index]
-        given_up = self._short.square(columns, self._model.pose(whole, self._frame).rotation)[:, len(self._joints) :]
-        return np.hstack([columns[:, self._index], given_up])
+            return np.eye(6)
+        return self._short.rows(self._model.pose(whole, self._frame).rotation @ self._short.kept)
 
     def _whole(self, q_all: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = q_all.copy()
         whole[self._index] = q
         return whole
-
-
-def _chain_reach(model: CellModel, limits: JointLimits, index: NDArray[np.intp], frame: str) -> tuple[str, float]:
-    """Return a group's first joint below a frame, and a length that the way between both never exceeds [m]."""
-    below = model.joints_below(frame).tolist()
-    chain = below[next((rank for rank, joint in enumerate(below) if joint in index), len(below)) :]
-    last = model.pin.frames[model.frame_id(frame)].placement
-    places = [*(model.pin.jointPlacements[joint + 1] for joint in chain[1:]), last]
-    slides = [joint for joint in chain if limits.units[joint] == "m"]
-    strokes = [max(*np.abs([lower, upper]), upper - lower) for lower, upper in
-               zip(limits.lower[slides], limits.upper[slides], strict=True)]  # fmt: skip
-    length = sum(np.linalg.norm(place.translation) for place in places) + sum(strokes)
-    return (model.names[chain[0]] if chain else frame), float(length)

@@ -36,7 +36,7 @@ class Tracked:
 class ArmTracker:
     """Newton's method for the joints of an arm at a pose of the wrist, near to the present positions.
 
-    With five joints the wrist is where the pose is, turned about the axis that the arm gives up.
+    With fewer than six joints the wrist is where the pose is, turned about the axes that the arm gives up.
     """
 
     def __init__(self, model: CellModel, arm: Arm, frame: str) -> None:
@@ -45,7 +45,7 @@ class ArmTracker:
         self._frame = model.frame_id(frame)
         self._arm = arm
         self._rest = np.zeros(model.n)
-        self._scale = np.array([1.0 / arm.reach] * 3 + [1.0] * 3)[:, None]
+        self._scale = np.array([1.0 / arm.reach] * 3 + [1.0] * (len(arm.joints) - 3))[:, None]
 
     def pose(self, q: NDArray[np.float64]) -> pin.SE3:
         """Pose of the wrist in ``world`` at ``q``, shape (n,)."""
@@ -75,11 +75,15 @@ class ArmTracker:
         """Way from the wrist at ``q`` to a pose, shape (6,): linear [m], angular [rad], without turns given up."""
         pin.forwardKinematics(self._pin, self._data, q)
         pose = pin.updateFramePlacement(self._pin, self._data, self._frame)
-        turn = target.rotation @ pose.rotation.T
-        for axis in (pose.rotation @ self._arm.given_up).T:
-            about = pin.Quaternion(turn)
-            turn = turn @ pin.exp3(-2.0 * np.arctan2(about.vec() @ axis, about.w) * axis)
-        return np.concatenate([target.translation - pose.translation, pin.log3(turn)])
+        turn, kept = target.rotation @ pose.rotation.T, (pose.rotation @ self._arm.kept).T
+        if len(kept) < 2:
+            rest = sum((_angle(turn, axis) * axis for axis in kept), np.zeros(3))
+        elif len(kept) == 2:
+            axis = np.cross(*kept)
+            rest = pin.log3(turn @ pin.exp3(-_angle(turn, axis) * axis))
+        else:
+            rest = pin.log3(turn)
+        return np.concatenate([target.translation - pose.translation, rest])
 
     def solve(self, target: pin.SE3, guess: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return all joint positions to reach a pose, only the arm's changed from ``guess``; None if none is near.
@@ -94,12 +98,13 @@ class ArmTracker:
             if np.abs(error).max() < _PRECISION:
                 return q
             try:
-                step = np.linalg.solve(self._square(q), error)
+                rows = self._rows(target.rotation)
+                step = np.linalg.solve(rows @ self._jacobian(q)[:, joints], rows @ error)
             except np.linalg.LinAlgError:
                 return None
             if np.abs(step).max() > _LARGEST_STEP:
                 return None
-            q[joints] += step[: len(joints)]
+            q[joints] += step
         return None
 
     def derivatives(
@@ -107,6 +112,7 @@ class ArmTracker:
         q: NDArray[np.float64],
         dq: NDArray[np.float64],
         ddq: NDArray[np.float64],
+        target: pin.SE3,
         twist: NDArray[np.float64],
         twist_rate: NDArray[np.float64],
     ) -> Tracked | None:
@@ -116,25 +122,25 @@ class ArmTracker:
             q: Positions of all joints, shape (n,) [rad or m].
             dq: Derivatives by the path parameter, shape (n,); those of the arm are overwritten.
             ddq: Second derivatives, likewise.
-            twist: Derivative of the wrist's pose along the axes of ``world``, shape (6,): linear, angular.
+            target: Pose of the path in ``world``, which the wrist has but for the turns that are given up.
+            twist: Derivative of the pose along the axes of ``world``, shape (6,): linear, angular.
             twist_rate: Its derivative, shape (6,).
         """
         joints = self._arm.joints
         jacobian = self._jacobian(q)
-        turn = self._rotation()
-        arm = self._arm.square(jacobian, turn)
+        rows = self._rows(target.rotation)
+        arm = rows @ jacobian[:, joints]
         dq, ddq = dq.copy(), ddq.copy()
         dq[joints] = ddq[joints] = 0.0
         try:
-            first = np.linalg.solve(arm, twist - jacobian @ dq)
-            dq[joints] = first[: len(joints)]
+            dq[joints] = np.linalg.solve(arm, rows @ (twist - jacobian @ dq))
             pin.forwardKinematics(self._pin, self._data, q, dq, self._rest)
             bias = pin.getFrameClassicalAcceleration(
                 self._pin, self._data, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             ).vector
-            for axis, rate in zip((turn @ self._arm.given_up).T, first[len(joints) :], strict=True):
-                bias[3:] += rate * np.cross(jacobian[3:] @ dq, axis)
-            ddq[joints] = np.linalg.solve(arm, twist_rate - bias - jacobian @ ddq)[: len(joints)]
+            wanted = rows @ (twist_rate - bias - jacobian @ ddq)
+            wanted[3:] += self._leaning(target.rotation, jacobian[3:] @ dq, twist[3:])
+            ddq[joints] = np.linalg.solve(arm, wanted)
         except np.linalg.LinAlgError:
             return None
         return Tracked(q, dq, ddq, self._smallest(arm), self._arm.factors(q[joints]))
@@ -149,18 +155,40 @@ class ArmTracker:
         v = np.zeros_like(q)
         self._arm.give_up(q)
         try:
-            v[self._arm.joints] = np.linalg.solve(self._square(q), twist)[: len(self._arm.joints)]
+            jacobian = self._jacobian(q)[:, self._arm.joints]
+            rows = self._rows(self._rotation())
+            v[self._arm.joints] = np.linalg.solve(rows @ jacobian, rows @ twist)
         except np.linalg.LinAlgError:
             return None
         return v
 
     def singular_value(self, q: NDArray[np.float64]) -> float:
         """Smallest singular value of the arm's Jacobian at ``q``, shape (n,); lengths divided by the reach."""
-        return self._smallest(self._square(q))
+        jacobian = self._jacobian(q)[:, self._arm.joints]
+        return self._smallest(self._rows(self._rotation()) @ jacobian)
 
-    def _square(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        jacobian = self._jacobian(q)
-        return self._arm.square(jacobian, self._rotation())
+    def _rows(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the map from twists to their kept parts at the present pose, shape (n, 6)."""
+        rotation = self._rotation()
+        return self._arm.rows(rotation @ self._arm.kept_apart(_half_tangents(rotation.T @ target)))
+
+    def _leaning(
+        self, target: NDArray[np.float64], turning: NDArray[np.float64], wanted: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the part of second derivatives from the motion of the kept axes, shape (n - 3,).
+
+        They turn with the frame, and where one turn is kept, lean towards the target.
+        """
+        if (count := self._arm.kept.shape[1]) == 3:
+            return np.zeros(3)
+        rotation = self._rotation()
+        apart, away = _half_tangents(rotation.T @ target), rotation.T @ (wanted - turning)
+        axes = rotation @ self._arm.kept_apart(apart)
+        moved = np.cross(turning, axes.T)
+        if count == 1:
+            rate = 0.5 * (away + np.cross(away, apart) + apart * (away @ apart))
+            moved += np.cross(rate, self._arm.kept.T) @ rotation.T
+        return np.asarray(moved @ (wanted - turning))
 
     def _rotation(self) -> NDArray[np.float64]:
         """Rotation of the wrist where the Jacobian was computed last, shape (3, 3)."""
@@ -173,3 +201,15 @@ class ArmTracker:
         return np.asarray(
             pin.computeFrameJacobian(self._pin, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         )
+
+
+def _angle(turn: NDArray[np.float64], axis: NDArray[np.float64]) -> float:
+    """Return the angle of a rotation about an axis [rad]: what is left is a rotation about an axis across."""
+    about = pin.Quaternion(turn)
+    return 2.0 * float(np.arctan2(about.vec() @ axis, about.w))
+
+
+def _half_tangents(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the axis of a rotation times the tangent of half its angle, shape (3,)."""
+    about = pin.Quaternion(turn)
+    return np.asarray(about.vec() / (about.w or np.finfo(float).eps))

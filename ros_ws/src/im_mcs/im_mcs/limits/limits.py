@@ -63,6 +63,23 @@ class JointLimits:
             [shares.following_error_m if unit == "m" else shares.following_error_rad for unit in self.units]
         )
         self._speed = speed * _OVERSPEED
+        ends = cell.per_joint("limits.lower"), cell.per_joint("limits.upper")
+        self._middle, self._span, self._ends = (ends[0] + ends[1]) / 2.0, ends[1] - ends[0], ends
+
+    def impossible(self, q: NDArray[np.float64]) -> str:
+        """Return a clause on the first reading outside a range by more than half the range; or nothing.
+
+        Args:
+            q: Readings of all joints, shape (n,) [rad or m].
+        """
+        off = q - self._middle
+        if not any_beyond(off, self._span):
+            return ""
+        rank = int(np.flatnonzero(np.abs(off) > self._span)[0])
+        lower, upper = (float(end[rank]) for end in self._ends)
+        unit = self.units[rank]
+        told = f"reading of {self.names[rank]}, {q[rank]:.4g} {unit}, far outside its range"
+        return f"{told}, {lower:.4g} to {upper:.4g} {unit}"
 
     def enforced(self) -> dict[str, Limits]:
         """Return the planning limits of each joint by name; torques with the share of MCS."""

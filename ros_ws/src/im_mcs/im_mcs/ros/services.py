@@ -3,7 +3,7 @@
 import json
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import pydantic
@@ -11,7 +11,7 @@ from control_msgs.srv import QueryTrajectoryState
 from numpy.typing import NDArray
 from std_srvs.srv import Trigger
 
-from im_core.config import parse_model
+from im_core.config import FieldError, parse_model
 from im_core.errors import DataError, ImError, NotFoundError, StateError
 from im_core.ros.calls import run_in_thread
 from im_core.ros.messages.status import ok_status, to_status
@@ -60,6 +60,15 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 class LawParameters(pydantic.RootModel[dict[str, pydantic.JsonValue]]):
     """Parameters of a control law by name, as a request gives them."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_finite(self) -> Self:
+        for name, value in self.root.items():
+            try:
+                json.dumps(value, allow_nan=False)
+            except ValueError:
+                raise FieldError((name,), f"{value} has a number that is not finite") from None
+        return self
 
 
 class StateServices:

@@ -169,24 +169,25 @@ class TopicChannels(GuardedNode):
         )
 
     def _give(self) -> None:
-        value, none = np.zeros(len(self._joints)), np.zeros(len(self._joints), dtype=np.bool_)
+        unknown, none = np.full(len(self._joints), np.nan), np.zeros(len(self._joints), dtype=np.bool_)
         while self._running:
             if self._link.bell.wait(_BELL_S):
                 self._link.bell.drain()
             elif not self._link.owner_alive():
                 break
-            driven = none
+            value, driven = unknown, none
+            self._stamp = self.get_clock().now().to_msg()  # of a process held up from here on the command is old
             try:
                 command = self._link.command.read()
             except LinkError:
                 pass  # the driver stands still in the middle of a command; the next one may be whole
             else:
-                value = command["value"].copy()
                 if clock.monotonic() - float(command["at"]) <= self._silence_s:
-                    driven = command["driven"].copy()
+                    value, driven = command["value"].copy(), command["driven"].copy()
             self._publish(value, driven)
         for _ in range(_LAST_TIMES):
-            self._publish(value, none)
+            self._stamp = self.get_clock().now().to_msg()
+            self._publish(unknown, none)
             clock.sleep(_LAST_PAUSE_S)
         if self._running:
             self._running = False
@@ -197,7 +198,7 @@ class TopicChannels(GuardedNode):
         """Publish the commands of driven joints; of joints that are driven no more, for a moment, that they stand.
 
         Args:
-            value: Commands, shape (n,).
+            value: Commands, and where joints that are not driven stand, shape (n,); NaN: where they were last measured.
             driven: Which joints are driven, shape (n,).
         """
         now, left = clock.monotonic(), self._driven & ~driven
@@ -205,14 +206,15 @@ class TopicChannels(GuardedNode):
             q = self._received["q"].copy()
             q[self._received["at"] == 0.0] = np.nan
         self._place = np.where(np.isfinite(q), q, self._place)
-        self._stand = np.where(np.isfinite(self._stand), self._stand, self._place)
+        given = np.where(np.isfinite(value), value, self._place)
+        self._stand = np.where(np.isfinite(self._stand), self._stand, given)
         if left.any():
-            self._stand[left], self._stand_until = self._place[left], now + _STAND_S
+            self._stand[left], self._stand_until = given[left], now + _STAND_S
         self._driven = driven
         standing = (self._standing | left) & ~driven & (now < self._stand_until)
         self._standing = standing
         if not (driven | standing).any():
-            self._stand = self._place
+            self._stand = given
             return
         value = np.where(driven, value, 0.0)
         if (positions := self._kinds.get("position")) is not None:
@@ -225,7 +227,7 @@ class TopicChannels(GuardedNode):
             told = mask & np.isfinite(value) & (driven if kind == "effort" else driven | standing)
             if told.any():
                 message = JointState(name=[joint for joint, on in zip(self._joints, told, strict=True) if on])
-                message.header.stamp = self.get_clock().now().to_msg()
+                message.header.stamp = self._stamp
                 setattr(message, kind, value[told].tolist())
                 self._publisher.publish(message)
 

@@ -18,7 +18,7 @@ from im_mcs.state.reservation import Reservations
 from im_mcs.testbed.driver import Measured
 
 # of the bound of the following error that is an e-stop
-_ESTOP_FACTOR = 2.0
+ESTOP_FACTOR = 2.0
 
 
 class Reaction(Enum):
@@ -177,16 +177,17 @@ class BrakeWatch:
 
 
 class ReadingWatch:
-    """A joint gives no reading."""
+    """A joint gives no reading, or one that cannot be, as in degrees."""
 
     def __init__(self, limits: JointLimits) -> None:
-        self._names = limits.names
+        self._names, self._limits = limits.names, limits
 
     def check(self, now: Situation) -> SafetyFinding | None:
         """Without a reading nothing can be controlled, and no distance be judged."""
         q = now.measured.q
         if all_finite(q):
-            return None
+            impossible = self._limits.impossible(q)
+            return SafetyFinding(Reaction.ESTOP, LinkError(impossible)) if impossible else None
         joint = self._names[int(np.argmin(np.isfinite(q)))]
         fault = LinkError(f"{joint} gave no reading at tick {now.measured.tick}", joint=joint, tick=now.measured.tick)
         return SafetyFinding(Reaction.ESTOP, fault)
@@ -255,7 +256,7 @@ class FollowingWatch:
             if not any_beyond(error, self._limits.following_error[group.place]):
                 continue
             tick = now.measured.tick
-            beyond = self._limits.following(group.index, error, _ESTOP_FACTOR, tick)
+            beyond = self._limits.following(group.index, error, ESTOP_FACTOR, tick)
             if beyond is not None:
                 return SafetyFinding(Reaction.ESTOP, beyond)
             fault = self._limits.following(group.index, error, 1.0, tick)

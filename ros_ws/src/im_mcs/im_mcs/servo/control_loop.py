@@ -17,6 +17,7 @@ from im_mcs.model import ControlledModel
 from im_mcs.model.dynamics import Place
 from im_mcs.planning import Setpoint
 from im_mcs.safety import Reaction, SafetyFinding, SetpointLimiter
+from im_mcs.safety.watches import ESTOP_FACTOR
 from im_mcs.servo.group import ControlledGroup
 from im_mcs.servo.torque_stream import Ended, TorqueStreams
 from im_mcs.testbed import Measured
@@ -24,6 +25,8 @@ from im_mcs.testbed import Measured
 _LOOPS_OF_ROBOTS: tuple[Interface, Interface] = ("velocity", "position")
 # largest step of a position in a tick, as a multiple of that of a joint at its largest velocity
 _STEP = 1.1
+# for how long a joint that a law has just left is expected where it was sent; a robot is told where to stand by then
+_LEFT_TICKS = 50
 
 
 class ControlLoop:
@@ -70,6 +73,7 @@ class ControlLoop:
         self._largest[self._velocities] = limits.ceiling.velocity[self._velocities]
         self._largest[self._positions] = _STEP * period_s * limits.ceiling.velocity[self._positions]
         self._least = -self._largest
+        self._stands, self._left = np.full(model.n, np.nan), 0
         self._saturations = saturations
         self._free(slice(None), q)
         self._limiter = SetpointLimiter(limits, period_s, plan_s, config.safety.jerk_factor, saturations)
@@ -95,6 +99,7 @@ class ControlLoop:
             self._limiter.hold(group.index, q[group.index])
             if group not in self.engaged:
                 self.engaged.append(group)
+                self._stands[group.index] = np.nan
 
     def hand_over(self, former: Sequence[ControlledGroup], heirs: Iterable[ControlledGroup]) -> None:
         """Let groups hold the joints of others, which end, at the same setpoints, with commands that go on."""
@@ -112,6 +117,7 @@ class ControlLoop:
             if group.name in groups:
                 group.disengage()
                 self._limiter.release(group.index)
+                self._stands[group.index], self._left = self.command[group.index], _LEFT_TICKS
                 self._free(group.place, self._q)
         self.engaged = [group for group in self.engaged if group.engaged]
         if not self.engaged:
@@ -127,6 +133,7 @@ class ControlLoop:
         self.setpoint = wanted = _standing(m.q)
         self.model.advance()
         self._q = m.q
+        self._left -= 1
         if not self.engaged:
             if self._positions:
                 self._free(slice(None), m.q)
@@ -231,7 +238,10 @@ class ControlLoop:
             self._saturations.add("velocity", cut & ~torques)
 
     def _free(self, place: Place, q: NDArray[np.float64]) -> None:
-        """Give joints the commands of joints without control; a joint without a reading keeps its position.
+        """Give joints the commands of joints without control: where they are, for those that take positions.
+
+        A joint without a reading keeps its position. So does one just left by its law, of which a reading is off the
+        last command by more than any error that is followed: the joint is not there, and a robot would go there.
 
         Args:
             place: Which joints.
@@ -242,7 +252,9 @@ class ControlLoop:
             self.command[place] = 0.0
             return
         before, free = self.command, np.zeros_like(self.command)
-        free[self._positions] = np.where(np.isfinite(q), q, before)[self._positions]
+        leapt = (self._left > 0) & (np.abs(q - self._stands) > ESTOP_FACTOR * self._limits.following_error)
+        here = np.where(leapt, self._stands, np.where(np.isfinite(q), q, before))
+        free[self._positions] = here[self._positions]
         self.command[place] = free[place]
 
 

@@ -313,12 +313,14 @@ class Mcs:
         return all(self.groups[name].settled for name in groups)
 
     def broken(self) -> list[str]:
-        """Return the present faults: missing or old readings, and reports of hardware."""
+        """Return the present faults: missing, old or impossible readings, and reports of hardware."""
         m, names, bound_s = self.measured, self.model.names, self.config.safety.driver_age_estop_s
         missing = [names[rank] for rank in np.flatnonzero(~np.isfinite(m.q))]
         old = [names[rank] for rank in np.flatnonzero(m.age_s > bound_s)]
         said = [f"no reading of {', '.join(missing)}"] * bool(missing)
         said += [f"a reading older than {bound_s:g} s of {', '.join(old)}"] * bool(old)
+        if impossible := self.limits.impossible(m.q):
+            said.append(f"a {impossible}")
         try:
             return said + self._testbed.faults()
         except LinkError as error:

@@ -143,6 +143,11 @@ class ControlledGroup:
             return True
         return not self.planner.finished and self._rates.of(current) > 0.0 and not self._waits()
 
+    @property
+    def _yields(self) -> bool:
+        """Whether the law in force lets the arm rest off its setpoint."""
+        return self.controller.name in self.context.config.switching.yielding
+
     # what may be asked of it
 
     def engage(self, q: NDArray[np.float64], before: NDArray[np.float64] | None = None) -> None:
@@ -191,17 +196,20 @@ class ControlledGroup:
         """Take up a motion; the next ticks prepare the motion.
 
         Raises:
-            StateError: Another motion is under way and the policy is to refuse, or a protective stop holds the group.
+            StateError: Another motion is under way and the policy is to refuse, a protective stop holds the group, or
+                the group is halted and this is a window of a stream.
             DataError: It has not as many values as the group has joints, or does not end at rest; or it is to end at a
                 force, and the group has no sensor.
             LimitError: A point is out of a joint's range.
         """
         move = request.path
         self._require_free(request.policy)
+        if isinstance(move, TrajectoryMove) and move.stream and self._rates.of(None) == 0.0:
+            raise StateError(f"group '{self.name}' is halted; a stream is followed once it goes on", group=self.name)
         check_move(self.context, move)
         if request.until_force and not self.context.force_sensors:
             raise DataError(f"group '{self.name}' has no force sensor, and the move is to end at a force")
-        tolerances = tolerances_of(self.context, move)
+        tolerances = tolerances_of(self.context, move, yields=self._yields)
         self.monitor.bound(request.settle)
         queued = Queued(goal, move, request.policy, request.speed_scale, tolerances, request.until_force)
         if request.policy is Policy.REPLACE:
@@ -450,8 +458,7 @@ class ControlledGroup:
         self.check.q, self.check.v = position, velocity
         if self.still:
             if not self.controller.switching:
-                yields = self.controller.name in self.context.config.switching.yielding
-                self.monitor.update(tick, position, None if yields else setpoint.q)
+                self.monitor.update(tick, position, None if self._yields else setpoint.q)
                 self.controller.hold_integral(self.monitor.phase in (RestPhase.MEASURING, RestPhase.AT_REST))
         elif self.monitor.phase is not RestPhase.MOVING:
             self._begun()
@@ -496,6 +503,8 @@ class ControlledGroup:
         replaces = queued.policy is Policy.REPLACE and not isinstance(queued.move, LineMove)
         if replaces and not self.planner.at_knot:
             return  # it takes over in the tick in which it is ready, and that is at a knot
+        if replaces and not self.planner.still and self._rates.of(None) == 0.0:
+            return  # what is to halt halts first: to take over would be to move on
         if not replaces and before is None and not self._end_known():
             return
         try:
@@ -516,7 +525,9 @@ class ControlledGroup:
 
     def _end_known(self) -> bool:
         """Return whether the begin of the next motion is known: the present one will reach the end of the path."""
-        current = self._current
+        current, follower = self._current, self.planner.follower
+        if isinstance(follower, TrackingFollower) and not follower.end_known:
+            return False
         return current is None or (current.goal.fault is None and current.stream is None)
 
     def _start(self, queued: Queued) -> Setpoint:

@@ -86,7 +86,8 @@ class JointStateDriver:
     """Positions from one topic, commands to another; a separate process uses ROS, since the servo has no ROS.
 
     While MCS wants no power, or a joint's brake, that joint is not driven: for a moment its velocity is 0, or its
-    position the last one measured; then it is not in what is published, as torques are not at once. A robot holds a
+    position the one given with the brake, or without one the last one measured; then it is not in what is published, as
+    torques are not at once. A robot holds a
     joint that has not been commanded for longer than it allows. Power and brakes are taken to be as wanted, as the
     topics do not tell; but there is no power while a fault topic tells a fault. Stamps are of the computer's clock.
 
@@ -188,7 +189,7 @@ class JointStateDriver:
         try:
             q, age_s = self._newest()
         except LinkError:
-            self._command(np.zeros(self.n_joints), np.zeros(self.n_joints, dtype=np.bool_))
+            self._command(np.full(self.n_joints, np.nan), np.zeros(self.n_joints, dtype=np.bool_))
             raise
         power = self._drive.power and not self._faults
         braked = self._drive.brakes | (not power)

@@ -7,7 +7,7 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from im_core.errors import ConfigError, ImError, LinkError
+from im_core.errors import FOREIGN, ConfigError, ImError, LinkError
 from im_core.processes.startup import patience_s
 from im_mcs.limits.slots import Kind, Slot, Testbed
 from im_mcs.testbed.driver import (
@@ -39,7 +39,7 @@ def _guarded(method: _Method[Given, ResultT]) -> _Method[Given, ResultT]:
             return method(self, *given, **named)
         except LinkError:
             raise
-        except Exception as error:
+        except FOREIGN as error:
             told = error.message if isinstance(error, ImError) else f"{type(error).__name__}: {error}"
             raise LinkError(f"the channel driver failed: {method.__name__}: {told}") from error
 
@@ -219,11 +219,11 @@ class TestbedInterface:
 
     def _each(self, act: Callable[["_Part"], None]) -> None:
         """Act on every driver, after failures of others, too; raise the first failure then."""
-        failed: list[Exception] = []
+        failed: list[BaseException] = []
         for part in self._parts:
             try:
                 act(part)
-            except Exception as error:
+            except FOREIGN as error:
                 failed.append(error)
         if failed:
             raise failed[0]

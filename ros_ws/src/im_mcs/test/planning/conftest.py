@@ -119,9 +119,9 @@ class Rig:
             setpoint = self.group.advance()
             self.trace.append(setpoint)
             self.q_all[self.index] = setpoint.q - self.error
-            v = np.zeros(18)
+            v = np.zeros_like(self.q_all)
             v[self.index] = setpoint.v - self.velocity_error
-            self.group.command(self.tick, self.q_all.copy(), v, np.zeros(18), Setpoint.at_rest(self.q_all))
+            self.group.command(self.tick, self.q_all.copy(), v, np.zeros_like(v), Setpoint.at_rest(self.q_all))
             for goal, fault, results in self.group.ended():
                 self.results[goal.id] = fault, results, self.tick
 

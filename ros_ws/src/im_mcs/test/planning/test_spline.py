@@ -112,6 +112,14 @@ def test_positions_alone_lead_beyond_no_point(lengths, seed, there_and_back):
         assert (beyond <= most + 1e-9).all()
 
 
+@pytest.mark.parametrize("seconds", [1e-9, 2e-9])
+def test_what_is_asked_for_within_a_nanosecond_is_gone_to(rig, way, seconds):
+    goal = rig.request({"kind": "trajectory", "points": [{"time": seconds, "positions": (rig.home + way).tolist()}]})
+    rig.run()
+    assert rig.code(goal) is None
+    np.testing.assert_allclose(rig.trace[-1].q, rig.home + way, atol=1e-9)
+
+
 def test_a_point_far_away_at_once_is_gone_to_and_not_passed(rig):
     """As where a client's clock is behind: what is left begins with a leap, and goes on slowly."""
     q = np.tile(rig.home, (4, 1))
@@ -282,6 +290,15 @@ def test_without_goal_tolerances_it_ends_with_the_trajectory_and_not_when_all_ha
         late = rig.results[goal][1]["duration"] - TIMES[-1]
         assert (0.05 if code else 0.0) <= late + 1e-9 <= (0.06 if code else 0.005)
         rig.error[:] = rig.velocity_error[:] = 0.0
+
+
+@pytest.mark.parametrize(("given", "code"), [({}, None), ({"goal_tolerance": [0.005] * 9}, "goal_tolerance")])
+def test_where_a_law_yields_only_a_given_tolerance_says_how_far_off_the_end_may_be(rig, course, config, given, code):
+    rig.group.controller.name = config.switching.yielding[0]
+    rig.error[7] = 0.02
+    goal = rig.request({"kind": "trajectory", "points": points(TIMES, course[0]), **given})
+    rig.run()
+    assert rig.code(goal) == code
 
 
 def test_a_move_ends_when_its_arm_has_settled(rig, way, config):

@@ -162,7 +162,24 @@ def test_joints_that_meet_moving_targets_one_by_one_move_on_with_them(rig):
     last = chase.durations.max()
     before, after = chase.at(last - 1e-9), chase.at(last + 1e-9)
     np.testing.assert_allclose(after.q, before.q, atol=1e-8)
-    np.testing.assert_allclose(after.q, rig.home + np.linspace(0.1, 0.9, 9) + velocity * (last - chase.durations))
+    np.testing.assert_allclose(after.q, rig.home + np.linspace(0.1, 0.9, 9) + velocity * last, atol=1e-8)
+    np.testing.assert_allclose(after.v, velocity, atol=1e-12)
+
+
+@pytest.mark.parametrize("ticks", [1, 5])
+def test_slow_joints_of_different_limits_follow_a_sine(rig, ticks):
+    """A target that turns is not where its velocity pointed: joints that made for that place swung 100 mm too far."""
+    velocity = np.array([0.76, 0.475, 0.285, 1.9])
+    limits = MotionLimits(velocity, velocity / 0.25, velocity / 0.025)
+    follower = StreamFollower(Setpoint.at_rest(np.zeros(4)), limits, np.full(4, -1.0), np.full(4, 1.0), rig.period, 1)
+    off = []
+    for k in range(1000):
+        phase = 2.0 * rig.period * k
+        if k % ticks == 0:
+            follower.renew(np.full(4, 0.1 * np.sin(phase)), np.full(4, 0.2 * np.cos(phase)))
+        off.append(np.abs(follower.advance(1.0)[0].q - 0.1 * np.sin(phase + 2.0 * rig.period)).max())
+    assert max(off) < 0.035, "the way of the slowest joint from rest to the velocity of the target"
+    assert max(off[300:]) < 2e-3
 
 
 def test_a_stream_to_which_no_motion_is_found_ends_on_the_way_and_says_why(rig, way, monkeypatch):

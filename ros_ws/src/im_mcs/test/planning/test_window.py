@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from im_core.errors import DataError, LimitError
+from im_core.errors import DataError, LimitError, StateError
 from im_mcs.client.trajectory import OldStampError, Present, TimedTrajectory, trajectory_path
 from im_mcs.planning.motions.window import WindowPreparation
 from im_mcs.protocol.points import TimedPoints, pack_points
@@ -262,6 +262,58 @@ def test_a_stream_towards_the_end_of_a_joint_is_refused_where_the_arm_could_not_
     assert "left_j6: position at" in refused[0].message
     assert at_rest_in_the_end(rig)[8] < edge
     assert rig.q[:, 8].max() < edge
+
+
+@pytest.mark.parametrize("windows", [True, False])
+def test_a_pause_halts_whatever_goes_on_being_sent(rig, way, windows):
+    course = sine(rig, way / way.max())
+    refused = 0
+
+    def until(seconds):
+        nonlocal refused
+        while (now := rig.tick * rig.period) < seconds:
+            if rig.tick % 7 == 0:
+                q, v = course(now + AHEAD_S)
+                if windows:
+                    try:
+                        ask(rig, AHEAD_S, q, v)
+                    except StateError:
+                        refused += 1
+                else:
+                    points = [(now + ahead, *course(now + ahead)) for ahead in (AHEAD_S, 1.0)]
+                    rig.request({
+                        "kind": "trajectory",
+                        "points": [
+                            {"time": time - now, "positions": q.tolist(), "velocities": (v * last).tolist()}
+                            for (time, q, v), last in zip(points, (1.0, 0.0), strict=True)
+                        ],
+                    }, policy="replace")  # fmt: skip
+            rig.ticks(1)
+
+    until(2.0)
+    assert refused == 0
+    rig.group.pause()
+    until(2.6)
+    halted = rig.trace[-1].q
+    until(4.0)
+    np.testing.assert_array_equal(rig.trace[-1].q, halted)
+    assert (refused > 0) == windows
+    rig.group.resume()
+    until(6.0)
+    assert np.abs(rig.trace[-1].q - course(6.0)[0]).max() < 0.02
+    at_rest_in_the_end(rig)
+    rig.check_motion(jerk=1.6)
+
+
+@pytest.mark.parametrize("appended", [False, True])
+def test_a_move_after_a_stream_that_fell_silent_begins_where_the_arm_rests(rig, way, appended):
+    stream(rig, swing(rig, way, 0.1, 2.0), 1.2)
+    if not appended:
+        at_rest_in_the_end(rig)
+    goal = rig.move(rig.home, policy="append" if appended else "refuse")
+    np.testing.assert_allclose(at_rest_in_the_end(rig), rig.home, atol=1e-9)
+    assert rig.code(goal) is None
+    rig.check_motion(jerk=1.6)
 
 
 def test_one_point_at_time_0_is_gone_to_at_once(rig, way):

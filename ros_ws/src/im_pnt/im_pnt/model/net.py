@@ -194,8 +194,8 @@ class Transition:
         servers: How many of its tokens are worked on at once, :data:`LARGEST`: all; None: all with an action, one with
             a delay alone.
         cancels: Transition whose running action it asks to end early; it fires only while there is one. None: none.
-        keeps_failure: Whether its output tokens carry the failure of its input tokens; a transition with an action ends
-            in a failure of its own, or in none.
+        keeps_failure: Whether its output tokens carry the failure of its input tokens; a failure of its own action is
+            told after that one.
     """
 
     name: str

@@ -271,7 +271,8 @@ class Subnets:
         if "rest" in sections:
             listed = inner.arcs("rest", sections["rest"])
             self._rest += listed.children if listed.kind is Kind.LIST else [listed]
-        yield from self._transitions(inner, pairs["transitions"])
+        for name, child in self._transitions(inner, pairs["transitions"]):
+            yield name, _keeping_failure(child, key) if use.keeps_failure else child
         results = {}
         for name, child in sections["results"].pairs if "results" in sections else ():
             try:
@@ -403,6 +404,13 @@ def uses_subnets(root: Value) -> bool:
     """Whether a transition of a file uses a subnet or a scope."""
     transitions = find(root, ("transitions",))
     return transitions.key is not None and any({"use", "with"} & _keys(value) for _, value in transitions.value.pairs)
+
+
+def _keeping_failure(transition: Value, near: Value) -> Value:
+    """Return a transition that keeps failures."""
+    key = "keeps_failure"
+    pairs = [pair for pair in transition.pairs if pair[0].text != key]
+    return mapping([*pairs, (scalar(key, near), scalar("true", near, quoted=False))], transition)
 
 
 def _objects(template: Value) -> list[str]:

@@ -39,6 +39,7 @@ class StrategyStore(StrategyBook):
         tell: Is told why a file was moved aside, and to where.
 
     Raises:
+        FileError: The system does not read the file.
         StoreError: A damaged file cannot be moved aside.
     """
 
@@ -46,20 +47,20 @@ class StrategyStore(StrategyBook):
         super().__init__()
         self._path, self._tell = path, tell
         self._unsaved: list[StrategyOutcome] = []
-        if path.exists():
-            self._read()
+        self._read()
 
     def outcome(self, outcome: StrategyOutcome) -> None:
         """Count an outcome, and write the file with the counts of other machines: whole or not at all.
 
         Raises:
             OSError: It cannot be saved; the outcome is counted all the same, and saved with the next one.
+            FileError: Likewise, for the file of before cannot be read.
             StoreError: Likewise, for another machine writes it, or a damaged file cannot be moved aside.
         """
         super().outcome(outcome)
         self._unsaved.append(outcome)
         with _alone(self._path):
-            if self._path.exists() and self._read():
+            if self._read():
                 for each in self._unsaved:
                     super().outcome(each)
             self._write()
@@ -70,23 +71,30 @@ class StrategyStore(StrategyBook):
 
         Raises:
             OSError: The file cannot be written.
-            StoreError: Likewise.
+            FileError: The system does not read it.
+            StoreError: It cannot be written, either.
         """
         with _alone(self._path):
-            if self._path.exists():
-                self._read()
+            self._read()
             gone = super().forget(start)
             self._write()
         return gone
 
     def _read(self) -> bool:
-        """Read the file; move a damaged file aside, and keep the experience of this process.
+        """Read the file if there is one; move a damaged file aside, and keep the experience of this process.
 
         Returns:
             Whether the file was read.
+
+        Raises:
+            FileError: The system does not read it: nothing says that it is damaged.
         """
         try:
             self.learned = read_experience(self._path)
+        except FileError as error:
+            if not isinstance(error.__cause__, FileNotFoundError):
+                raise
+            return False
         except NetError as error:
             aside = self._path.with_name(f"{self._path.name}.damaged-{round(1000 * clock.wall())}")
             move(self._path, aside)
@@ -103,11 +111,14 @@ def read_experience(path: Path) -> dict[str, Experience]:
     """Return the experience in a file, by strategy.
 
     Raises:
+        FileError: The system does not read the file: its content may be whole.
         NetError: The file is not one of these; says which, where and what is allowed.
     """
     try:
         content = load_json(path)
     except FileError as error:
+        if isinstance(error.__cause__, OSError):
+            raise
         raise NetError(f"{error.message}; strategies are needed", **error.facts) from error
     table = content.get("strategies") if isinstance(content, dict) else None
     if not isinstance(table, dict):

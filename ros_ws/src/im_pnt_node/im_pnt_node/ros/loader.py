@@ -430,7 +430,7 @@ class Loader:
             if monotonic() - began > (max(patience_s, TURN_S) if executor.due else patience_s):
                 name = executor.net.name
                 while_busy = f"; its commands cannot go on in a former version: {why}" if why not in ("", rest) else ""
-                raise StateError(f"net {name} is not at rest and cannot be replaced now: {rest}{while_busy}", net=name)
+                raise StateError(f"net {name} is not at rest and stays as it is: {rest}{while_busy}", net=name)
             await pause(self._node, REST_CHECK_S)
 
 

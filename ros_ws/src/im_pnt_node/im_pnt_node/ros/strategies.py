@@ -18,7 +18,7 @@ from im_pnt.execution.strategies import Experience
 from im_pnt_node.journal.strategies import read_experience
 
 _WAIT_S = 10.0
-_ROW = "{:52} {:>9} {:>8} {:>7} {:>13}  {}"
+_ROW = "{:{}} {:>9} {:>8} {:>7} {:>13}  {}"
 
 
 def main() -> int:
@@ -48,13 +48,13 @@ def main() -> int:
 
 def table(learned: Mapping[str, Experience]) -> list[str]:
     """Return the lines about all strategies, by name."""
-    lines = [_ROW.format("strategy", "successes", "failures", "success", "90 % within", "last")]
+    wide = max(map(len, ("strategy", *learned)))
+    lines = [_ROW.format("strategy", wide, "successes", "failures", "success", "90 % within", "last")]
     for name, each in sorted(learned.items()):
         low, high = each.interval()
         within = f"{low:.2f} .. {high:.2f}"
-        lines.append(
-            _ROW.format(name, f"{each.successes:.1f}", f"{each.failures:.1f}", f"{each.mean:.2f}", within, each.last)
-        )
+        counts = f"{each.successes:.1f}", f"{each.failures:.1f}"
+        lines.append(_ROW.format(name, wide, *counts, f"{each.mean:.2f}", within, each.last))
     return lines if learned else ["nothing was learned yet"]
 
 

@@ -30,12 +30,21 @@ class VmSnap(VisionModule):
         Raises:
             ImError: See :meth:`VisionModule.run` and :meth:`im_cell.frames.FrameSource.take_frames`.
         """
-        frames = self.run(lease, partial(self.rig.cameras.take_frames, order, exposed))
+        parents = {self.rig.book[camera].parent for camera in order.cameras} - {"world"}
+        noted: list[int] = []
+
+        def note(stamps_ns: tuple[int, ...]) -> None:  # before the arm goes on, and its pose of then is forgotten
+            noted.extend(stamps_ns)
+            for parent in parents:
+                self.rig.mounts.note(parent, stamps_ns)
+            exposed(stamps_ns)
+
+        frames = self.run(lease, partial(self.rig.cameras.take_frames, order, note))
         if abs(frames.exposure_s - order.exposure_s) > _SAME_S:
             lease.client.tell(f"exposed for {frames.exposure_s:g} s, not for {order.exposure_s:g} s")
         for camera, taken in frames.frames.items():
             if (parent := self.rig.book[camera].parent) != "world":
-                self.rig.mounts.note(parent, [frame.stamp_ns for frame in taken])
+                self.rig.mounts.note(parent, [frame.stamp_ns for frame in taken if frame.stamp_ns not in noted])
         return frames
 
 

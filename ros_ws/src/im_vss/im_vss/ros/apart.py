@@ -43,7 +43,7 @@ class ApartNode(ServicesNode):
         self._taking = self.create_client(TakeCalibration, TAKE)
         self._book = RemoteBook(cell, settings.cameras, settings.stereo.pairs or (), self._hand_over)
         self._reader = CalibrationReader(cell, settings.cameras, names.run_dir() / f"calibration_{self.get_name()}")
-        tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
+        tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness, 0.0)
         mounts = Mounts(tracker.wrist)
         for entry in self._book.entries():
             if entry.parent != "world":  # with each image comes a camera info of its stamp

@@ -1,6 +1,5 @@
 """Position of the lit wrist light by the robot's pose."""
 
-import contextlib
 from collections import deque
 
 import numpy as np
@@ -12,6 +11,7 @@ from tf2_msgs.msg import TFMessage
 from im_cell.lights import lights_told
 from im_cell.robot import Cell
 from im_cell.rotations import matrix_of_quaternion
+from im_core import clock
 from im_core.errors import DataError
 from im_core.ros import qos
 from im_core.ros.messages.interfaces import decoded
@@ -25,11 +25,15 @@ SWITCH = "/testbed/set_light"
 _KEPT = 50
 """Messages on ``/tf``: others than MCS may send there, too, whatever they like."""
 
+LATE_S = 0.5
+"""How long a pose may be on its way to a busy node, wall time [s]."""
+_LOOK_S = 0.005
+
 
 class LightTracker:
     """Tracker of the light: keeps the newest of ``/tf`` undecoded, and computes a position on request."""
 
-    def __init__(self, node: Node, cell: Cell, light: str, freshness_s: float) -> None:
+    def __init__(self, node: Node, cell: Cell, light: str, freshness_s: float, late_s: float) -> None:
         """Listen.
 
         Args:
@@ -37,7 +41,9 @@ class LightTracker:
             cell: Nominal geometry: where the lights are on the last links.
             light: Name of the light that counts unless another is the only one that is on, its name.
             freshness_s: How far a pose may be from the time that is asked for [s] of testbed time.
+            late_s: How long to wait for a pose of that time, wall time [s]; 0 where the node's loop asks.
         """
+        self._late_s = late_s
         self._cell, self._light, self._usual = cell, light, light
         self._freshness_ns = freshness_s * 1e9
         self._newest: deque[bytes] = deque(maxlen=_KEPT)
@@ -61,11 +67,26 @@ class LightTracker:
         return np.asarray(origin + rotation @ np.array(self._cell.led.offset))
 
     def wrist(self, frame: str, stamp_ns: int) -> Pose | None:
-        """Return the place of a wrist in the world at a testbed time [ns]; None if unknown."""
+        """Return the place of a wrist in the world at a testbed time [ns]; None if unknown.
+
+        A pose of that time may be on its way to a busy node, while a newer one says that none will come.
+        """
+        deadline = clock.monotonic() + self._late_s
+        while True:
+            found, awaited = self._look(frame, stamp_ns)
+            if found is not None or not awaited or clock.monotonic() > deadline:
+                return found
+            clock.sleep(_LOOK_S)
+
+    def _look(self, frame: str, stamp_ns: int) -> tuple[Pose | None, bool]:
+        """Return the place of a wrist by the messages that are there, and whether it may yet come."""
+        newest: bool | None = None
         for message in reversed(tuple(self._newest)):
-            with contextlib.suppress(DataError):  # not from MCS
-                return wrist_by(decoded(message, TFMessage), self._cell, frame, stamp_ns, self._freshness_ns)
-        return None
+            try:
+                return wrist_by(decoded(message, TFMessage), self._cell, frame, stamp_ns, self._freshness_ns), False
+            except DataError as error:  # not from MCS, or of another time
+                newest = bool(error.facts["earlier"]) if newest is None and "earlier" in error.facts else newest
+        return None, bool(newest)
 
     def _keep(self, message: bytes) -> None:
         self._newest.append(message)
@@ -97,8 +118,9 @@ def wrist_by(message: TFMessage, cell: Cell, frame: str, stamp_ns: int, freshnes
             raise DataError(f"there is no way from {link} to the world")
         step_up = tree.pop(frame)
         header, q, t = step_up.header, step_up.transform.rotation, step_up.transform.translation
-        if abs(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns) > freshness_ns:
-            raise DataError(f"{frame} is of another time")
+        ahead_ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec - stamp_ns
+        if abs(ahead_ns) > freshness_ns:
+            raise DataError(f"{frame} is of another time", earlier=ahead_ns < 0)
         step = matrix_of_quaternion([q.x, q.y, q.z, q.w])
         rotation, origin = step @ rotation, step @ origin + np.array([t.x, t.y, t.z])
         frame = header.frame_id

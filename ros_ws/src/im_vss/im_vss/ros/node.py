@@ -27,7 +27,7 @@ from im_vss.laser.scanner import LinkedScanner
 from im_vss.rig import LaserRig, Rig
 from im_vss.ros.calibration_messages import TAKE, TRUTH, CalibrationReader, to_message
 from im_vss.ros.controls import ControlParameters, ImageStream
-from im_vss.ros.light_tracker import LightTracker
+from im_vss.ros.light_tracker import LATE_S, LightTracker
 from im_vss.ros.markers import CellMarkers
 from im_vss.ros.messages import from_camera_info
 from im_vss.ros.outputs import ImageOutputs
@@ -77,7 +77,7 @@ class VssNode(ServicesNode):
             self,
         )
         self._source = frame_source(setup)
-        tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness)
+        tracker = LightTracker(self, cell, settings.light.name, settings.region.freshness, LATE_S)
         rig = Rig(
             settings,
             cell,

@@ -22,7 +22,7 @@ from im_vss.vsm import VisionServicesManager
 FILES_S = 30.0
 
 #: Libraries of the calibration that take seconds to load, and at rest a fifth of the memory of this process.
-_CALIBRATION = ("scipy.special", "scipy.stats", "im_calibration.reporting.plots")
+_CALIBRATION = ("scipy.special", "im_calibration.reporting.plots")
 
 
 class ServicesNode(ManagedNode):

@@ -170,7 +170,7 @@ class FiducialPoseRequest:
 
 @dataclass(frozen=True)
 class SeenFiducial:
-    """A plate in an image: name of the camera, testbed time of the exposure [ns], and the fit."""
+    """A plate: name of the camera, testbed time of the first exposure [ns], and the fit."""
 
     camera: str
     stamp_ns: int
@@ -203,16 +203,16 @@ class SvcFiducialPose(VisionService):
         """
         wanted = self._wanted(request.ids)
         watch = Stopwatch()
-        images = self.shown(client, request.cameras, request.exposure_s, watch)
+        images = self.shown(client, request.cameras, request.exposure_s, watch, self.rig.settings.fiducials.images)
         found: list[SeenFiducial] = []
         causes: list[str] = []
         shown: dict[str, Fiducials] = {}
         with watch.step("find_s"):
             for camera in request.cameras:
-                (frame,) = images.frames[camera]
-                fits, missed = self.tool("tool_fiducial_pose")(frame, wanted)
+                frames = images.frames[camera]
+                fits, missed = self.tool("tool_fiducial_pose")(frames, wanted)
                 if self.rig.book[camera].lens_known:
-                    found += [SeenFiducial(camera, frame.stamp_ns, fit) for fit in fits]
+                    found += [SeenFiducial(camera, frames[0].stamp_ns, fit) for fit in fits]
                 else:
                     causes.append(f"no pose from {camera}: its lens is not calibrated")
                 why = [f"{wanted[number].name} in {camera} {cause}" for number, cause in missed.items()]

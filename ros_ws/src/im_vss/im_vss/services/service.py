@@ -26,14 +26,16 @@ class VisionService(ABC):
         """Return the Tool of a name, callable."""
         return self._tools[name]
 
-    def shown(self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch) -> FrameSet:
-        """Take an image of each camera, with the lights unchanged, and show the image on the camera's display.
+    def shown(
+        self, client: VisionClient, cameras: tuple[str, ...], exposure_s: float, watch: Stopwatch, count: int = 1
+    ) -> FrameSet:
+        """Take images of each camera, with the lights unchanged, and show them on the camera's display.
 
         Raises:
             ImError: A camera is unknown, the exposure out of range, or the cameras do not deliver.
         """
         with watch.step("snap_s"):
-            images: FrameSet = self.tool("tool_snap")(client, cameras, exposure_s, (False,))
+            images: FrameSet = self.tool("tool_snap")(client, cameras, exposure_s, (False,) * count)
         with watch.step("display_s"):
             self.tool("tool_image_disp")(client, images)
         return images

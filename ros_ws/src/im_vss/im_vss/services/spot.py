@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from im_calibration.targets.detection import Detection
 from im_calibration.targets.target import chessboard_of
 from im_cell.frames import Exposed, nobody
-from im_core.errors import ConfigError, DataError
+from im_core.errors import FOREIGN, ConfigError, DataError, as_exception
 from im_core.stopwatch import Stopwatch
 from im_vss.managers import VisionClient
 from im_vss.pending_looks import Look
@@ -237,7 +237,8 @@ class SvcSpotLook(VisionService):
         def search() -> None:
             try:
                 look.found.set_result(replace(find(self, searcher, request, exposed), remarks=tuple(remarks)))
-            except Exception as error:  # whatever it is, it is for whoever waits for the result
+            except FOREIGN as raised:  # of a user's frame source, too: it is for whoever waits for the result
+                error = as_exception(raised)
                 look.found.set_exception(error)
                 if not shut.done():
                     shut.set_exception(error)

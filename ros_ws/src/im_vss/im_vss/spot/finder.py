@@ -21,6 +21,10 @@ _MOST_PEAKS = 6
 _MOST_CANDIDATES = 3
 _ERASE_SIGMAS = 5.0
 _ERASE_MINIMUM_PX = 8.0
+_NEAR_PX = 16
+_NOISIER = 1.1
+_CUT, _CUT_VARIANCE = 3.0, 0.9733  # of a unit normal distribution that is cut off there
+_SCALE_ROUNDS, _FEWEST_STEPS = 8, 200
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,9 @@ class MatchedFilter:
     """Signal-to-noise ratio of a Gaussian spot at every pixel of a difference of two frames, or of a disc in them.
 
     Source: North's matched filter for white noise, after dividing each pixel by its standard deviation.
+
+    Attributes:
+        noise: Noise of the sensor; with more read noise than given, where the frames have more.
     """
 
     def __init__(
@@ -64,9 +71,15 @@ class MatchedFilter:
         deviations = np.sqrt(2.0 * noise.variance(np.arange(256, dtype=np.float32)))  # of all values of a background
         deviation = cv2.LUT(cv2.blur(off, (3, 3)), deviations)
         whitened = np.asarray(cv2.subtract(on, off, dtype=cv2.CV_32F) / deviation, dtype=np.float32)
+        self.noise = noise
+        if (scale := _scale(whitened)) > _NOISIER:
+            excess = (scale**2 - 1.0) * float((deviation**2).mean()) / 2.0 * noise.gain**2
+            self.noise = noise.model_copy(update={"read_noise": float(np.hypot(noise.read_noise, np.sqrt(excess)))})
+            whitened /= scale
         self._response = np.asarray(
             cv2.sepFilter2D(whitened, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
         )
+        self._signed = self._response.copy()
         if region is not None:
             outside = np.full(self._response.shape, 255, np.uint8)
             self._draw(outside, region.u, region.v, region.radius, 0)
@@ -76,6 +89,12 @@ class MatchedFilter:
         """Return the strongest remaining peak."""
         _, snr, _, (u, v) = cv2.minMaxLoc(self._response)
         return Peak(u=u + self._corner[0], v=v + self._corner[1], snr=snr)
+
+    def darkening(self, u: float, v: float) -> float:
+        """Return the strongest response around (u, v) [px] to light that went out."""
+        column, row = round(u) - self._corner[0], round(v) - self._corner[1]
+        rows, columns = (slice(max(at - _NEAR_PX, 0), at + _NEAR_PX + 1) for at in (row, column))
+        return -float(self._signed[rows, columns].min())
 
     def erase(self, u: float, v: float, radius: float) -> None:
         """Take a disc of `radius` [px] around (u, v) [px] out of the search."""
@@ -92,6 +111,18 @@ def _kernel(sigma: float) -> NDArray[np.float32]:
     reach = int(np.ceil(_REACH_SIGMAS * sigma))
     gaussian = np.asarray(cv2.getGaussianKernel(2 * reach + 1, sigma, cv2.CV_32F), dtype=np.float32)
     return np.asarray(gaussian / np.sqrt((gaussian**2).sum()))
+
+
+def _scale(whitened: NDArray[np.float32]) -> float:
+    """Return the noise of a difference over the given one, by neighbours: they share light, and differ by noise."""
+    steps = ((whitened[:, 1:] - whitened[:, :-1]) / np.sqrt(2.0)).ravel()[::3]
+    scale = 1.0
+    for _ in range(_SCALE_ROUNDS):
+        kept = steps[np.abs(steps) < _CUT * scale]
+        if len(kept) < _FEWEST_STEPS:
+            return 1.0
+        scale = float(np.sqrt((kept**2).mean() / _CUT_VARIANCE))
+    return scale
 
 
 def _window(shape: tuple[int, ...], margin: int, region: SearchDisc | None) -> tuple[slice, slice]:
@@ -162,7 +193,7 @@ def find_spot(
     Args:
         on: Frame with the light, shape (h, w) [DN].
         off: Frame without it, shape (h, w) [DN].
-        noise: Noise of the sensor that took the frames.
+        noise: Noise of the sensor that took the frames; if they show more, that counts.
         gates: What the spot must be like.
         region: Where it must be, if that is known.
 
@@ -181,8 +212,10 @@ def find_spot(
     for _ in range(_MOST_PEAKS):
         if peak.snr < gates.detection_snr:
             break
-        fit = fit_spot(on, off, (peak.u, peak.v), gates.sigma_expected, noise)
+        fit = fit_spot(on, off, (peak.u, peak.v), gates.sigma_expected, response.noise)
         refusal = _refusal(fit, on.shape, gates)
+        if not refusal and response.darkening(peak.u, peak.v) > max(gates.faint_snr, gates.rival_ratio * peak.snr):
+            refusal = "the camera moved: light went out beside it"
         if refusal:
             refusals.append(f"{refusal} at ({peak.u}, {peak.v}) px")
         else:

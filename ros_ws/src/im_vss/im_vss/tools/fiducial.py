@@ -1,6 +1,6 @@
-"""Tools for fiducials in an image, and for the poses."""
+"""Tools for fiducials in images, and for the poses."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from im_cell.frames import Frame
@@ -14,8 +14,11 @@ class ToolFiducialPose(Tool):
 
     name: ClassVar[str] = "tool_fiducial_pose"
 
-    def __call__(self, frame: Frame, wanted: Mapping[int, Target]) -> tuple[list[FiducialFit], dict[int, str]]:
-        """Return the plates in an image, and the causes of missing ones."""
-        sensor = frame.controls.of(self.rig.settings.sensor)
-        known = self.rig.book.covariance.of([frame.camera])
-        return find_fiducials(frame.image, self.rig.book[frame.camera].model, sensor, wanted, known)
+    def __call__(
+        self, frames: Sequence[Frame], wanted: Mapping[int, Target]
+    ) -> tuple[list[FiducialFit], dict[int, str]]:
+        """Return the plates in images of a camera, and the causes of missing ones."""
+        first, images = frames[0], [frame.image for frame in frames]
+        sensor = first.controls.of(self.rig.settings.sensor)
+        known = self.rig.book.covariance.of([first.camera])
+        return find_fiducials(images, self.rig.book[first.camera].model, sensor, wanted, known)

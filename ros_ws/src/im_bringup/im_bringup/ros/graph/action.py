@@ -3,15 +3,19 @@
 import argparse
 import math
 import sys
+from collections.abc import Callable
 
 from action_msgs.msg import GoalStatus
 
 from im_bringup.ros.client_output import DONE, FAILED
 from im_bringup.ros.graph.client import GraphClient, GraphParser, class_of, message_from, message_text, print_all
+from im_core import clock
 from im_core.errors import StateError
 from im_core.ros.guard import GuardedActionClient
-from im_core.ros.peers.servers import node_of
+from im_core.ros.peers.servers import node_of, servers_of
 
+#: A server that is away for so long is gone, and so is the result of its goal [s].
+_GONE_S = 3.0
 _STATES = {
     GoalStatus.STATUS_SUCCEEDED: "SUCCEEDED",
     GoalStatus.STATUS_CANCELED: "CANCELED",
@@ -66,7 +70,7 @@ def _send_goal(node: GraphClient, options: argparse.Namespace) -> int:
     print(f"Goal accepted with ID: {bytes(handle.goal_id.uuid).hex()}\n", flush=True)
     result = handle.get_result_async()
     try:
-        node.wait(result.done, f"the result of {name}", math.inf)
+        node.wait(_ended(node, result.done, name), f"the result of {name}", math.inf)
     except KeyboardInterrupt:
         node.go_on()
         print("Canceling goal...", flush=True)
@@ -76,6 +80,23 @@ def _send_goal(node: GraphClient, options: argparse.Namespace) -> int:
     print(f"Result:\n{message_text(answer.result)}")
     print(f"Goal finished with status: {_STATES.get(answer.status, 'UNKNOWN')}")
     return DONE if answer.status == GoalStatus.STATUS_SUCCEEDED else FAILED
+
+
+def _ended(node: GraphClient, done: Callable[[], bool], name: str) -> Callable[[], bool]:
+    """Return the look for the end of a goal; the look raises StateError where the server is gone."""
+    served = clock.monotonic()
+
+    def look() -> bool:
+        nonlocal served
+        if done():
+            return True
+        if servers_of(node, name):
+            served = clock.monotonic()
+        elif clock.monotonic() - served > _GONE_S:
+            raise StateError(f"the server of {name} is gone; the end of the goal is unknown")
+        return False
+
+    return look
 
 
 def main() -> int:

@@ -21,7 +21,7 @@ TOPICS_OF_ALL = ("/rosout", "/parameter_events")
 _POINTER_AT = 16
 """Where an object of pybind11 keeps the address of its value: after the head that every Python object has [bytes]."""
 _PARTICIPANT_BYTES = 12
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
 
 class _RequestId(ctypes.Structure):
@@ -69,7 +69,7 @@ def nodes_of(node: Node, client: str) -> tuple[str, ...]:
     """Names of a process's nodes, ``/namespace/name`` each; empty if none is known, or not yet."""
     ends = [end for topic in TOPICS_OF_ALL for end in node.get_publishers_info_by_topic(topic)]
     mine = [end for end in ends if bytes(end.endpoint_gid[:_PARTICIPANT_BYTES]).hex() == client]
-    names = {node_of(end) for end in mine if end.node_name != _UNKNOWN}
+    names = {node_of(end) for end in mine if end.node_name != UNKNOWN_NODE}
     return tuple(sorted(names))
 
 

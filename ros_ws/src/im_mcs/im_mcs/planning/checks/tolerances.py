@@ -91,10 +91,15 @@ class TrajectoryTolerances:
         )
 
 
-def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | None:
+def tolerances_of(context: PlanContext, move: Move, *, yields: bool = False) -> TrajectoryTolerances | None:
     """Return the tolerances of a trajectory; 0 is the default, below 0 none.
 
     The default on the way is the bound of the following error; that of the end is configured.
+
+    Args:
+        context: Of the group.
+        move: What is asked for.
+        yields: Whether the law in force lets the arm stand wherever it is pushed: then no default holds for the place.
 
     Raises:
         DataError: Not as many bounds as joints, or one is not finite.
@@ -110,7 +115,7 @@ def tolerances_of(context: PlanContext, move: Move) -> TrajectoryTolerances | No
     follow = np.array([np.where(given[0] == 0.0, limits.following_error[index], np.inf), np.full(len(index), np.inf)])
     names, units = [limits.names[i] for i in index], [limits.units[i] for i in index]
     default = context.config.planning.goal
-    ends = np.array([default.rad if unit == "rad" else default.m for unit in units])
+    ends = np.array([np.inf if yields else default.rad if unit == "rad" else default.m for unit in units])
     goal = _bounds(given[2], given[3], ends, default.stopped_velocity)
     return TrajectoryTolerances(names, units, path, follow, goal, move.goal_time_tolerance)
 

@@ -175,7 +175,7 @@ class LineCurve:
     def _tracked(self, q: NDArray[np.float64], place: PathPlace) -> Tracked | None:
         dq, ddq = np.zeros(len(q)), np.zeros(len(q))
         dq[self._arm.carriers], ddq[self._arm.carriers] = place.carriers[1:]
-        return self._tracker.derivatives(q, dq, ddq, place.twist, place.twist_rate)
+        return self._tracker.derivatives(q, dq, ddq, place.pose, place.twist, place.twist_rate)
 
     def _off(self, s: float, here: Tracked, end: float, there: Tracked) -> float:
         """How far the quintic between two places is off the path, rotations counted by the lever [m]."""

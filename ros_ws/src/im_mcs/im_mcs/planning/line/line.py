@@ -55,7 +55,7 @@ class LinePreparation:
     which no joint passes its limits. That is time-optimal only where the arm's Jacobian changes little on the way.
     It rests in corners that the lines are too short to round by a millimetre.
 
-    An arm of five joints keeps the position, and the orientation but for turns about one axis of the wrist: the one
+    An arm of fewer than six joints keeps the position, and the orientation but for turns about those axes of the wrist
     about which it cannot turn the wrist in its place where the line begins.
 
     A group that carries its arm on joints of its own (a cart) moves these too where that helps, see
@@ -107,7 +107,7 @@ class LinePreparation:
         limits = self._context.limits.motion.of(self._context.index)
         for run in self._route.runs():
             stops = [self._route.stops[number] for number in run]
-            stops[0] = replace(stops[0], pose=self._tracker.pose(q))  # an arm of five joints may be turned there
+            stops[0] = replace(stops[0], pose=self._tracker.pose(q))  # an arm of few joints may be turned there
             numbers = [self._route.number(end) for end in run[1:]]
             curves, begin, path = [], q, None
             for arm in self._arms:

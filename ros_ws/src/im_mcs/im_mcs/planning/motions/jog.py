@@ -198,7 +198,7 @@ def wrist_tracker(context: PlanContext) -> ArmTracker | None:
     That takes longer than a tick has.
     """
     for frame in context.frames if len(context.frames) == 1 else ():
-        with suppress(StateError):  # of a wrist that hangs on less than five joints
+        with suppress(StateError):  # of a wrist that hangs on two joints or one
             arm = Arm(context.model, frame)
             if np.isin(arm.joints, context.index).all():
                 return ArmTracker(context.model, arm, frame)

@@ -9,7 +9,8 @@ from im_mcs.planning.trajectories.polynomial import PiecewisePolynomial
 from im_mcs.planning.trajectories.profile import Chase, to_rest
 from im_mcs.planning.trajectories.trajectory import Setpoint
 
-_MEETINGS = 5
+_FOLLOWED = 0.98
+"""Share of the velocity limit with which a target is followed at most: what is left makes up for a lag."""
 
 
 LAPSED = "lease"
@@ -52,7 +53,7 @@ class StreamLease:
 
 
 class OpenFollower:
-    """Common part of the followers of what a sender renews: the end is unknown.
+    """Common part of followers without a known end: a sender renews the goal.
 
     Attributes:
         rate: Rate in force.
@@ -149,37 +150,33 @@ class StreamFollower(OpenFollower):
         return self._halt.at(self._elapsed)
 
     def _chased(self, rate: float) -> Setpoint:
-        outside = self._outside()
-        if self._chase is None or (outside != self._held).any():
-            self._held = outside
+        if self._chase is None or (self._outside(self._age) & ~self._held).any():
             limits = MotionLimits(self._limits.velocity * rate, self._limits.acceleration, self._limits.jerk)
             self._chase, self._elapsed = self._intercept(limits, rate), 0.0
         self._elapsed += self._knot_s
         return self._chase.at(self._elapsed)
 
     def _intercept(self, limits: MotionLimits, rate: float) -> Chase:
-        """Return the motion to the target's later place."""
-        drift = np.where(self._held, 0.0, self._drift) * rate
-        now = np.clip(self._target + self._drift * (self._age - self._knot_s), self._lower, self._upper)
-        try:
-            return self._met(now, drift, limits, together=True)
-        except DataError:  # ruckig cannot always synchronise joints, least of all while they are slowed down
-            return self._met(now, drift, limits, together=False)
-
-    def _met(
-        self, now: NDArray[np.float64], drift: NDArray[np.float64], limits: MotionLimits, *, together: bool
-    ) -> Chase:
-        chase = Chase(self._state, now, drift, limits, together=together)
-        if not drift.any():
-            return chase
-        for _ in range(_MEETINGS):
-            ahead = np.clip(now + drift * chase.durations, self._lower, self._upper)
-            chase = Chase(self._state, ahead, drift, limits, together=together)
+        """Return the motion to the moving target; joints without room for a stop behind the meeting go to its place."""
+        age = self._age - self._knot_s
+        now = np.clip(self._target + self._drift * age, self._lower, self._upper)
+        follow = np.clip(self._drift * rate, -_FOLLOWED * limits.velocity, _FOLLOWED * limits.velocity)
+        self._held = self._outside(self._age)
+        chase = self._met(now, np.where(self._held, 0.0, follow), limits)
+        if (beyond := ~self._held & self._outside(age + chase.durations)).any():
+            self._held |= beyond
+            chase = self._met(now, np.where(self._held, 0.0, follow), limits)
         return chase
 
-    def _outside(self) -> NDArray[np.bool_]:
-        """Return joints with a moving target beyond any stop within the range."""
+    def _met(self, now: NDArray[np.float64], drift: NDArray[np.float64], limits: MotionLimits) -> Chase:
+        try:
+            return Chase(self._state, now, drift, limits, together=True)
+        except DataError:  # ruckig cannot always synchronise joints, least of all while they are slowed down
+            return Chase(self._state, now, drift, limits, together=False)
+
+    def _outside(self, age: float | NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return joints with a target beyond any stop within the range at an age [s]."""
         speed, limits = np.abs(self._drift), self._limits
         way = speed * (speed / limits.acceleration + limits.acceleration / limits.jerk) / 2.0
-        stop = self._target + self._drift * self._age + np.sign(self._drift) * way
+        stop = self._target + self._drift * age + np.sign(self._drift) * way
         return np.asarray((stop < self._lower) | (stop > self._upper))

@@ -97,8 +97,13 @@ class TrackingFollower:
 
     @property
     def end_setpoint(self) -> Setpoint:
-        """Setpoint at the end, unless the motion is interrupted."""
-        return self.trajectory.end_setpoint
+        """Setpoint at the end, unless the motion is interrupted; that of a window once it decelerates."""
+        return self._way.end_setpoint if self._over else self.trajectory.end_setpoint
+
+    @property
+    def end_known(self) -> bool:
+        """Whether the place of the end is known: that of a window is not before it decelerates."""
+        return self._over or math.isinf(self.trajectory.end_s)
 
     @property
     def progress(self) -> float:

@@ -15,8 +15,8 @@ _STILL = 1e-9
 _TURN_S = (0.02, 0.004, 1e-3, 1e-4, 1e-5)
 _SHARP = 0.5
 _STEPS = 8
-SAME_S = 1e-9
-"""Asked times that differ by less are the same: rounding, once sharp corners are cut [s]."""
+SAME_S = 5e-10
+"""Asked times that differ by less are the same: half of what messages resolve, for corners that are cut round [s]."""
 
 
 def standing(trajectory: PiecewisePolynomial, unit: Array) -> Generator[None, None, NDArray[np.bool_]]:

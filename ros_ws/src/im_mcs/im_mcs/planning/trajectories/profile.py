@@ -175,15 +175,17 @@ def transition_distance(slow: float, fast: float, acceleration: float, jerk: flo
 
 
 class Chase:
-    """Motion from any state to a possibly moving target; afterwards the velocity stays.
+    """Quickest motion from any state to a target of constant velocity, and then with the target.
+
+    The motion is planned in the frame of the target, where velocities are less by the target's, and nothing else is.
 
     Attributes:
         durations: Until each joint meets its target, shape (n,) [s].
 
     Args:
         start: State now.
-        q: Target, shape (n,).
-        v: Velocity there, shape (n,).
+        q: Target now, shape (n,).
+        v: Its velocity, less than the limit, shape (n,).
         limits: Limits of velocity, acceleration and jerk.
         together: Whether all joints meet their targets at the same time.
 
@@ -200,22 +202,24 @@ class Chase:
         *,
         together: bool,
     ) -> None:
-        asked = request(start, limits)
+        asked = request(Setpoint(start.q - q, start.v - v, start.a), limits)
+        asked.max_velocity, asked.min_velocity = (limits.velocity - v).tolist(), (-limits.velocity - v).tolist()
         if not together:
             asked.synchronization = Synchronization.No
-        asked.target_position, asked.target_velocity = q.tolist(), v.tolist()
+        asked.target_position = asked.target_velocity = [0.0] * len(q)
         found = self._trajectory = _trajectory(asked, f"to {q.tolist()} with velocity {v.tolist()}")
-        self._duration: float = found.duration
         self.durations = np.array([found.duration] * len(q) if together else found.independent_min_durations)
-        self._end = Setpoint(q, v, np.zeros_like(q))
+        self._duration: float = found.duration
+        self._target = Setpoint(q, v, np.zeros_like(q))
 
     def at(self, t: float) -> Setpoint:
-        """Return the state at time ``t`` [s]; after all targets are met, the state of the moving targets."""
+        """Return the state at time ``t`` [s]."""
+        target = self._target
+        there = target.q + target.v * t if target.v.any() else target.q
         if t >= self._duration:
-            end = self._end
-            return Setpoint(end.q + end.v * (t - self.durations), end.v, end.a) if end.v.any() else end
+            return Setpoint(there, target.v, target.a)
         q, v, a = self._trajectory.at_time(t)
-        return Setpoint(np.array(q), np.array(v), np.array(a))
+        return Setpoint(there + q, target.v + v, np.array(a))
 
 
 def _solve(asked: InputParameter, what: str) -> PiecewisePolynomial:

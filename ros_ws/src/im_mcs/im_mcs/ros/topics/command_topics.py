@@ -105,10 +105,10 @@ class CommandTopics:
         )
 
     def _take(self, group: str, topic: str, event: Event, translate: Translate, message: Any) -> None:
-        ends_by_silence = not isinstance(message, SetpointCommand | TorqueCommand)
+        wanted_ends = () if isinstance(message, SetpointCommand | TorqueCommand) else (LAPSED, "replaced")
 
         def answer(reply: ServoReply) -> None:
-            if reply.error is not None and not (ends_by_silence and reply.error.code == LAPSED):
+            if reply.error is not None and reply.error.code not in wanted_ends:
                 self._mcs.refusals.add(topic, reply.error)
 
         try:

@@ -631,12 +631,14 @@ class FiringRule:
         if job is not None and error is not None:
             job.unwanted = False
         only_waited = isinstance(activity.action, AwaitAction) and is_interrupted(activity)
-        if job is not None and failure is not None and not only_waited and not self._has_another_try(activity, index):
+        tries_again = error is not None and self._has_another_try(activity, index)
+        if job is not None and failure is not None and not only_waited and not tries_again:
             job.last_failure = failure
         elif job is not None and (results or isinstance(activity.action, RequestAction)):
             job.replies[self.answering(activity)] = results
         self.enabling.take_tokens(activity.place, 1)
-        lineage = activity.lineage.failing(failure)
+        kept = activity.lineage.failure if self._keeps_failure(activity) and (error is None or tries_again) else None
+        lineage = activity.lineage.failing(kept or failure)
         self._give(index, lineage)
         transition = self.transitions[index]
         self.notifier.note(
@@ -650,12 +652,17 @@ class FiringRule:
         self.emit(transition, lineage)
 
     def _passed_on(self, activity: Activity, failed: int, error: ImError) -> ImError:
-        """Return the failure on tokens: one without an effect on the way does not hide the earlier one."""
+        """Return the failure on tokens: the earlier one is not hidden on the way, nor where it is kept."""
         before, ended = activity.lineage.failure, self.transitions[self.number[f"{activity.transition}.end"]]
-        if before is None or ended.outputs != self.transitions[failed].outputs:
+        without_effect = ended.outputs == self.transitions[failed].outputs
+        if before is None or not (without_effect or self._keeps_failure(activity)):
             return error
         told = f"{before.message}; {activity.transition} failed, too: {error.message}"
         return ImError.restored(before.code, told, before.facts)
+
+    def _keeps_failure(self, activity: Activity) -> bool:
+        """Return whether the tokens of an action carry the failure that the action works for."""
+        return self._phases[activity.transition].start.keeps_failure
 
     def _has_another_try(self, activity: Activity, failed: int) -> bool:
         """Return whether a failure leads to a further try: a mended failure does not fail the command."""

@@ -12,7 +12,7 @@ from im_pnt.expression.syntax import WORDS
 from im_pnt.netfile.schema.commands import Arguments
 from im_pnt.netfile.schema.names import shown_name
 from im_pnt.netfile.schema.scalars import Written, WrongKeyError, as_list, as_mapping, as_number, as_text, shown
-from im_pnt.netfile.schema.values import ONE_TEXT, Fields, FilePart, Given, Named, Names, Text, Texts
+from im_pnt.netfile.schema.values import ONE_TEXT, Fields, FilePart, Given, Named, Names, Text, Texts, Truth
 
 _MANY = 10_000
 """Most values that a range may have."""
@@ -91,6 +91,7 @@ class SubnetUseFile(FilePart):
     outputs: Texts = Field((), alias="out", description="Places of its ports in 'out', in their order.")
     on_failure: Texts = Field((), description="Places of its ports in 'on_failure', in their order.")
     arguments: Fields = Field({}, description="Values of its arguments and parameters.")
+    keeps_failure: Truth = Field(False, description="Whether each of its transitions does.")
 
 
 class TemplateFile(FilePart):

@@ -191,7 +191,9 @@ class TransitionFile(FilePart):
         "that action runs. It has no action itself.",
     )
     keeps_failure: Truth = Field(
-        False, description="Whether its output tokens carry the failure of its input tokens; it has no action itself."
+        False,
+        description="Whether its output tokens carry the failure of its input tokens; where its own action fails, too, "
+        "both are told.",
     )
     retry_of: Given[Text] = Field(
         None, description="Transition whose further try it is, and as whose answer its own counts; 'tries' writes it."
@@ -230,8 +232,6 @@ class TransitionFile(FilePart):
             raise WrongKeyError(
                 ("arguments",), "is for 'use'; those of a request stand in it: {to: net.service, arguments: {...}}"
             )
-        if self.keeps_failure and given & set(_EFFECTS):
-            raise WrongKeyError(("keeps_failure",), "is for a transition without action")
         if not given & set(_EFFECTS):
             for key in _NEED_ACTION:
                 if key in given:

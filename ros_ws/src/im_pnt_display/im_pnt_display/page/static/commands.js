@@ -161,7 +161,9 @@ export class Commands {
       make("li", { className: success ? "done" : "failed" },
         make("b", { textContent: `${number} ${symbol} ${success ? "done" : "failed"}` }),
         make("p", { textContent: message }),
-        ...Object.entries(results).map(([name, value]) => make("code", { textContent: `${name}: ${value}` })),
+        ...Object.entries(results)
+          .filter(([, value]) => success || value !== JSON.stringify(message))  // it is said above
+          .map(([name, value]) => make("code", { textContent: `${name}: ${value}` })),
         ...(pictures ?? []).map((path) => picture(`results/${path}`, number)))));
   }
 

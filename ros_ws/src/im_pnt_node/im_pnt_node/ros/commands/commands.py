@@ -8,7 +8,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import KeyValue
 
 from im_core.clock import stamp_name, wall
-from im_core.errors import ArgumentError, ImError, NotFoundError, StateError
+from im_core.errors import FOREIGN, ArgumentError, ImError, NotFoundError, StateError
 from im_core.ros.coroutines import Promise
 from im_core.ros.dom import DomClient
 from im_core.ros.messages.status import ok_status, to_status
@@ -146,8 +146,12 @@ class Commands:
         """
         if number not in self._open:
             known = ", ".join(f"{each.job.command.symbol} (number {n})" for n, each in sorted(self._open.items()))
-            text = f"no command has the number {number}; {f'under way are {known}' if known else 'none is under way'}"
-            raise StateError(f"{text}{self._forgotten()}", command_id=number)
+            under_way = f"under way are {known}" if known else "none is under way"
+            if number in self.ended:
+                raise StateError(
+                    f"{self.ended[number].symbol} (number {number}) has ended; {under_way}", command_id=number
+                )
+            raise StateError(f"no command has the number {number}; {under_way}{self._forgotten()}", command_id=number)
         return self._open[number]
 
     def take_up(self) -> None:
@@ -403,7 +407,7 @@ class Commands:
         for listener in self._listeners.get(number, ()):
             try:
                 listener(transition, text, fraction)
-            except Exception as error:  # a listener is foreign code: the net goes on whatever it raises
+            except FOREIGN as error:  # a listener is foreign code: the net goes on whatever it raises
                 self._node.get_logger().error(f"a listener of command {number} broke: {error!r}")
 
     def _forgotten(self) -> str:
