@@ -73,7 +73,7 @@ leave_ros() {
   done
 }
 
-# The Fast DDS profile (quick discovery, images that pass whole) and the defaults of every process.
+# The Fast DDS profile (quick discovery, the loopback alone) and the defaults of every process.
 im_defaults() {
   local name value
   if [[ -z "${HOME:-}" ]]; then

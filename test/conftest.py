@@ -27,7 +27,7 @@ def pytest_configure(config):
     """Set the environment before any test module imports rclpy."""
     config.stash[DOMAIN], domain = own_domain()
     os.environ["ROS_DOMAIN_ID"] = str(domain)
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
     os.environ[START_TIMEOUT] = "300"  # a slow or busy computer makes a start late, and fails no test
     folder = Path(tempfile.mkdtemp(prefix="im_test_"))
     for name in ("run", "results", "ros", "cache"):

@@ -11,7 +11,7 @@ import pytest
 
 from bench.chaos.hosts import connected
 from im_bringup.ros.security import enclaves_of
-from im_bringup.tasks.middleware import PROFILE, loopback_profile, open_profile
+from im_bringup.tasks.middleware import PROFILE, RANGE, loopback_profile, open_profile
 from im_core.config import package_file
 from im_core.errors import StateError
 from support.whole_machine import write_few_poses
@@ -75,9 +75,7 @@ def three():
 
 def neighbours(host):
     """How a client of another host asks for the machine of a host, in the two ways there are."""
-    return [
-        {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach, "ROS_STATIC_PEERS": host.address} for reach in ("LOCALHOST", "SUBNET")
-    ]
+    return [{RANGE: reach, "ROS_STATIC_PEERS": host.address} for reach in ("LOCALHOST", "SUBNET")]
 
 
 def listens_on_loopback_alone(host, processes):
@@ -94,10 +92,10 @@ def listens_on_loopback_alone(host, processes):
 def test_a_node_is_reached_from_another_host_only_where_it_is_opened(hosts, several):
     here, there = hosts
     profile = open_profile() if several else loopback_profile()
-    settings = {PROFILE: str(profile), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    settings = {PROFILE: str(profile), RANGE: "SUBNET"}
     here.start(sys.executable, "-m", "im_dom.ros.node", "--ros-args", "-p", "standalone:=true", **settings)
     # a client of this host needs nothing of ours
-    plain = [{"ROS_AUTOMATIC_DISCOVERY_RANGE": reach} for reach in ("LOCALHOST", "SUBNET")]
+    plain = [{RANGE: reach} for reach in ("LOCALHOST", "SUBNET")]
     assert all(found["answered"] for found in look(here, WAIT_S, *plain, {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}))
     assert listens_on_loopback_alone(here, 1) is not several
     for found in look(there, WAIT_S if several else LOOK_S, *neighbours(here)):
@@ -276,7 +274,7 @@ def test_options_of_the_machine_are_refused_at_an_agent():
 def test_no_other_host_sees_or_calls_anything_of_a_whole_machine(hosts):
     here, there = hosts
     start, stop = (["-m", f"im_bringup.machine.{name}"] for name in ("start", "stop"))
-    settings = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    settings = {RANGE: "LOCALHOST"}
     done = here.run(sys.executable, *start, "--factor", 0, "--timeout", 5 * WAIT_S, **settings)
     try:
         assert done.returncode == 0, done.stderr

@@ -193,8 +193,6 @@ OPEN_FILES = {
     "im_core/processes/procfs.py": "/proc",
     "im_bringup/machine/members.py": "/proc",
     "im_bringup/machine/leftovers.py": "/proc",
-    "im_core/shm_names.py": "locks of Fast DDS, and /proc",
-    "im_core/dead_ports.py": "/proc",
     "im_mcs/control/law_server.py": "standard input, from its parent",
     "im_coordinators/path_search.py": "standard input, from its parent; the log of its own child",
     "im_pnt_node/journal/folder.py": "the node's own journal, in a folder that it has locked",

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from bench.chaos.switch import Weather
-from im_bringup.tasks.middleware import PROFILE
+from im_bringup.tasks.middleware import PROFILE, RANGE
 from im_core import clock, names
 from im_core.errors import StateError, WaitTimeoutError
 
@@ -61,7 +61,7 @@ class Host:
 
     def environment(self, more: Mapping[str, str]) -> dict[str, str]:
         """The environment without what our scripts say of DDS, and with more."""
-        ours = (PROFILE, "ROS_AUTOMATIC_DISCOVERY_RANGE")
+        ours = (PROFILE, RANGE)
         plain = {key: value for key, value in os.environ.items() if key not in ours}
         return {**plain, "IM_RUN_DIR": str(self.run_dir), **more}
 

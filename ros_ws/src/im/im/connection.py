@@ -11,7 +11,6 @@ from typing import Any, Self, TypeVar
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.client import Client
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -21,7 +20,6 @@ from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
 from im.waits import wait_for
-from im_core.dead_ports import RENEWAL_S, passed_over, renew_ports
 
 ResultT = TypeVar("ResultT")
 
@@ -51,9 +49,7 @@ class Connection:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self.domain = int(self._context.get_domain_id())
-        with passed_over():
-            self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)
-        self.node.create_timer(RENEWAL_S, renew_ports, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.node = Node(self.name, context=self._context, start_parameter_services=False, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Client] = {}

@@ -98,6 +98,18 @@ def interrupted(*_):
     raise KeyboardInterrupt
 
 
+@pytest.fixture
+def nothing_started(tmp_path, monkeypatch):
+    """A start without effects; what comes between is the test's. Returns the calls of stop."""
+    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+    monkeypatch.setattr(start, "interrupt_once", lambda: None)
+    for name in ("check_calibration", "preflight.check_host", "clear_the_way", "tidy", "spawn_bootstrap"):
+        monkeypatch.setattr(f"im_bringup.machine.start.{name}", lambda *_: None)
+    stopped = []
+    monkeypatch.setattr(start.stop, "stop", lambda say: stopped.append(say) or 0)
+    return stopped
+
+
 @pytest.mark.parametrize(
     ("where", "stops"),
     [
@@ -110,15 +122,33 @@ def interrupted(*_):
         ("await_ready", 1),
     ],
 )
-def test_an_interrupted_start_stops_only_what_it_began(where, stops, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
+def test_an_interrupted_start_stops_only_what_it_began(where, stops, nothing_started, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["start"])
-    monkeypatch.setattr(start, "interrupt_once", lambda: None)
-    for name in ("check_calibration", "preflight.check_host", "clear_the_way", "tidy", "spawn_bootstrap"):
-        monkeypatch.setattr(f"im_bringup.machine.start.{name}", lambda *_: None)
     monkeypatch.setattr(f"im_bringup.machine.start.{where}", interrupted)
-    stopped = []
-    monkeypatch.setattr(start.stop, "stop", lambda say: stopped.append(say))
     assert start.main() == 130
-    assert len(stopped) == stops
+    assert len(nothing_started) == stops
     assert ("stopping what was started" in capsys.readouterr().err) == bool(stops)
+
+
+@pytest.mark.parametrize("where", ["print_ready", "print_parts", "attend"])
+def test_an_interrupt_of_a_ready_machine_in_the_foreground_ends_it_in_order(
+    where, nothing_started, monkeypatch, capsys
+):
+    monkeypatch.setattr("sys.argv", ["start", "--foreground"])
+    monkeypatch.setattr("im_bringup.machine.start.await_ready", lambda *_: record(ProcessId.current()))
+    monkeypatch.setattr("im_bringup.machine.start.attend", lambda _: 0)
+    monkeypatch.setattr(f"im_bringup.machine.start.{where}", interrupted)
+    assert start.main() == 0
+    assert nothing_started == [start.say]
+    assert "stopping the machine" in capsys.readouterr().err
+
+
+def test_interrupts_are_ignored_before_a_ready_machine_is_told_of(nothing_started, monkeypatch, capsys):
+    """An interrupt that came later would take back what the exit code says; the caller decides what to do about it."""
+    monkeypatch.setattr("sys.argv", ["start"])
+    said = []
+    monkeypatch.setattr("im_bringup.machine.start.await_ready", lambda *_: record(ProcessId.current()))
+    monkeypatch.setattr(start, "ignore_interrupts", lambda: said.append("ready" in capsys.readouterr().out))
+    assert start.main() == 0
+    assert (said, nothing_started) == ([False], [])
+    assert "start: ready after" in capsys.readouterr().out

@@ -39,8 +39,9 @@ def test_tasks_on_several_hosts_open_it_and_it_is_said():
 def test_addresses_of_the_file_are_the_peers_unless_the_user_has_named_some():
     addresses = {"here": "10.0.0.1", "far": "lab-2.local"}
     both = TWO.model_copy(update={"addresses": addresses})
-    assert middleware({}, both)["ROS_STATIC_PEERS"] == "10.0.0.1;lab-2.local"
-    assert "ROS_STATIC_PEERS" not in middleware({"ROS_STATIC_PEERS": "10.9.9.9"}, both)
+    assert middleware({}, both)["ROS_STATIC_PEERS"] == "10.0.0.1;lab-2.local;127.0.0.1"
+    assert middleware({"ROS_STATIC_PEERS": "10.9.9.9"}, both)["ROS_STATIC_PEERS"] == "10.9.9.9;127.0.0.1"
+    assert middleware(middleware({}, both), both) == middleware({}, both)
     assert "ROS_STATIC_PEERS" not in middleware({}, TWO)
 
 
@@ -95,7 +96,10 @@ def test_the_two_profiles_differ_in_nothing_else():
         return text
 
     white_list = "<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>"
-    assert content(loopback_profile(), white_list) == content(open_profile())
+    here = "<locator><udpv4><address>127.0.0.1</address></udpv4></locator>"
+    lists = ("metatrafficUnicastLocatorList", "initialPeersList")
+    alone = [white_list, *(f"<{name}>{here}</{name}>" for name in lists)]
+    assert content(loopback_profile(), *alone) == content(open_profile())
 
 
 def test_the_scripts_use_the_profile_of_one_host():

@@ -8,11 +8,11 @@ import subprocess
 import sys
 import tempfile
 from collections import namedtuple
+from pathlib import Path
 
 import pytest
 
 from im_bringup.machine import doctor, machine_state, preflight, start
-from im_bringup.tasks import deployment
 from im_core import names
 from im_core.errors import ImError
 
@@ -29,47 +29,26 @@ def folders(tmp_path, monkeypatch):
         monkeypatch.delenv(variable, raising=False)
 
 
-@pytest.fixture
-def default():
-    return deployment.load(deployment.default_path())
-
-
 def with_free(monkeypatch, **free):
     """``shutil.disk_usage`` of a host with so many bytes free on the file systems that are named."""
 
     def disk_usage(path):
-        return Usage(2**40, 0, next((count for name, count in free.items() if name in str(path)), 2**40))
+        return Usage(2**40, 0, next((count for name, count in free.items() if name in Path(path).parts), 2**40))
 
     monkeypatch.setattr(shutil, "disk_usage", disk_usage)
 
 
-def test_a_host_that_has_it_all(default, monkeypatch, tmp_path):
+def test_a_host_that_has_it_all(monkeypatch, tmp_path):
     with_free(monkeypatch)
     preflight.check_host()
-    preflight.shared_memory_check(default).require()
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["results", "ros", "run"]
 
 
-def test_shared_memory_is_counted_from_the_tasks_and_the_profile(monkeypatch, tmp_path):
-    profile = tmp_path / "fastdds.xml"
-    profile.write_text("<a><segment_size>16777216</segment_size></a>")
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profile))
-    ten, eleven = preflight.shared_memory_bytes(10), preflight.shared_memory_bytes(11)
-    assert 17_564_192 < eleven - ten < 20_000_000
-    assert ten > 11 * 17_564_192 + 9_700_000
-
-
-def test_full_shared_memory(default, monkeypatch):
-    with_free(monkeypatch, shm=3 * 2**20)
-    words = r"^/dev/shm has 3 MiB free, and the machine needs \d+ MiB .*; nothing was started$"
-    with pytest.raises(ImError, match=words):
-        preflight.shared_memory_check(default).require()
-
-
-def test_a_full_disk(monkeypatch):
-    with_free(monkeypatch, results=2**20)
+@pytest.mark.parametrize(("full", "remedy"), [("results", "make room"), ("shm", "scripts/stop.sh removes the files")])
+def test_a_full_disk(monkeypatch, full, remedy):
+    with_free(monkeypatch, **{full: 2**20})
     with pytest.raises(
-        ImError, match=r"results has 1 MiB free, and 16 MiB are needed; make room, .*; nothing was started$"
+        ImError, match=rf"{full} has 1 MiB free, and 16 MiB are needed; {remedy}.*; nothing was started$"
     ):
         preflight.check_host()
 

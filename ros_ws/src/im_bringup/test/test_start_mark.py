@@ -2,7 +2,6 @@
 
 import os
 import re
-import signal
 import socket
 import threading
 from types import SimpleNamespace
@@ -84,21 +83,6 @@ def test_stop_ends_a_start_that_is_under_way_and_both_say_so(tmp_path, monkeypat
     assert capsys.readouterr().out == "stop: a start was under way, and has ended\n"
 
 
-def test_a_machine_that_is_ready_is_kept_before_anything_is_said(tmp_path, monkeypatch, capsys):
-    """An interrupt that came later would take back what the exit code says; the caller decides what to do about it."""
-    monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
-    ready = MachineRecord(2, 0, start.machine.READY, "START", 1, str(tmp_path), "d.yaml", 0.0, 1, 0)
-    monkeypatch.setattr(start.machine, "read", lambda: ready)
-    running, said = SimpleNamespace(poll=lambda: None), []
-    took = {"preflight": 0.0}
-    code = start.await_ready(
-        running, clock.monotonic(), 60.0, took, False, at_ready=lambda: said.append(capsys.readouterr().out)
-    )
-    assert (code, said) == (0, ["start: start 1 tasks\n"])
-    assert "start: ready after" in capsys.readouterr().out
-    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
-
-
 def test_a_start_tells_its_steps_and_one_that_takes_too_long_how_to_allow_more(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path))
     monkeypatch.setattr(start.stop, "stop", lambda say: 0)
@@ -107,7 +91,7 @@ def test_a_start_tells_its_steps_and_one_that_takes_too_long_how_to_allow_more(t
     left = [MachineRecord(2, 0, start.machine.STARTING, phase, 3, "", "", 0.0, 1, 0, took=took) for phase, took in seen]
     monkeypatch.setattr(start.machine, "read", lambda: left.pop(0) if len(left) > 1 else left[0])
     monkeypatch.setattr(clock, "monotonic", lambda: 0.0 if len(left) > 1 else 60.0)
-    assert start.await_ready(SimpleNamespace(poll=lambda: None), 0.0, 60.0, {"preflight": 0.0}, False) == 1
+    assert start.await_ready(SimpleNamespace(poll=lambda: None), 0.0, 60.0, {"preflight": 0.0}, False) is None
     told = capsys.readouterr()
     steps = ["load 3 tasks", "configure 3 tasks", "verify the nets together"]
     assert told.out.splitlines() == [f"start: {step}" for step in steps]

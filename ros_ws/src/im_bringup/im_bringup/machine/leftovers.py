@@ -1,25 +1,21 @@
 """Leftovers of a killed machine: processes, shared memory, semaphores."""
 
 import os
-import re
 import signal
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from im_bringup.machine.members import is_member, signal_member
 from im_core import clock, names
 from im_core.errors import LinkError
-from im_core.ownership import is_own, require_own
+from im_core.ownership import require_own
 from im_core.patience import Patience
 from im_core.processes.procfs import ProcessId
-from im_core.shm_names import SHM, left, lock, mapped, remove_all
+from im_core.shm_names import left, remove_all
 
-_DDS_FILE = re.compile(r"^(?:sem\.)?(fastrtps_[0-9a-z]{16})(?:_[es]l|_mutex)?$")
 # a killed process goes when it gets a processor: on a busy computer that takes its time
 _DYING_S = 10.0
 _POLL_S = 0.02
-_LOCK = re.compile(r"_[es]l$")
 
 
 def processes() -> list[ProcessId]:
@@ -73,19 +69,12 @@ def end_all() -> tuple[list[ProcessId], list[ProcessId]]:
 
 
 def remove_shared_memory() -> list[str]:
-    """Remove the blocks and semaphores of the machine, and the leftovers of Fast DDS from dead processes.
+    """Remove the blocks and semaphores of the machine.
 
     Returns:
         Names of the files removed from ``/dev/shm``.
     """
-    removed = remove_all(f"{names.instance()}_")
-    deadline = clock.monotonic() + _DYING_S
-    while True:
-        more, dying = _remove_dds_segments()
-        removed += more
-        if not (more or dying) or clock.monotonic() > deadline:
-            return removed  # after a look that found nothing: owners may die while others' segments are removed
-        clock.sleep(0.02)
+    return remove_all(f"{names.instance()}_")
 
 
 def of_others() -> list[Path]:
@@ -101,50 +90,3 @@ def foreign_sentence(others: Sequence[Path]) -> str:
         more = f" ({len(others) - 1} more files are left, too)" if len(others) > 1 else ""
         return f"{error.message}{more}; scripts/stop.sh of that user stops a machine of that user"
     return f"{others[0]} cannot be removed; no machine has left it there: remove it, or set another ROS_DOMAIN_ID"
-
-
-def _remove_dds_segments() -> tuple[list[str], bool]:
-    """Remove segments not used by any process.
-
-    Fast DDS holds a lock on the lock file of every segment whose owner lives; the kernel gives it back when the owner
-    dies. A segment that is locked but in nobody's memory belongs to a process that is just dying: the kernel takes the
-    memory first, then the locks. What belongs to another user, whose memory is hidden, is left alone.
-
-    Ports (``fastrtps_port7411`` and its lock and mutex, 52 kB) stay: they have the same names for all processes, and
-    whoever begins takes one of the dead over, of which there are as many as ever lived at once. If its name were
-    removed at that moment, or while others write into it, its new owner would hear nothing of them.
-
-    Returns:
-        Names of the files removed, and whether the owner of another one is dying.
-    """
-    files: dict[str, list[Path]] = {}
-    for path in filter(is_own, sorted(SHM.glob("*fastrtps_*"))):
-        match = _DDS_FILE.match(path.name)
-        if match is not None:
-            files.setdefault(match.group(1), []).append(path)
-    removed, dying = [], False
-    in_use = mapped()
-    for paths in files.values():
-        locks = [path for path in paths if _LOCK.search(path.name)]
-        in_memory = any(path.name in in_use for path in paths)
-        if in_memory:
-            continue
-        if any(not _unlocked(path) for path in locks):
-            dying = True
-            continue
-        for path in paths:
-            with suppress(OSError):  # gone meanwhile
-                path.unlink()
-                removed.append(path.name)
-    return removed, dying
-
-
-def _unlocked(path: Path) -> bool:
-    """Whether nobody holds the lock of a file."""
-    try:
-        os.close(lock(path))
-    except FileNotFoundError:
-        return True
-    except OSError:
-        return False
-    return True

@@ -1,7 +1,6 @@
 """Checks of the local host before any start: free space, open files, writable folders, discovery of nodes."""
 
 import os
-import re
 import resource
 import shutil
 import socket
@@ -11,24 +10,19 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from im_bringup.tasks.deployment import Deployment
 from im_core import files, names
 from im_core.errors import ImError, StoreError
-from im_core.files import FileError
 from im_core.shm_names import SHM
 
-# Counted on the machine of the default deployment, 11 participants, while it ran a command.
+# Counted on the machine of the default deployment, 11 processes, while it ran a command.
 #: Most that any process has open is 29; the page of the display has up to 150 connections more, and as they come 32.
 OPEN_FILES = 256
-#: A participant of Fast DDS takes its segment, and 5 % and its port beside it.
-_SEGMENT_SHARE, _PORT_BYTES = 1.05, 600_000
-#: Blocks of servo, cameras and testbed are 9.7 MB.
-BLOCKS_BYTES = 16 * 2**20
-#: Logs, parameters, journals and data objects are 2.1 MB after a command, its results 0.7 MB.
-DISK_BYTES = 16 * 2**20
-#: A machine has 65 files in shared memory, and 73 in its folders after a command.
+#: Blocks of servo, cameras and testbed are 9.7 MB in shared memory; logs, parameters, journals and data objects 2.1 MB
+#: after a command, its results 0.7 MB.
+ROOM_BYTES = 16 * 2**20
+#: A machine has 73 files in its folders after a command, and fewer in shared memory.
 FILES = 128
-#: Segments of Fast DDS are 17.6 MB, logs as large before they are rotated.
+#: Logs are 16 MiB before they are rotated.
 FILE_BYTES = 32 * 2**20
 
 _MIB = 2**20
@@ -80,7 +74,7 @@ def host_checks() -> list[Check]:
         Check("size of a file", _check_file_size, "'ulimit -f unlimited' lifts it"),
         *rooms,
         Check("temporary files", lambda: _check_writable(_temporary), "set TMPDIR to another folder"),
-        Check("files in shared memory", lambda: _check_files(_check_writable(lambda: SHM)), _SHM_REMEDY),
+        Check("shared memory", lambda: _check_folder(lambda: SHM), _SHM_REMEDY),
         Check("discovery server", _check_discovery_server, f"'unset {_SERVER}' mends it"),
         Check("loopback interface", _check_loopback, "'sudo ip link set lo up' mends it"),
         Check("middleware", _check_middleware, f"'unset {_RMW}' mends it"),
@@ -97,11 +91,6 @@ def check_host() -> None:
         check.require()
 
 
-def shared_memory_check(deployment: Deployment) -> Check:
-    """Return the check of the room in shared memory for the local host's processes of a deployment."""
-    return Check("room in shared memory", partial(_check_shared_memory, deployment), _SHM_REMEDY)
-
-
 def check_folder(folder: Path) -> None:
     """Make a folder if missing, and check for write access.
 
@@ -110,14 +99,6 @@ def check_folder(folder: Path) -> None:
     """
     remedy = "remove it, or set IM_RUN_DIR to another folder"
     Check(f"folder {folder}", lambda: _check_writable(lambda: files.make_folder(folder)), remedy).require()
-
-
-def _check_shared_memory(deployment: Deployment) -> None:
-    needed = shared_memory_bytes(len(deployment.on_host(deployment.local_host())))
-    free = shutil.disk_usage(SHM).free
-    if free < needed:
-        there, least = f"{free / _MIB:.0f} MiB", f"{needed / _MIB:.0f} MiB"
-        raise _refused(f"{SHM} has {there} free, and the machine needs {least} there", free=free, needed=needed)
 
 
 def _check_discovery_server() -> None:
@@ -151,11 +132,6 @@ def _check_folder(find: Callable[[], Path]) -> None:
     folder = _check_writable(find)
     _check_room(folder)
     _check_files(folder)
-
-
-def shared_memory_bytes(processes: int) -> int:
-    """Compute the use of ``/dev/shm`` by the processes of a host with tasks, and the bootstrap or agent [bytes]."""
-    return int((processes + 1) * (_SEGMENT_SHARE * _segment_bytes() + _PORT_BYTES)) + BLOCKS_BYTES
 
 
 def _check_open_files() -> None:
@@ -211,10 +187,10 @@ def _check_writable(find: Callable[[], Path]) -> Path:
 
 def _check_room(folder: Path) -> None:
     free = shutil.disk_usage(folder).free
-    if free < DISK_BYTES:
-        there, needed = f"{free / _MIB:.0f} MiB", f"{DISK_BYTES / _MIB:.0f} MiB"
+    if free < ROOM_BYTES:
+        there, needed = f"{free / _MIB:.0f} MiB", f"{ROOM_BYTES / _MIB:.0f} MiB"
         sentence = f"the disk of {folder} has {there} free, and {needed} are needed"
-        raise _refused(sentence, free=free, needed=DISK_BYTES)
+        raise _refused(sentence, free=free, needed=ROOM_BYTES)
 
 
 def _check_files(folder: Path) -> None:
@@ -226,13 +202,3 @@ def _check_files(folder: Path) -> None:
 
 def _refused(sentence: str, **facts: object) -> ImError:
     return ImError(sentence, code="resources", **facts)
-
-
-def _segment_bytes() -> int:
-    """Return the segment size of a participant in the profile of Fast DDS; the default of Fast DDS if not given."""
-    try:
-        profile = files.read_text(os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", ""))
-    except FileError:
-        profile = ""
-    found = re.search(r"<segment_size>\s*(\d+)\s*</segment_size>", profile)
-    return int(found[1]) if found else 512 * 1024

@@ -263,7 +263,7 @@ def start(
 
     Returns:
         0 if all tasks are ready, else 1, or 130 if it was interrupted; the machine is down again then. In the
-        foreground as of :func:`attend`.
+        foreground as of :func:`attend`; an interrupt stops the machine in order.
 
     Raises:
         StateError: A machine of this ROS domain runs already, or it was stopped while it started.
@@ -274,9 +274,9 @@ def start(
     require_none_runs()
     preflight.check_host()
     several = len(deployment.hosts) > 1  # their journals would have to be of the same mission
+    ready: MachineRecord | None = None
     try:
         goes_on = clear_the_way(fresh or several)
-        preflight.shared_memory_check(deployment).require()
         tidy(deployment)
         if said := reach(os.environ, deployment):
             say(f"start: {said}")
@@ -284,14 +284,22 @@ def start(
         with interrupts_held():  # a process that is just forked has no mark yet by which it would be found and ended
             process = spawn_bootstrap(deployment, path, timeout_s, resume, signal.SIGTERM if foreground else None)
         try:
-            code = await_ready(process, began, timeout_s, took, goes_on, stop_asked, at_ready)
-            if code == 0 and goes_on:
+            ready = await_ready(process, began, timeout_s, took, goes_on, stop_asked)
+            if ready is None:
+                return 1
+            at_ready()
+            print_ready(ready, clock.monotonic() - began)
+            print_parts({**took, **ready.took})
+            if goes_on:
                 print_unfinished(resume)
-            return attend(process) if foreground and code == 0 else code
+            return attend(process) if foreground else 0
         except ImError:
             stop.stop(say=lambda _: None)
             raise
     except KeyboardInterrupt:
+        if ready is not None and foreground:
+            complain("\nstart: interrupted; stopping the machine")
+            return stop.stop(say)
         complain("\nstart: interrupted; stopping what was started")
         stop.stop(say=lambda _: None)
         return INTERRUPTED
@@ -304,8 +312,7 @@ def await_ready(
     took: dict[str, float],
     goes_on: bool,
     stop_asked: Callable[[], bool] = lambda: False,
-    at_ready: Callable[[], None] = lambda: None,
-) -> int:
+) -> MachineRecord | None:
     """Wait until all tasks are ready, and print the events meanwhile.
 
     Args:
@@ -315,10 +322,9 @@ def await_ready(
         took: How long its parts before have taken [s].
         goes_on: Whether a mission goes on.
         stop_asked: Whether the machine is to be stopped.
-        at_ready: Called when the machine is ready, before anything is said of it.
 
     Returns:
-        0 if all tasks are ready, else 1; the machine is down again then.
+        The machine whose tasks are all ready; None: it is down again.
 
     Raises:
         StateError: The machine was stopped.
@@ -332,7 +338,7 @@ def await_ready(
         if process.poll() is not None:
             complain(f"start: the bootstrap has ended: {stop.bootstrap_words()}")
             stop.stop(say=lambda _: None)
-            return 1
+            return None
         if record is not None:
             verifies = record.phase == "CONFIGURE" and "configure" in record.took
             step = "verify the nets together" if verifies else f"{record.phase.lower()} {record.tasks} tasks"
@@ -341,19 +347,18 @@ def await_ready(
                 shown = step
                 say(f"start: {shown}")
             if record.state == machine.READY:
-                at_ready()
-                print_ready(record, clock.monotonic() - began)
-                print_parts({**took, **record.took})
-                return 0
+                return record
             if record.state == machine.FAILED:
                 why = "its nets may not run together" if record.refused else "not every task could be started"
-                return give_up(why, record, goes_on)
+                give_up(why, record, goes_on)
+                return None
         clock.sleep(_POLL_S)
-    return give_up(f"not every task was ready after {timeout_s:g} s (--timeout allows more)", machine.read(), goes_on)
+    give_up(f"not every task was ready after {timeout_s:g} s (--timeout allows more)", machine.read(), goes_on)
+    return None
 
 
 def attend(process: ChildProcess) -> int:
-    """Wait for the end of the machine, and stop it on an interrupt.
+    """Wait for the end of the machine.
 
     Args:
         process: The bootstrap's supervisor.
@@ -361,12 +366,8 @@ def attend(process: ChildProcess) -> int:
     Returns:
         0 if it was stopped, 1 if it ended by itself or something of it could not be ended.
     """
-    try:
-        while process.poll() is None:
-            process.await_end(_LOOK_S)
-    except KeyboardInterrupt:
-        complain("\nstart: interrupted; stopping the machine")
-        return stop.stop(say)
+    while process.poll() is None:
+        process.await_end(_LOOK_S)
     if process.poll() == 0:
         say("start: the machine was stopped")
         return 0
@@ -475,7 +476,7 @@ def _folder(text: str) -> str:
     return str(Path(text).resolve())
 
 
-def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
+def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> None:
     """Print the failure and stop everything; if a continued mission failed, print also how to begin anew."""
     complain(f"start: {sentence}:")
     for missing in record.missing if record is not None else ["the bootstrap has not reported"]:
@@ -483,7 +484,6 @@ def give_up(sentence: str, record: MachineRecord | None, goes_on: bool) -> int:
     if goes_on:
         complain("start: scripts/start.sh --fresh begins a new mission and keeps the one before")
     stop.stop(say=lambda _: None)
-    return 1
 
 
 def print_ready(record: MachineRecord, seconds: float) -> None:

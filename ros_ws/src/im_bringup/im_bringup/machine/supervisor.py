@@ -20,7 +20,7 @@ from typing import TypeVar
 from im_bringup.tasks.memory_limit import refused
 from im_bringup.tasks.receivers import Receivers
 from im_bringup.tasks.standstill import Standstill
-from im_core import clock, dead_ports, names
+from im_core import clock, names
 from im_core.errors import ImError
 from im_core.patience import Silence
 from im_core.processes import loop_heartbeat as pulse_memory
@@ -80,14 +80,10 @@ class BootstrapKeeper:
                 continue
             failure, code = "", None
             began, log_begin = clock.monotonic(), _log_size()
-            looked = began
             while code is None:
                 while self._signals:
                     self._child.send_signal(self._signals.popleft())
                 self._child.await_end(_LOOK_S)
-                if clock.monotonic() - looked >= dead_ports.RENEWAL_S:  # the whole machine may wait for one
-                    dead_ports.end_unfinished()
-                    looked = clock.monotonic()
                 code = self._child.poll()
                 if code is None and self._stopped is None and (failure := self._failure(hang, began)):
                     code = self._end(self._child)

@@ -16,9 +16,12 @@ PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 #: Addresses at which discovery looks for others, also where no multicast goes; those of the user come first.
 PEERS = "ROS_STATIC_PEERS"
+#: How far discovery reaches. With LOCALHOST the rmw adds shared memory to what a profile has.
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 #: Without it Fast DDS also reads a file of the working directory.
 _SKIP = {"SKIP_DEFAULT_XML_FILE": "1"}
 _PACKAGE = "im_bringup"
+_LOOPBACK_ADDRESS = "127.0.0.1"
 #: Requests for the flags of an interface and for its address (``linux/sockios.h``), and flags (``linux/if.h``).
 _GET_FLAGS, _GET_ADDRESS = 0x8913, 0x8915
 _UP, _LOOPBACK, _RUNNING = 0x1, 0x8, 0x40
@@ -49,10 +52,12 @@ def middleware(base: Mapping[str, str], deployment: Deployment) -> dict[str, str
         deployment: What is started; tasks on several hosts open it.
     """
     ours = open_profile() if len(deployment.hosts) > 1 else loopback_profile()
-    peers = {PEERS: ";".join(deployment.addresses.values())} if deployment.addresses and not base.get(PEERS) else {}
+    named = base[PEERS].split(";") if base.get(PEERS) else [*deployment.addresses.values()]
+    here = dict.fromkeys([*named, _LOOPBACK_ADDRESS])  # whoever names some looks nowhere else
+    peers = {PEERS: ";".join(here)} if named else {}
     if own := own_profile(base):
         return {PROFILE: own, **_SKIP, **peers}
-    return {PROFILE: str(ours), QOS_FROM_PROFILE: "1", **_SKIP, **peers}
+    return {PROFILE: str(ours), RANGE: "SUBNET", QOS_FROM_PROFILE: "1", **_SKIP, **peers}
 
 
 def require_addresses(deployment: Deployment, path: Path) -> None:

@@ -8,7 +8,6 @@ import inspect
 import sys
 import threading
 from collections.abc import Callable, Coroutine
-from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -27,7 +26,6 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from im_core.dead_ports import own_ports, passed_over
 from im_core.errors import FOREIGN, ImError, as_exception
 from im_core.ros import qos
 from im_core.ros.failures import Failures, few, sentence
@@ -98,8 +96,7 @@ class GuardedNode(Node):
         self.urgent = UrgentReaders()
         self.turns = 0
         self.standstill_s = STANDSTILL_S
-        with nullcontext() if own_ports() else passed_over():
-            super().__init__(name, **options)
+        super().__init__(name, **options)
         self._logger: RcutilsLogger = Logger(Node.get_logger(self).name)
 
     @property

@@ -16,7 +16,6 @@ from rclpy.service import Service
 from rclpy.service_introspection import ServiceIntrospectionState
 from rclpy.task import Task
 
-from im_core import clock, dead_ports
 from im_core.errors import ImError
 from im_core.processes.agent_socket import AgentOrder, AgentSocket, TaskIncarnation, TaskReport
 from im_core.processes.process import dismiss_prepared
@@ -86,8 +85,7 @@ class ManagedNode(GuardedNode):
         self._coroutines = Coroutines(self.wake, self._run_task, self._broken)
         self.urgent.add(self._coroutines.step)  # an urgent request may wait for a disk before the answer
         self._status_publisher = self.create_publisher(TaskStatus, STATUS_TOPIC, qos.LATCHED)
-        self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._beat, clock=self.steady_clock)
-        self._renewed = clock.monotonic()
+        self._heartbeat = self.create_timer(STARTING_PERIOD_S, self._publish_status, clock=self.steady_clock)
         alone = "pass through the start-up phases without a bootstrap"
         self._alone = self.declared.declare("standalone", False, alone)
         if self._alone:
@@ -245,12 +243,6 @@ class ManagedNode(GuardedNode):
         if phase == _READY:
             gc.freeze()  # what was loaded and made until now stays: the collector need not go through it again
         self._publish_status()
-
-    def _beat(self) -> None:
-        self._publish_status()
-        if clock.monotonic() - self._renewed >= dead_ports.RENEWAL_S:
-            dead_ports.renew_ports()
-            self._renewed = clock.monotonic()
 
     def _publish_status(self) -> None:
         message = TaskStatus(
