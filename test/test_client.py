@@ -78,6 +78,9 @@ def test_an_arm_is_reserved_moved_and_given_back(im):
         np.testing.assert_allclose(arm.tool_pose.position, lower, atol=1e-3)
         with pytest.raises(MachineError, match="out of reach"):
             arm.move_to(Pose([9.0, 9.0, 9.0]))
+        for given in ({"pose": [0.3, 0.0, 1.0]}, {"pose": arm.tool_pose, "via": (0.3, 0.0, 1.0)}):
+            with pytest.raises(TypeError, match=r"is .0\.3, 0\.0, 1\.0.; a Pose is needed, such as Pose\("):
+                arm.move_to(**given)
         with pytest.raises(MachineError, match="group left has no joint left_j7; there are left_track"):
             arm.move_joints(left_j7=0.0)
     assert im.state.state == "cold"

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from im_bringup.machine import leftovers
 from im_bringup.machine import machine_state as machine
 from im_bringup.tasks.agent import defaults, environment
 from im_bringup.tasks.deployment import default_path, load
+from im_bringup.tasks.middleware import RANGE
 from im_core.executables import path_of
-from support.whole_machine import free_port
+from support.whole_machine import free_port, segments
 
 ROOT = Path(__file__).resolve().parent.parent
 GIVEN_BY_SCRIPTS = (*defaults(), "ROS_LOG_DIR", "FASTRTPS_DEFAULT_PROFILES_FILE", "RMW_FASTRTPS_USE_QOS_FROM_XML")
@@ -35,6 +37,7 @@ def foreground(process, tmp_path, monkeypatch, small_deployment, wait_until):
     """A machine of two tasks that is ready, in the foreground of a process without what the scripts set."""
     for name in GIVEN_BY_SCRIPTS:
         monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(RANGE, "LOCALHOST")  # for which the rmw adds shared memory
     monkeypatch.setenv("IM_RUN_DIR", str(tmp_path / "run"))
     monkeypatch.setenv("IM_RESULTS_DIR", str(tmp_path / "results"))
     options = ("--foreground", "--factor=0", f"--port={free_port()}")
@@ -52,6 +55,7 @@ def gone():
 @pytest.mark.end_to_end
 def test_ctrl_c_stops_the_machine(foreground, wait_until):
     assert not gone()
+    assert [process.pid for process in leftovers.processes() if segments(process.pid)] == []
     foreground.send_signal(signal.SIGINT)
     wait_until(lambda: foreground.poll() is not None, "the end", 60.0)
     assert (foreground.returncode, gone()) == (0, True)

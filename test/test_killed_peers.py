@@ -4,12 +4,12 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 from std_msgs.msg import Int32
 
 from im_core.ros.node import ManagedNode
+from support.whole_machine import segments
 
 LISTENER = """
 import rclpy
@@ -72,11 +72,6 @@ def listener(ros):
     yield begin
     for each in begun:
         each.kill()
-
-
-def segments(pid):
-    """Lines of the memory of a process about shared memory of Fast DDS."""
-    return [line for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/fastrtps_" in line]
 
 
 @pytest.mark.parametrize("kind", ["Node", "GuardedNode", "Connection"])

@@ -207,3 +207,8 @@ class Machine:
 def report_of(answer):
     """The report of a calibration, as it is in its file."""
     return json.loads((Path(answer.report.directory) / "report.json").read_text())
+
+
+def segments(pid):
+    """Lines of the memory of a process about shared memory of Fast DDS."""
+    return [line for line in Path(f"/proc/{pid}/maps").read_text().splitlines() if "/fastrtps_" in line]

@@ -47,6 +47,16 @@ class Pose:
         return PoseMessage(position=Point(x=px, y=py, z=pz), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
+def require_pose(name: str, given: object) -> None:
+    """Refuse numbers in place of a pose.
+
+    Raises:
+        TypeError: It is no pose.
+    """
+    if not isinstance(given, Pose):
+        raise TypeError(f"{name} is {given!r}; a Pose is needed, such as Pose([0.3, 0.0, 1.0])")
+
+
 def _vector(name: str, values: Sequence[float], length: int) -> NDArray[np.float64]:
     vector = np.asarray(values, dtype=float)
     if vector.shape != (length,) or not np.isfinite(vector).all():

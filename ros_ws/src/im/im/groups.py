@@ -12,7 +12,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from im.connection import Connection
 from im.errors import MachineError, UnreachableError, require
-from im.geometry import Pose
+from im.geometry import Pose, require_pose
 from im_msgs.action import Move
 from im_msgs.srv import (
     GetGroupState,
@@ -120,7 +120,10 @@ class Arm(Group):
 
         Raises:
             MachineError: The pose is out of reach, or the motion failed or was refused, or met no such force.
+            TypeError: A pose is none, such as a list of numbers.
         """
+        for name, given in (("pose", pose), ("via", via or pose)):
+            require_pose(name, given)
         wrist = pose.message(self.tool_pose)
         goal = Move.Goal(speed_scale=float(speed_scale), until_force=float(until_force))
         if straight or via is not None:

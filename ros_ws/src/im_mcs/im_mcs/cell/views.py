@@ -9,7 +9,7 @@ import yaml
 from im_cell.robot import Cell
 from im_mcs.model import CellModel
 
-_LATCHED, _NEWEST = ("Transient Local", "Reliable"), ("Volatile", "Best Effort")
+_LATCHED, _NEWEST = ("Transient Local", "Reliable"), ("Volatile", "Reliable")
 _DISTANCES = 2.2
 """Distance of the eye, in radii of the robot at home."""
 
