@@ -170,6 +170,8 @@ MESH = '<collision><geometry><mesh filename="package://x/y.stl"/></geometry></co
     (robot().replace("<mass", '<origin xyz="0 0 80"/><mass'), CELL, "base has its <inertial> 80 m off: .*millimetres"),
     (robot(link("hand", '<collision><geometry><box size="300 300 20"/></geometry></collision>'),
            joint("h", "two", "hand", "fixed", "")), CELL, "hand: a shape for collision is 300 m large: .*millimetres"),
+    (robot().replace('<mass value="1.0"', '<origin xyz="0 0.2 0.1"/><mass value="2300"'), CELL,
+     r"joint a has 10 Nm, and link one of 2300 kg needs up to \S+ Nm: masses are grams, it seems"),
     (robot().replace('ixy="0"', 'ixy="0.3"'), CELL, "base: its principal moments of inertia, .* -0.2, cannot be"),
     (robot().replace("two", "R&amp;D"), CELL, "link 'R&D': no name may have the sign &"),
     (robot(second=joint("b", "one", "two", xyz="0 zero 0")), CELL, "b: '0 zero 0' is not 3 numbers below 1e9"),

@@ -18,6 +18,8 @@ _LARGEST_M = 50.0
 _ROUNDING = 1e-6
 _LARGEST_RAD = 30.0
 """Of a limit of an angle: no joint with limits makes five turns to a side, but one in degrees seems to."""
+_MOST_LOAD = 20.0
+"""Of a link's weight, in limits of its joint's effort: an arm that lifts itself is below 1, one in grams above 50."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,10 @@ def parse_description(text: str, name: str) -> UrdfTree:
         if len(links) > _MOST_LINKS:
             raise ValueError(f"it has {len(links)} links; {_MOST_LINKS} are allowed")
         joints = [_joint(each) for each in robot.findall("joint")]
-        return _tree(links, joints)
+        tree = _tree(links, joints)
+        for each in joints:
+            _require_strength(each, links[each.child])
+        return tree
     except ValueError as error:
         raise ConfigError(f"{name}: {error}", file=name) from error
 
@@ -173,6 +178,18 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
         lost = sorted(names - {joint.name for joint in ordered})
         raise ValueError(f"joints {', '.join(lost)} are a closed chain, which the root does not carry")
     return UrdfTree(roots[0], ordered, links)
+
+
+def _require_strength(joint: UrdfJoint, link: UrdfLink) -> None:
+    """Refuse a joint far too weak for the weight of its own link, whatever its axis.
+
+    Raises:
+        ValueError: It is.
+    """
+    needed = 9.81 * link.mass * float(np.linalg.norm(np.cross(joint.axis, link.com)))
+    if joint.kind in ("revolute", "continuous") and joint.effort and needed > _MOST_LOAD * joint.effort:
+        told = f"joint {joint.name} has {joint.effort:g} Nm, and link {link.name} of {link.mass:g} kg"
+        raise ValueError(f"{told} needs up to {needed:.3g} Nm: masses are grams, it seems")
 
 
 def _link(element: ET.Element) -> UrdfLink:
