@@ -559,7 +559,7 @@ def test_who_goes_on_after_a_death_waits_for_servers_that_may_have_died_too(mach
     monkeypatch.setattr("im_pnt_node.ros.execution.actions.DISCOVERY_TIMEOUT_S", 1.0)
     monkeypatch.setattr(machine[0]._runner.surroundings, "waits_for_all", waits)
     message = run(machine[0], "absent").status.message
-    assert ("the action /nowhere/move is not there" in message) == waits
+    assert ("the action /nowhere/move is not there: waited 1 s for it" in message) == waits
 
 
 def test_a_data_place_is_marked_only_if_the_object_is_valid_and_unmarked_when_it_is_not_any_more(machine, wait_until):

@@ -167,7 +167,7 @@ class Surroundings:
         while not unwanted() and ((why := self._not_yet(task)) or not server.ready()):
             starts = task is not None and self.heartbeats.starting(task)
             if monotonic() > began + (patience_s() if starts else DISCOVERY_TIMEOUT_S):
-                raise StateError(f"{what} is not there" + (f": {why}" if why else ""))
+                raise StateError(f"{what} is not there: {why or f'waited {DISCOVERY_TIMEOUT_S:g} s for it'}")
             if not (self.waits_for_all or task or server.found):
                 if nodes != (nodes := self._nodes()):
                     changed = monotonic()
