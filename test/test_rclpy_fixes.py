@@ -1,5 +1,8 @@
 """The faults of rclpy are still there: a test that fails here says which module of im_core/ros/rclpy_fixes may go."""
 
+import subprocess
+import sys
+
 import pytest
 import rclpy
 from rclpy.action import ActionServer
@@ -66,3 +69,19 @@ def test_rclpy_still_decodes_a_message_once_for_each_subscription(bare):
     publisher.publish(String(data="said"))
     turn(lambda: len(heard) == 2)
     assert heard[0] is not heard[1]
+
+
+def test_a_destruction_that_hangs_ends_the_process():
+    """In C, and with the interpreter's lock, so that neither a signal nor a thread of Python comes in."""
+    code = """
+import ctypes
+from im_core.ros.rclpy_fixes import bounded_end
+bounded_end.LONGEST_S = 0.5
+with bounded_end.bounded_end():
+    pass
+with bounded_end.bounded_end():
+    ctypes.PyDLL(None).sleep(600)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300.0, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert 'File "<string>", line 8 in <module>' in done.stderr

@@ -20,6 +20,7 @@ from rclpy.task import Future
 
 from im.errors import MachineError, UnreachableError
 from im.waits import wait_for
+from im_core.ros.rclpy_fixes.bounded_end import bounded_end
 
 ResultT = TypeVar("ResultT")
 
@@ -189,6 +190,7 @@ class Connection:
         self._executor.shutdown()
         for action in self._actions.values():
             action.destroy()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-        self._context.destroy()
+        with bounded_end():
+            self.node.destroy_node()
+            self._context.try_shutdown()
+            self._context.destroy()

@@ -181,7 +181,7 @@ def _tree(links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> UrdfTree:
 
 
 def _require_strength(joint: UrdfJoint, link: UrdfLink) -> None:
-    """Refuse a joint far too weak for the weight of its own link, whatever its axis.
+    """Refuse a joint far too weak for the weight of the carried link.
 
     Raises:
         ValueError: It is.

@@ -30,6 +30,7 @@ from im_core.processes.loop_watch import LoopWatch
 from im_core.ros.guard import GuardedNode
 from im_core.ros.node import ManagedNode
 from im_core.ros.rclpy_fixes.backlog import new_readers, take_backlog
+from im_core.ros.rclpy_fixes.bounded_end import bounded_end
 from im_core.ros.rclpy_fixes.one_reader import shared_readers
 
 # Without a time-out the events executor busy-loops; this one is never reached.
@@ -175,7 +176,7 @@ def _destroy(node: rclpy.node.Node) -> None:
     for waitable in tuple(node.waitables):
         if isinstance(waitable, ActionClient | ActionServer):
             cast(Any, waitable).destroy()  # rclpy says no types
-    with contextlib.suppress(InvalidHandle, rclpy_implementation.RCLError):
+    with bounded_end(), contextlib.suppress(InvalidHandle, rclpy_implementation.RCLError):
         node.destroy_node()
 
 
