@@ -94,7 +94,7 @@ class Heartbeats:
             raise UnreachableError(f"{task} is missing (last heard {silent:.1f} s ago){why}")
 
     def living(self, name: str) -> Callable[[], None]:
-        """Return a check whether a task will still answer what its present incarnation is asked.
+        """Return a check: does the present incarnation of a task still live?
 
         Args:
             name: Name of a service, an action or a topic, of which the first part is that of the task: ``/vss/snap``.
